@@ -1,0 +1,55 @@
+"""Start of a step: zero wrenches; start of a run: the initial state."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.types import ENV_ACTIVE, structs
+
+
+@functools.cache
+def kernel(real: type) -> wp.Kernel:
+    """Returns the kernel that zeroes ``wrenches``. Launch with dim (env, body)."""
+    t = structs(real)
+    vec3, Wrenches = t.vec3, t.Wrenches
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def clear_wrenches(status: wp.array(dtype=wp.int32), wrenches: Wrenches):
+        env, body = wp.tid()
+        if status[env] != ENV_ACTIVE:
+            return
+        wrenches.force[env, body] = vec3()
+        wrenches.torque[env, body] = vec3()
+
+    return clear_wrenches
+
+
+@functools.cache
+def reset(real: type) -> wp.Kernel:
+    """Returns the kernel that puts chosen environments back to the start. Launch with dim env."""
+    t = structs(real)
+    State, History = t.State, t.History
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def reset_environments(
+        mask: wp.array(dtype=wp.bool),
+        bodies: wp.int32,
+        contacts: wp.int32,
+        initial: State,
+        status: wp.array(dtype=wp.int32),
+        state: State,
+        history: History,
+    ):
+        env = wp.tid()
+        if not mask[env]:
+            return
+        status[env] = ENV_ACTIVE
+        for body in range(bodies):
+            state.body_position[env, body] = initial.body_position[env, body]
+            state.body_orientation[env, body] = initial.body_orientation[env, body]
+            state.body_linear_velocity[env, body] = initial.body_linear_velocity[env, body]
+            state.body_angular_velocity[env, body] = initial.body_angular_velocity[env, body]
+        for contact in range(contacts):
+            history.entry_speed[env, contact] = real(-1.0)
+            history.armed[env, contact] = 0
+
+    return reset_environments

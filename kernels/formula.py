@@ -1,0 +1,149 @@
+"""What laws and frictions have in common: named parameters, and a device function of a few scalars.
+
+A formula is a class with annotated parameters and a ``force`` written as a ``wp.func``. Its instances are frozen
+and hold values for the host; the device sees one struct of coefficients per contact and environment. Most
+formulas use their parameters as they are; one that needs something derived from them (a damping factor from a
+restitution) names its ``device`` coefficients and computes them, vectorised, in ``coefficients``.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, dataclass_transform
+
+import numpy as np
+import warp as wp
+
+
+def parameter(
+    unit: str,
+    meaning: str,
+    *,
+    default: Any = dataclasses.MISSING,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+) -> Any:
+    """Declares a parameter of a formula.
+
+    Args:
+        unit: SI unit, ``"-"`` for a pure number.
+        meaning: What it is, in a few words.
+        default: Value if none is given; ``None`` for one that may be left out.
+        above: Every value must be greater than this.
+        at_least: Every value must be at least this.
+        at_most: Every value must be at most this.
+    """
+    limits = {"unit": unit, "meaning": meaning, "above": above, "at_least": at_least, "at_most": at_most}
+    return dataclasses.field(default=default, metadata=limits)
+
+
+def check_values(name: str, values: np.ndarray, limits: Mapping[str, Any]) -> None:
+    """Raises ``ValueError`` naming the first of ``values`` that is not finite or outside ``limits``.
+
+    Args:
+        name: What to call it in the message.
+        values: Any shape; the first axis is the environment if there is one.
+        limits: ``unit``, ``above``, ``at_least``, ``at_most`` as given to ``parameter``.
+    """
+    above, at_least, at_most = limits["above"], limits["at_least"], limits["at_most"]
+    good = np.isfinite(values) & (values > above) & (values >= at_least) & (values <= at_most)
+    if limits.get("may_be_infinite"):
+        good |= values == np.inf
+    if np.all(good):
+        return
+    allowed = []
+    if above > -math.inf:
+        allowed.append(f"greater than {above:g}")
+    if at_least > -math.inf:
+        allowed.append(f"at least {at_least:g}")
+    if at_most < math.inf:
+        allowed.append(f"at most {at_most:g}")
+    where = np.argwhere(~good)[0]
+    entry = f"{name}[{', '.join(str(i) for i in where)}]" if len(where) else name
+    unit = "" if limits["unit"] == "-" else f" {limits['unit']}"
+    rule = " and ".join(allowed) or "finite"
+    raise ValueError(f"{entry} must be {rule}, got {values[tuple(where)]:g}{unit}")
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter,))
+class Formula:
+    """Base of laws and frictions. Subclasses become frozen dataclasses with keyword-only parameters."""
+
+    #: The formula as text, with the letters of the field.
+    formula: ClassVar[str] = ""
+    #: Where it comes from.
+    reference: ClassVar[str] = ""
+    #: Where it holds.
+    validity: ClassVar[str] = ""
+    #: Groups of parameters of which exactly one is given.
+    exactly_one_of: ClassVar[tuple[str, ...]] = ()
+    #: Names of the device coefficients; the parameters themselves if empty.
+    device: ClassVar[tuple[str, ...]] = ()
+    #: The device function.
+    force: ClassVar[wp.Function]
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        # A subclass without a docstring would get the signature for one; keep what the author wrote.
+        dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+
+    def __post_init__(self) -> None:
+        if not isinstance(getattr(type(self), "force", None), wp.Function):
+            raise TypeError(f"{type(self).__name__}.force must be a wp.func of (coefficients, state)")
+        given = self.parameters()
+        if self.exactly_one_of:
+            chosen = [name for name in self.exactly_one_of if name in given]
+            if len(chosen) != 1:
+                raise ValueError(
+                    f"{type(self).__name__} takes exactly one of {' and '.join(self.exactly_one_of)}, "
+                    f"got {' and '.join(chosen) or 'none'}"
+                )
+        for name, value in given.items():
+            limits = self.limits(name)
+            try:
+                values = np.asarray(value, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise ValueError(f"{type(self).__name__}.{name} must be a number, got {value!r}") from None
+            if values.ndim != 0:
+                raise ValueError(
+                    f"{type(self).__name__}.{name} must be one number, got shape {values.shape}; "
+                    "values per environment are set on the model: model['<contact>.law."
+                    f"{name}'] = values"
+                )
+            check_values(f"{type(self).__name__}.{name}", values, limits)
+
+    def parameters(self) -> dict[str, float]:
+        """Returns the parameters that have a value."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
+
+    @classmethod
+    def limits(cls, name: str) -> Mapping[str, Any]:
+        """Returns unit, meaning and allowed range of parameter ``name``."""
+        return {field.name: field.metadata for field in dataclasses.fields(cls)}[name]
+
+    @classmethod
+    def device_names(cls) -> tuple[str, ...]:
+        """Returns the names of the coefficients that ``force`` sees."""
+        return cls.device or tuple(field.name for field in dataclasses.fields(cls))
+
+    @staticmethod
+    def coefficients(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Computes the device coefficients from the parameters, each of one broadcastable shape."""
+        return values
+
+
+@functools.cache
+def coefficient_struct(formula: type[Formula], real: type) -> Any:
+    """Returns the struct of ``formula``'s device coefficients in precision ``real``."""
+    # Warp has no empty structs.
+    names = formula.device_names() or ("unused",)
+    return wp.struct(
+        type(
+            f"{formula.__name__}Coefficients",
+            (),
+            {"__annotations__": dict.fromkeys(names, real), "__module__": formula.__module__},
+        )
+    )

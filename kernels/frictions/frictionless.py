@@ -1,0 +1,18 @@
+"""No friction."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.frictions.base import Friction
+
+
+class Frictionless(Friction):
+    """A perfectly smooth contact."""
+
+    formula = "F = 0"
+    reference = "elementary"
+    validity = "always dissipation free"
+
+    @wp.func
+    def force(p: Any, s: Any):
+        return type(s.velocity)()

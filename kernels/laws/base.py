@@ -1,0 +1,51 @@
+"""The contract of a normal-force law."""
+
+from typing import ClassVar
+
+import warp as wp
+from warpcontact.kernels.formula import Formula
+
+
+class Law(Formula):
+    """A normal force N(δ, δ̇, …) ≥ 0 in a contact.
+
+    A subclass declares its parameters and a device function::
+
+        class Cubic(wc.Law):
+            \"\"\"N = k δ³.\"\"\"
+
+            stiffness: float = wc.parameter("N/m³", "stiffness k", above=0.0)
+
+            @wp.func
+            def force(p: Any, c: Any):
+                return p.stiffness * c.delta * c.delta * c.delta
+
+    ``p`` holds the coefficients of this contact in this environment; ``c`` has ``delta`` > 0 [m], ``delta_dot``
+    (> 0 on approach) [m/s], ``entry_speed`` (δ̇ at entry, or the largest since) [m/s] and, with ``needs_mass``,
+    the effective ``mass`` along the normal [kg]. Constants take the precision of the simulation when written as
+    ``type(c.delta)(1.5)``. The force must depend on nothing else.
+    """
+
+    #: Whether ``c.mass`` is to be computed.
+    needs_mass: ClassVar[bool] = False
+    #: Whether the law may pull; the force of all others is cut at zero.
+    pulls: ClassVar[bool] = False
+
+
+@wp.func
+def power(x: float, exponent: float):
+    """x^exponent for x ≥ 0, with the two exponents that matter most done without a logarithm."""
+    if exponent == 1.0:
+        return x
+    if exponent == 1.5:
+        return x * wp.sqrt(x)
+    return wp.pow(x, exponent)
+
+
+@wp.func
+def power(x: wp.float64, exponent: wp.float64):  # noqa: F811  an overload
+    if exponent == wp.float64(1.0):
+        return x
+    if exponent == wp.float64(1.5):
+        return x * wp.sqrt(x)
+    return wp.pow(x, exponent)

@@ -1,0 +1,21 @@
+"""Linear spring."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.laws.base import Law
+
+
+class Hooke(Law):
+    """Linear elastic contact, without loss; also a penalty stiffness."""
+
+    formula = "N = K δ"
+    reference = "elementary; FORCE_LAWS A1"
+    validity = "any stiffness"
+
+    stiffness: float = parameter("N/m", "stiffness K", above=0.0)
+
+    @wp.func
+    def force(p: Any, c: Any):
+        return p.stiffness * c.delta

@@ -1,0 +1,94 @@
+"""Hunt–Crossley damping with the restitution that is asked for."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from scipy.optimize import elementwise
+from scipy.special import lambertw
+from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.laws.base import Law, power
+
+# Below this distance of e from 1 the series of d is better than the root of its equation.
+SERIES_RANGE = 2.0e-3
+
+
+def restitution_of_damping_factor(factor: np.ndarray) -> np.ndarray:
+    """Restitution e of N = f(δ)(1 + d δ̇/v₀) in a free impact, from d ≥ 0, for any elastic function f.
+
+    e = [1 + W₀(−(1+d) exp(−(1+d)))]/d (FORCE_LAWS B2).
+    """
+    factor = np.asarray(factor, dtype=np.float64)
+    safe = np.maximum(factor, 1.0e-8)  # below, e = 1 − 2d/3 is 1 to the last digit that W leaves
+    with np.errstate(divide="ignore"):
+        exact = (1.0 + np.real(lambertw(-(1.0 + safe) * np.exp(-(1.0 + safe))))) / safe
+    return np.where(factor < 1.0e-4, 1.0 - 2.0 * factor / 3.0 + factor**2 * 4.0 / 9.0, exact)
+
+
+def damping_factor_of_restitution(restitution: np.ndarray) -> np.ndarray:
+    """Damping factor d whose free impact has restitution 0 < e ≤ 1: d (1 + e) = ln[(1 + d)/(1 − d e)].
+
+    Solved for u = ln(1 − d e), in which nothing cancels for small e (FORCE_LAWS B2). Near e = 1 the equation
+    degenerates to 0 = 0 and its series in q = 1 − e takes over; they agree to 1e-9 at the seam.
+    """
+    e = np.asarray(restitution, dtype=np.float64)
+    q = 1.0 - e
+    series = q * (1.5 + q * (1.5 + q * (1.35 + q * 1.2)))
+
+    def excess(u: np.ndarray, e: np.ndarray) -> np.ndarray:
+        d = -np.expm1(u) / e
+        return u - np.log1p(d) + d * (1.0 + e)
+
+    # The other root is u = 0. Between, excess > 0: already half the series lies there; far below, excess → u.
+    far_from_one = np.minimum(e, 1.0 - SERIES_RANGE)
+    upper = np.log1p(-0.75 * (1.0 - far_from_one) * far_from_one)
+    lower = -2.0 - 1.0 / far_from_one
+    result = elementwise.find_root(excess, (lower, upper), args=(far_from_one,))
+    if not np.all(result.success):
+        raise RuntimeError("no damping factor found for some restitution")
+    return np.where(q < SERIES_RANGE, series, -np.expm1(result.x) / e)
+
+
+class HuntCrossley(Law):
+    """Power-law spring with a damping that vanishes at touch and release: smooth, and no pull in free impact.
+
+    With ``restitution`` the factor d is the exact root of d(1+e) = ln[(1+d)/(1−de)] and v₀ the entry speed of
+    this contact, never below ``speed_floor``: below that speed an impact loses less than asked, and a body laid
+    down at rest is not overdamped without bound. With ``damping`` the factor 1 + χ δ̇ has the constant χ [s/m],
+    as in Simbody (1.5 c) and Drake (d): restitution then falls with speed.
+    """
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d(1+e) = ln[(1+d)/(1−de)]"
+    reference = (
+        "Hunt & Crossley, J. Appl. Mech. 42 (1975) 440; exact d: Gonthier et al., Multibody Syst. Dyn. 11 (2004) "
+        "209, Zhang & Sharf, J. Appl. Mech. 76 (2009) 051002; FORCE_LAWS B2"
+    )
+    validity = "any δ-dependence; restitution independent of mass, stiffness and speed"
+    exactly_one_of = ("restitution", "damping")
+    device = ("stiffness", "exponent", "factor", "chi", "speed_floor")
+
+    stiffness: float = parameter("N/mⁿ", "stiffness K", above=0.0)
+    exponent: float = parameter("-", "exponent n", default=1.5, at_least=1.0, at_most=4.0)
+    restitution: float | None = parameter(
+        "-", "coefficient of restitution e", default=None, at_least=0.01, at_most=1.0
+    )
+    damping: float | None = parameter("s/m", "damping χ", default=None, at_least=0.0)
+    speed_floor: float = parameter("m/s", "least entry speed v₀", default=0.01, above=0.0)
+
+    @staticmethod
+    def coefficients(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        zero = np.zeros_like(values["stiffness"])
+        factor = damping_factor_of_restitution(values["restitution"]) if "restitution" in values else zero
+        return {
+            "stiffness": values["stiffness"],
+            "exponent": values["exponent"],
+            "factor": factor,
+            "chi": values.get("damping", zero),
+            "speed_floor": values["speed_floor"],
+        }
+
+    @wp.func
+    def force(p: Any, c: Any):
+        entry_speed = wp.max(c.entry_speed, p.speed_floor)
+        damping = p.factor / entry_speed + p.chi
+        return p.stiffness * power(c.delta, p.exponent) * (type(c.delta)(1.0) + damping * c.delta_dot)

@@ -1,0 +1,71 @@
+"""Linear spring and dashpot, cut at zero."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from scipy.optimize import elementwise
+from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.laws.base import Law
+
+
+def restitution_of_damping_ratio(ratio: np.ndarray) -> np.ndarray:
+    """Restitution of a spring and dashpot that cannot pull, from its damping ratio ξ ≥ 0.
+
+    e = exp[−2ξ arccos ξ/√(1−ξ²)] for ξ < 1, e⁻² at 1, exp[−2ξ arccosh ξ/√(ξ²−1)] above: contact ends when the
+    force is zero, not when the penetration is (Schwager & Pöschel, Granular Matter 9 (2007) 465).
+    """
+    ratio = np.asarray(ratio, dtype=np.float64)
+    root = np.sqrt(np.abs(1.0 - ratio**2))
+    # arctan2(root, ξ) = arccos ξ and log(ξ + root) = arccosh ξ, without loss of digits at ξ = 1.
+    angle = np.where(ratio < 1.0, np.arctan2(root, ratio), np.log(ratio + root))
+    quotient = np.divide(angle, root, out=np.ones_like(root), where=root > 0.0)
+    return np.exp(-2.0 * ratio * quotient)
+
+
+def damping_ratio_of_restitution(restitution: np.ndarray) -> np.ndarray:
+    """Damping ratio ξ of a clamped spring and dashpot with restitution 0 < e ≤ 1, to rounding."""
+    restitution = np.asarray(restitution, dtype=np.float64)
+    # For large ξ, e → 1/(4 ξ²); twice that root encloses the solution for every e.
+    upper = 1.0 + 1.0 / np.sqrt(restitution)
+    result = elementwise.find_root(
+        lambda ratio, e: restitution_of_damping_ratio(ratio) - e,
+        (np.zeros_like(restitution), upper),
+        args=(restitution,),
+    )
+    if not np.all(result.success):
+        raise RuntimeError("no damping ratio found for some restitution")
+    return np.asarray(result.x)
+
+
+class KelvinVoigt(Law):
+    """Linear spring and dashpot in parallel; the force is cut at zero, so the contact never pulls.
+
+    With ``restitution`` the dashpot is c = 2ξ√(K m), m the effective mass of the contact and ξ the damping ratio
+    whose clamped impact has exactly that restitution; with ``damping`` it is the constant c. The force jumps to
+    c δ̇ at first touch.
+    """
+
+    formula = "N = max(0, K δ + c δ̇),  c = 2 ξ(e) √(K m)"
+    reference = "Schwager & Pöschel, Granular Matter 9 (2007) 465; FORCE_LAWS B1"
+    validity = "one impact point per body: the effective mass is that of the point alone"
+    exactly_one_of = ("restitution", "damping")
+    device = ("stiffness", "damping", "ratio")
+    needs_mass = True
+
+    stiffness: float = parameter("N/m", "stiffness K", above=0.0)
+    restitution: float | None = parameter(
+        "-", "coefficient of restitution e", default=None, at_least=0.01, at_most=1.0
+    )
+    damping: float | None = parameter("N·s/m", "damping c", default=None, at_least=0.0)
+
+    @staticmethod
+    def coefficients(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        zero = np.zeros_like(values["stiffness"])
+        ratio = damping_ratio_of_restitution(values["restitution"]) if "restitution" in values else zero
+        return {"stiffness": values["stiffness"], "damping": values.get("damping", zero), "ratio": ratio}
+
+    @wp.func
+    def force(p: Any, c: Any):
+        dashpot = p.damping + type(c.delta)(2.0) * p.ratio * wp.sqrt(p.stiffness * c.mass)
+        return p.stiffness * c.delta + dashpot * c.delta_dot

@@ -1,0 +1,154 @@
+"""The structs that kernels read and write: every device array once, with unit, frame and shape.
+
+``structs(real)`` returns them for one precision. Arrays are indexed ``[env, item]``; an array that all
+environments share has stride 0 along ``env``, so kernels never ask. Frames: W world, B body (at its centre of
+mass), S surface (the mesh's own frame). Velocities and wrenches are in world axes, at the centre of mass.
+Quaternions are (x, y, z, w).
+"""
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import warp as wp
+
+#: Body index that stands for the world.
+WORLD = -1
+
+# Status of an environment. A kernel looks at it first; anything but ACTIVE is left untouched.
+ENV_ACTIVE = 0
+ENV_FAILED = 1  # turned non-finite in this step; its other bodies may be half way
+ENV_FROZEN = 2  # held at its last finite state
+
+# Status of a contact (SPEC 1.2, sensors).
+OPEN = 0
+CONTACT = 1
+HIDDEN = 2
+FAR = 3
+WRONG_SIDE = 4
+DISABLED = 5
+
+# Option bits of a contact.
+LATCHED = 1  # entry="latched"
+RIM_OUTER = 2  # rim="outer"
+
+# Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its corners.
+FEATURE_COUNT = 7
+# Bits of a feature.
+FEATURE_ACTIVE = 1
+FEATURE_BORDER = 2
+
+# What the geometry says about the latch of entry="latched".
+LATCH_KEEP = 0
+LATCH_ARM = 1
+LATCH_DISARM = 2
+
+
+@functools.cache
+def structs(real: type) -> SimpleNamespace:
+    """Returns the structs for ``real``, ``wp.float32`` or ``wp.float64``."""
+    vec3, quat, mat33 = {
+        wp.float32: (wp.vec3f, wp.quatf, wp.mat33f),
+        wp.float64: (wp.vec3d, wp.quatd, wp.mat33d),
+    }[real]
+
+    @wp.struct
+    class ContactGeometry:
+        radius: real  # sphere about the point [m]; 0: a point
+        kappa: real  # contact point K = S + kappa (D − S) [-]
+        max_depth: real  # deepest penetration that still counts as contact [m]
+        search_radius: real  # surfaces farther from the point are not seen [m]
+        enabled: wp.int32  # 0 or 1
+
+    @wp.struct
+    class Model:
+        gravity: wp.array2d(dtype=vec3)  # [env, 0], W [m/s²]
+        # Bodies [env, body]
+        body_mass: wp.array2d(dtype=real)  # [kg]
+        body_inertia: wp.array2d(dtype=mat33)  # B, about the centre of mass [kg·m²]
+        body_inverse_inertia: wp.array2d(dtype=mat33)  # B [1/(kg·m²)]
+        # Points
+        point_body: wp.array(dtype=wp.int32)  # [point] body or WORLD
+        point_position: wp.array2d(dtype=vec3)  # [env, point], B (or W) [m]
+        # Surfaces
+        surface_body: wp.array(dtype=wp.int32)  # [surface] body or WORLD
+        surface_position: wp.array2d(dtype=vec3)  # [env, surface] origin of S in B (or W) [m]
+        surface_orientation: wp.array2d(dtype=quat)  # [env, surface] S → B (or W)
+        # Patches: a mesh to search, a whole surface or the active part of one
+        patch_mesh: wp.array(dtype=wp.uint64)  # [patch] id of the wp.Mesh
+        patch_surface: wp.array(dtype=wp.int32)  # [patch]
+        patch_face_start: wp.array(dtype=wp.int32)  # [patch] first row in the tables below
+        face_corner: wp.array2d(dtype=vec3)  # [face, corner], S [m]
+        face_normal: wp.array2d(dtype=vec3)  # [face, feature] unit pseudonormal, S
+        face_flags: wp.array2d(dtype=wp.uint8)  # [face, feature] FEATURE_* bits
+        # Contacts
+        contact_point: wp.array(dtype=wp.int32)  # [contact] index of the point
+        contact_patch: wp.array(dtype=wp.int32)  # [contact]
+        contact_options: wp.array(dtype=wp.int32)  # [contact] option bits
+        contact_geometry: wp.array2d(dtype=ContactGeometry)  # [env, contact]
+
+    @wp.struct
+    class State:
+        body_position: wp.array2d(dtype=vec3)  # [env, body] centre of mass, W [m]
+        body_orientation: wp.array2d(dtype=quat)  # [env, body] B → W
+        body_linear_velocity: wp.array2d(dtype=vec3)  # [env, body] of the centre of mass, W [m/s]
+        body_angular_velocity: wp.array2d(dtype=vec3)  # [env, body], W [rad/s]
+
+    @wp.struct
+    class History:
+        """Memory of the contacts; advances once per accepted step, in ``history.py`` and nowhere else."""
+
+        entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not touching
+        armed: wp.array2d(dtype=wp.int32)  # [env, contact] latch of entry="latched"
+
+    @wp.struct
+    class Contacts:
+        gap: wp.array2d(dtype=real)  # [env, contact] < 0 in overlap [m]
+        penetration: wp.array2d(dtype=real)  # [env, contact] 0 unless status is CONTACT [m]
+        normal: wp.array2d(dtype=vec3)  # [env, contact] out of the surface, W
+        point: wp.array2d(dtype=vec3)  # [env, contact] K, where the force acts, W [m]
+        face: wp.array2d(dtype=wp.int32)  # [env, contact] face of the patch; −1: none
+        status: wp.array2d(dtype=wp.int32)  # [env, contact] OPEN, CONTACT, …
+        armed: wp.array2d(dtype=wp.int32)  # [env, contact] the latch this geometry leads to
+        approach_speed: wp.array2d(dtype=real)  # [env, contact] dδ/dt at K, 0 unless CONTACT [m/s]
+        normal_force: wp.array2d(dtype=real)  # [env, contact] [N]
+        friction_force: wp.array2d(dtype=vec3)  # [env, contact] on the point's body, W [N]
+        slip_speed: wp.array2d(dtype=real)  # [env, contact] tangential, at K, 0 unless CONTACT [m/s]
+
+    @wp.struct
+    class Wrenches:
+        force: wp.array2d(dtype=vec3)  # [env, body], W [N]
+        torque: wp.array2d(dtype=vec3)  # [env, body] about the centre of mass, W [N·m]
+
+    @wp.struct
+    class Touch:
+        """What a law sees of one contact at one instant."""
+
+        delta: real  # penetration δ > 0 [m]
+        delta_dot: real  # dδ/dt, > 0 on approach [m/s]
+        entry_speed: real  # δ̇ when the contact began, or the largest since [m/s]
+        mass: real  # effective mass along the normal [kg]; only for laws with needs_mass
+
+    @wp.struct
+    class Slip:
+        """What a friction model sees of one contact at one instant."""
+
+        velocity: vec3  # tangential, of the point's body relative to the surface, W [m/s]
+        speed: real  # its length [m/s]
+        normal_force: real  # N ≥ 0 [N]
+
+    return SimpleNamespace(
+        real=real,
+        vec3=vec3,
+        quat=quat,
+        mat33=mat33,
+        epsilon=float(np.finfo(wp.dtype_to_numpy(real)).eps),
+        ContactGeometry=ContactGeometry,
+        Model=Model,
+        State=State,
+        History=History,
+        Contacts=Contacts,
+        Wrenches=Wrenches,
+        Touch=Touch,
+        Slip=Slip,
+    )

@@ -1,0 +1,386 @@
+"""Closest point, orientation, active part, borders: the sensor table and the worked numbers of SPEC 1."""
+
+import json
+
+import numpy as np
+import pytest
+from scenes import oracle_law, probe, square
+
+import warpcontact as wc
+from warpcontact import Status
+
+# One float32 epsilon is 1.2e-7; positions of order one pass a rotation, a query and a rotation back.
+LENGTH = 1.0e-6
+
+
+def tetrahedron():
+    vertices = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    return wc.Mesh(vertices, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], name="tetrahedron")
+
+
+# The worked numbers
+
+
+BODY_1 = {"position": (0.1, 0, 0.3), "linear_velocity": (0.4, -0.1, -0.5), "angular_velocity": (0, 1, 0.5)}
+BODY_2 = {"position": (0, 0, -0.2), "linear_velocity": (0.05, 0, 0.02), "angular_velocity": (0, 0, 0.3)}
+
+
+def oracle_model(mesh, point, precision, device, **contact):
+    """Two moving bodies; the surface is fixed to the second with its frame in the world's."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    one = scene.add_body(1.0, (1, 1, 1), name="one", **BODY_1)
+    two = scene.add_body(1.0, (1, 1, 1), name="two", **BODY_2)
+    surface = scene.add_surface(mesh, two, position=(0, 0, 0.2), name="surface")
+    offset = np.subtract(point, BODY_1["position"])
+    scene.add_contact(scene.add_point(one, offset), surface, oracle_law(), name="touch", **contact)
+    return scene.build(device=device, precision=precision)
+
+
+PLANE_CASES = {
+    "point_plane": ((0.2, 0.1, -0.003), {"kappa": 0.5}),
+    "point_plane_K_at_S": ((0.2, 0.1, -0.003), {"kappa": 0.0}),
+    "point_plane_K_at_P": ((0.2, 0.1, -0.003), {"kappa": 1.0}),
+    "sphere_plane": ((0.2, 0.1, 0.047), {"radius": 0.05}),
+    "sphere_plane_deep": ((0.2, 0.1, -0.01), {"radius": 0.05}),
+    "open": ((0.2, 0.1, 0.02), {}),
+    "on_surface": ((0.2, 0.1, 0.0), {}),
+}
+
+
+# float32: δ = 3e-3 is the difference of numbers of order 0.3, so it carries 3e-8/3e-3 = 1e-5 of relative error,
+# and every force is proportional to it.
+@pytest.mark.parametrize(("precision", "rtol"), [("float32", 4e-5), ("float64", 1e-9)])
+@pytest.mark.parametrize("case", PLANE_CASES)
+def test_worked_numbers_on_a_plane(case, precision, rtol, shared, device):
+    oracle = json.loads((shared / "spec" / "oracle_contactps2.json").read_text())[case]
+    point, options = PLANE_CASES[case]
+    model = oracle_model(square(), point, precision, device, **options)
+    assert_like_oracle(model, oracle, rtol)
+
+
+def assert_like_oracle(model, oracle, rtol):
+    def close(name, expected, scale=1.0):
+        np.testing.assert_allclose(model.reading(name)[0], expected, rtol=rtol, atol=rtol * scale, err_msg=name)
+
+    assert Status(model.reading("touch.status")[0]).name == oracle["status"]
+    close("touch.gap", oracle["gap"], 0.01)
+    close("touch.penetration", oracle["delta"], 0.01)
+    close("one.force", oracle["F1"], np.linalg.norm(oracle["F1"]))
+    if oracle["K"] is None:
+        return
+    close("touch.point", oracle["K"])
+    close("touch.approach_speed", oracle["v_n"])
+    close("touch.slip_speed", np.linalg.norm(oracle["v_t"]))
+    close("touch.normal_force", oracle["N"])
+    close("touch.friction_force", oracle["Ft"], np.linalg.norm(oracle["F1"]))
+    close("two.force", oracle["F2"], np.linalg.norm(oracle["F1"]))
+    close("one.torque", oracle["tau1"], np.linalg.norm(oracle["tau1"]))
+    close("two.torque", oracle["tau2"], np.linalg.norm(oracle["tau1"]))
+    power = power_of_pair(model)
+    np.testing.assert_allclose(power, oracle["power"], rtol=10 * rtol)
+
+
+def power_of_pair(model):
+    """Power of the contact force on both bodies, from wrenches and velocities."""
+    total = 0.0
+    for body in ("one", "two"):
+        total += model.reading(f"{body}.force")[0] @ model.reading(f"{body}.linear_velocity")[0]
+        total += model.reading(f"{body}.torque")[0] @ model.reading(f"{body}.angular_velocity")[0]
+    return total
+
+
+def test_worked_numbers_on_a_sphere_appear_as_its_mesh_is_refined(shared, device):
+    oracle = json.loads((shared / "spec" / "oracle_contactps2.json").read_text())["point_sphere"]
+    # A facet of the fine icosphere (edge 0.02) lies up to h²/8 = 5e-5 inside; δ = 4e-3, so 1.5 % of the force.
+    direction = np.array([1.0, 2.0, 2.0]) / 3.0
+    model = oracle_model(wc.meshes.icosphere(1.0, 6), 0.996 * direction, "float32", device)
+    assert Status(model.reading("touch.status")[0]) == Status.CONTACT
+    np.testing.assert_allclose(model.reading("touch.penetration")[0], oracle["delta"], rtol=0.015)
+    np.testing.assert_allclose(model.reading("touch.point")[0], oracle["K"], atol=5e-5)
+    np.testing.assert_allclose(model.reading("one.force")[0], oracle["F1"], rtol=0.03)
+
+
+def test_wrenches_of_a_pair_cancel_about_any_point(device):
+    model = oracle_model(square(), (0.2, 0.1, -0.003), "float32", device)
+    f1, f2 = model.reading("one.force")[0], model.reading("two.force")[0]
+    np.testing.assert_array_equal(f1, -f2)
+    r1, r2 = np.array(BODY_1["position"]), np.array(BODY_2["position"])
+    moments = [
+        model.reading("one.torque")[0] + np.cross(r1, f1),
+        model.reading("two.torque")[0] + np.cross(r2, f2),
+    ]
+    # The moments are of order 100 N·m: a few float32 roundings of that.
+    assert np.abs(sum(moments)).max() < 1e-4
+
+
+# The sensor table, row by row
+
+
+def test_open_contact_and_zero_gap(device):
+    readings = probe(square(), [(0.1, 0.2, 0.3), (0.1, 0.2, 0.05)], radius=0.05, device=device)
+    np.testing.assert_allclose(readings["gap"], [0.25, 0.0], atol=LENGTH)
+    assert readings["penetration"].tolist() == [0.0, 0.0]
+    assert readings["normal_force"].tolist() == [0.0, 0.0]
+    assert readings["status"][0] == Status.OPEN
+
+
+def test_a_point_exactly_on_the_surface_does_not_touch(device):
+    readings = probe(square(), [(0.1, 0.2, 0.0)], device=device)
+    assert readings["gap"][0] == 0.0
+    assert readings["penetration"][0] == 0.0
+    assert readings["status"][0] == Status.OPEN
+    np.testing.assert_allclose(readings["normal"][0], (0, 0, 1))
+
+
+def test_contact_reports_depth_and_normal(device):
+    readings = probe(square(), [(0.1, 0.2, -0.01)], device=device)
+    assert readings["status"][0] == Status.CONTACT
+    np.testing.assert_allclose(readings["gap"], -0.01, atol=LENGTH)
+    np.testing.assert_allclose(readings["penetration"], 0.01, atol=LENGTH)
+    np.testing.assert_allclose(readings["normal"][0], (0, 0, 1), atol=LENGTH)
+
+
+def test_hidden_faces_carry_no_force_and_report_a_distance(device):
+    # The upper left triangle is hidden; the whole surface is searched, so the point above it finds it hidden.
+    positions = [(-0.5, 0.5, -0.01), (-0.5, 0.5, 0.3), (0.5, -0.5, -0.01)]
+    readings = probe(square(), positions, active_faces=[0], device=device)
+    assert readings["status"].tolist() == [Status.HIDDEN, Status.HIDDEN, Status.CONTACT]
+    np.testing.assert_allclose(readings["gap"], [0.01, 0.3, -0.01], atol=LENGTH)
+    assert readings["normal_force"][:2].tolist() == [0.0, 0.0]
+    sphere = probe(square(), positions[:2], active_faces=[0], radius=0.1, device=device)
+    np.testing.assert_allclose(sphere["gap"], [0.0, 0.2], atol=LENGTH)
+    assert sphere["normal_force"].tolist() == [0.0, 0.0]
+
+
+def test_an_edge_shared_with_an_active_face_is_active(device):
+    # The diagonal belongs to both triangles.
+    readings = probe(square(), [(0.25, 0.25, -0.01)], active_faces=[0], device=device)
+    assert readings["status"][0] == Status.CONTACT
+
+
+def test_searching_the_active_part_only_finds_its_nearest_point(device):
+    # Over the hidden triangle, 0.1 beside the diagonal: the nearest active point is on the diagonal, a border.
+    beside = (-0.1 / np.sqrt(2), 0.1 / np.sqrt(2), 0.05)
+    for rim, status in (("off", Status.OPEN), ("outer", Status.CONTACT)):
+        readings = probe(square(), [beside], active_faces=[0], search="active", radius=0.2, rim=rim, device=device)
+        assert readings["status"][0] == status
+        expected = np.hypot(0.1, 0.05) - 0.2
+        gap = expected if rim == "outer" else 0.0
+        np.testing.assert_allclose(readings["gap"], gap, atol=LENGTH)
+    point = probe(square(), [(*beside[:2], -0.05)], active_faces=[0], search="active", device=device)
+    assert point["status"][0] == Status.OPEN
+    np.testing.assert_allclose(point["gap"], np.hypot(0.1, 0.05), atol=LENGTH)
+
+
+def test_far_surfaces_are_not_seen(device):
+    readings = probe(square(), [(0, 0, 0.5), (0, 0, 0.2)], radius=0.05, search_radius=0.3, device=device)
+    assert readings["status"].tolist() == [Status.FAR, Status.OPEN]
+    np.testing.assert_allclose(readings["gap"], [0.25, 0.15], atol=LENGTH)
+
+
+def test_too_deep_is_the_wrong_side(device):
+    readings = probe(square(), [(0, 0, -0.01), (0, 0, -0.2)], max_depth=0.05, device=device)
+    assert readings["status"].tolist() == [Status.CONTACT, Status.WRONG_SIDE]
+    np.testing.assert_allclose(readings["gap"], [-0.01, -0.2], atol=LENGTH)
+    assert readings["penetration"][1] == 0.0
+    assert readings["normal_force"][1] == 0.0
+
+
+def test_a_disabled_contact_is_skipped(device):
+    readings = probe(square(), [(0, 0, -0.01)], enabled=False, device=device)
+    assert readings["status"][0] == Status.DISABLED
+    assert np.isnan(readings["gap"][0])
+    assert readings["normal_force"][0] == 0.0
+
+
+# Edges, vertices, borders, far field
+
+
+def test_directions_over_edges_and_corners_of_a_cube(device):
+    cube = wc.meshes.box((1.0, 1.0, 1.0))
+    h = np.sqrt(0.5)
+    positions = [(0.7, 0.0, 0.7), (0.7, 0.7, 0.7), (0.7, 0.0, 0.0)]
+    readings = probe(cube, positions, radius=0.5, device=device)
+    distance = np.array([np.sqrt(2) * 0.2, np.sqrt(3) * 0.2, 0.2])
+    np.testing.assert_allclose(readings["gap"], distance - 0.5, atol=LENGTH)
+    directions = [(h, 0, h), np.full(3, 1 / np.sqrt(3)), (1, 0, 0)]
+    np.testing.assert_allclose(readings["normal"], directions, atol=4 * LENGTH)
+
+
+def test_the_sign_is_right_all_around_a_cube_inside_and_out(device):
+    cube = wc.meshes.box((1.0, 1.0, 1.0))
+    rng = np.random.default_rng(1)
+    positions = rng.uniform(-1.0, 1.0, (4000, 3))
+    q = np.abs(positions) - 0.5
+    exact = np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
+    readings = probe(cube, positions, device=device)
+    np.testing.assert_allclose(readings["gap"], exact, atol=2 * LENGTH)
+
+
+def test_the_sign_is_right_far_from_a_tetrahedron(device):
+    """Where Warp's own sign_normal fails."""
+    rng = np.random.default_rng(2)
+    directions = rng.normal(size=(20000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    readings = probe(tetrahedron(), 50.0 * directions, device=device)
+    assert (readings["gap"] > 48.0).all()
+    assert (readings["status"] == Status.OPEN).all()
+
+
+def test_inside_a_tetrahedron_the_gap_is_negative(device):
+    rng = np.random.default_rng(3)
+    inside = rng.dirichlet(np.ones(4), 2000)[:, 1:]
+    readings = probe(tetrahedron(), inside, device=device)
+    exact = -np.minimum(inside.min(axis=1), (1 - inside.sum(axis=1)) / np.sqrt(3))
+    np.testing.assert_allclose(readings["gap"], exact, atol=LENGTH)
+
+
+def test_a_concave_edge_pushes_out_of_the_material(device):
+    # A ridge seen from below is a valley: the nearest feature of a point under it is the concave edge.
+    roof = wc.Mesh(
+        [[-1, -1, 1], [0, -1, 0], [0, 1, 0], [-1, 1, 1], [1, -1, 1], [1, 1, 1]],
+        [[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]],
+    )
+    readings = probe(roof, [(0.02, 0.0, -0.1)], device=device)
+    expected = np.array([-0.02, 0, 0.1]) / np.hypot(0.02, 0.1)
+    np.testing.assert_allclose(readings["normal"][0], expected, atol=4 * LENGTH)
+    np.testing.assert_allclose(readings["gap"][0], -np.hypot(0.02, 0.1), atol=LENGTH)
+
+
+def test_nothing_touches_beyond_an_open_border(device):
+    positions = [(1.1, 0.0, -0.01), (1.0 + 1e-5, 0.0, -0.01), (0.999, 0.0, -0.01), (1.1, 1.1, -0.01)]
+    readings = probe(square(), positions, device=device)
+    # 1e-5 beside a border of length 2 is within the tolerance of 1e-4 of the edge.
+    assert readings["status"].tolist() == [Status.OPEN, Status.CONTACT, Status.CONTACT, Status.OPEN]
+    np.testing.assert_allclose(readings["gap"][0], np.hypot(0.1, 0.01), atol=LENGTH)
+    np.testing.assert_allclose(readings["gap"][1], -0.01, atol=LENGTH)
+
+
+@pytest.mark.parametrize(("rim", "touching"), [("off", Status.OPEN), ("outer", Status.CONTACT)])
+def test_a_sphere_touches_the_rim_only_when_asked(rim, touching, device):
+    positions = [(1.06, 0.0, 0.08), (1.06, 0.0, -0.08)]
+    readings = probe(square(), positions, radius=0.2, rim=rim, device=device)
+    assert readings["status"].tolist() == [touching, Status.OPEN]
+    if rim == "outer":
+        np.testing.assert_allclose(readings["gap"][0], 0.1 - 0.2, atol=LENGTH)
+        np.testing.assert_allclose(readings["normal"][0], (0.6, 0, 0.8), atol=4 * LENGTH)
+
+
+def test_the_nearest_face_of_a_plate_flips_at_half_its_thickness(device):
+    plate = wc.meshes.box((1.0, 1.0, 0.02))
+    readings = probe(plate, [(0.1, 0.2, 0.0001), (0.1, 0.2, -0.0001)], device=device)
+    np.testing.assert_allclose(readings["normal"][:, 2], [1, -1], atol=LENGTH)
+    np.testing.assert_allclose(readings["gap"], -0.0099, atol=LENGTH)
+
+
+def test_at_a_tie_the_lowest_face_wins(device):
+    cube = wc.meshes.box((1.0, 1.0, 1.0))
+    for order in (np.arange(12), np.arange(12)[::-1]):
+        mesh = wc.Mesh(cube.vertices, cube.faces[order])
+        first = mesh.vertices[mesh.faces[0]]
+        normal = np.cross(first[1] - first[0], first[2] - first[0])
+        readings = probe(mesh, [(0.0, 0.0, 0.0)], device=device)
+        np.testing.assert_allclose(readings["normal"][0], normal / np.linalg.norm(normal), atol=LENGTH)
+
+
+def test_flip_turns_the_outer_side_over(device):
+    readings = probe(square(), [(0.1, 0.0, 0.01)], flip=True, device=device)
+    assert readings["status"][0] == Status.CONTACT
+    np.testing.assert_allclose(readings["normal"][0], (0, 0, -1), atol=LENGTH)
+
+
+def test_the_direction_is_continuous_while_a_sphere_rolls_over_an_edge(device):
+    cube = wc.meshes.box((1.0, 1.0, 1.0))
+    angle = np.linspace(-0.3, np.pi / 2 + 0.3, 400)
+    # The offset surface of the cube at 0.05: along the top, around the edge, down the side.
+    along = np.minimum(angle, 0.0) + np.maximum(angle - np.pi / 2, 0.0)
+    turn = np.clip(angle, 0.0, np.pi / 2)
+    x = 0.5 + 0.05 * np.sin(turn) + np.where(angle < 0, along, 0.0)
+    z = 0.5 + 0.05 * np.cos(turn) - np.where(angle > np.pi / 2, along, 0.0)
+    readings = probe(cube, np.stack([x, 0 * x, z], axis=1), radius=0.06, device=device)
+    assert (readings["status"] == Status.CONTACT).all()
+    # All at the same depth, and no step of the normal larger than the step of the angle.
+    np.testing.assert_allclose(readings["gap"], -0.01, atol=LENGTH)
+    steps = np.linalg.norm(np.diff(readings["normal"], axis=0), axis=1)
+    # At an edge the direction of a 0.05 m arm carries 1e-7/0.05 of rounding.
+    assert steps.max() <= np.diff(angle).max() + 1e-5
+
+
+# Surfaces on bodies
+
+
+def test_a_surface_moves_with_its_body(device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    turned = np.sin(np.pi / 4)
+    plate = scene.add_body(1.0, (1, 1, 1), position=(5, 0, 0), orientation=(0, turned, 0, turned), name="plate")
+    # The body is turned by 90° about y: its z axis points along x of the world.
+    surface = scene.add_surface(square(), plate, position=(0, 0, 0.5), name="surface")
+    point = scene.add_point(None, (5.49, 0.1, 0.2))
+    scene.add_contact(point, surface, wc.Template(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
+    model = scene.build(device=device)
+    np.testing.assert_allclose(model.reading("touch.gap"), -0.01, atol=2 * LENGTH)
+    np.testing.assert_allclose(model.reading("touch.normal")[0], (1, 0, 0), atol=LENGTH)
+    # The force acts on the plate alone: the point is fixed to the world.
+    np.testing.assert_allclose(model.reading("plate.force")[0], (-100, 0, 0), atol=0.05)
+
+
+def test_surface_pose_may_differ_between_environments(device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    surface = scene.add_surface(square(), name="surface")
+    body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 1.0), name="body")
+    point = scene.add_point(body, (0, 0, 0))
+    scene.add_contact(point, surface, wc.Template(law=wc.laws.Hooke(stiffness=1.0)), name="touch")
+    model = scene.build(envs=3, device=device)
+    model["surface.position"] = [(0, 0, 0), (0, 0, 0.5), (0, 0, -1)]
+    np.testing.assert_allclose(model.reading("touch.gap"), [1.0, 0.5, 2.0], atol=LENGTH)
+
+
+# Entry from the wrong side
+
+
+def latched(entry, z0, velocity, device, steps=200, **options):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    surface = scene.add_surface(square(), name="surface")
+    body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, z0), linear_velocity=velocity, name="body")
+    law = wc.Template(law=wc.laws.Hooke(stiffness=1.0e4))
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), surface, law, name="touch", entry=entry, **options)
+    sim = wc.Simulation(scene.build(device=device), dt=1e-3)
+    sim.step(steps)
+    return sim
+
+
+def test_literal_entry_pushes_a_point_from_the_inner_side_through(device):
+    sim = latched("literal", -0.1, (0, 0, 0), device)
+    # D √(k/m): the undamped speed of SPEC 1.3, at first order in dt.
+    np.testing.assert_allclose(sim.model.reading("body.linear_velocity")[0, 2], 0.1 * 100.0, rtol=0.01)
+
+
+def test_latched_entry_lets_a_point_from_the_inner_side_pass(device):
+    sim = latched("latched", -0.1, (0, 0, 1.0), device, steps=50)
+    assert sim.model.reading("touch.status")[0] == Status.WRONG_SIDE
+    np.testing.assert_allclose(sim.model.reading("touch.gap")[0], -0.05, atol=1e-5)
+    sim.step(150)
+    np.testing.assert_allclose(sim.model.reading("body.linear_velocity")[0], (0, 0, 1.0))
+
+
+def test_latched_entry_holds_a_point_from_the_outer_side(device):
+    sim = latched("latched", 0.05, (0, 0, -1.0), device)
+    # Back out with the speed it came with, up to where in a step the contact ends: (ω dt)²/8 = 1.3e-3.
+    np.testing.assert_allclose(sim.model.reading("body.linear_velocity")[0, 2], 1.0, rtol=2e-3)
+
+
+def test_the_latch_opens_below_the_greatest_depth_and_closes_outside(device):
+    # Too fast to be stopped within 20 mm: passes, and is not pushed out of the other side again.
+    sim = latched("latched", 0.05, (0, 0, -5.0), device, max_depth=0.02, steps=100)
+    assert sim.model.reading("touch.status")[0] == Status.WRONG_SIDE
+    speed = sim.model.reading("body.linear_velocity")[0, 2]
+    assert speed < -4.0
+    sim.step(100)
+    assert sim.model.reading("body.linear_velocity")[0, 2] == speed
+
+
+def test_reset_disarms_the_latch_with_its_environment(device):
+    sim = latched("latched", -0.01, (0, 0, 1.0), device, steps=100)
+    assert sim.model.reading("touch.gap")[0] > 0
+    sim.reset()
+    assert sim.model.reading("touch.status")[0] == Status.WRONG_SIDE

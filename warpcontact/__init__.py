@@ -1,0 +1,98 @@
+"""Contact dynamics on oriented triangle meshes, thousands of environments at once, on NVIDIA Warp.
+
+    import warpcontact as wc
+
+Names are loaded on first use, so that ``import warpcontact`` and the command line answer at once.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from warpcontact._version import __version__
+
+if TYPE_CHECKING:
+    from warpcontact import integrators, meshes
+    from warpcontact.experiment import Experiment, ExperimentError
+    from warpcontact.health import Health
+    from warpcontact.kernels import frictions, laws
+    from warpcontact.kernels.formula import parameter
+    from warpcontact.kernels.frictions.base import Friction
+    from warpcontact.kernels.laws.base import Law
+    from warpcontact.meshes import Mesh, MeshError, MeshReport, load_mesh
+    from warpcontact.model import Model
+    from warpcontact.recorder import Recording
+    from warpcontact.scene import Body, Contact, Points, Scene, Surface, Template
+    from warpcontact.simulation import Simulation
+    from warpcontact.status import Status
+    from warpcontact.usd import export_usd
+
+# Where each public name lives; a module stands for itself.
+_HOME = {
+    "Body": "warpcontact.scene",
+    "Contact": "warpcontact.scene",
+    "Experiment": "warpcontact.experiment",
+    "ExperimentError": "warpcontact.experiment",
+    "Friction": "warpcontact.kernels.frictions.base",
+    "Health": "warpcontact.health",
+    "Law": "warpcontact.kernels.laws.base",
+    "Mesh": "warpcontact.meshes",
+    "MeshError": "warpcontact.meshes",
+    "MeshReport": "warpcontact.meshes",
+    "Model": "warpcontact.model",
+    "Points": "warpcontact.scene",
+    "Recording": "warpcontact.recorder",
+    "Scene": "warpcontact.scene",
+    "Simulation": "warpcontact.simulation",
+    "Status": "warpcontact.status",
+    "Surface": "warpcontact.scene",
+    "Template": "warpcontact.scene",
+    "export_usd": "warpcontact.usd",
+    "frictions": "warpcontact.kernels.frictions",
+    "integrators": "warpcontact.integrators",
+    "laws": "warpcontact.kernels.laws",
+    "load_mesh": "warpcontact.meshes",
+    "meshes": "warpcontact.meshes",
+    "parameter": "warpcontact.kernels.formula",
+}
+
+__all__ = [
+    "Body",
+    "Contact",
+    "Experiment",
+    "ExperimentError",
+    "Friction",
+    "Health",
+    "Law",
+    "Mesh",
+    "MeshError",
+    "MeshReport",
+    "Model",
+    "Points",
+    "Recording",
+    "Scene",
+    "Simulation",
+    "Status",
+    "Surface",
+    "Template",
+    "__version__",
+    "export_usd",
+    "frictions",
+    "integrators",
+    "laws",
+    "load_mesh",
+    "meshes",
+    "parameter",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'warpcontact' has no attribute {name!r}")
+    module = importlib.import_module(_HOME[name])
+    value = module if _HOME[name].rpartition(".")[2] == name else getattr(module, name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))

@@ -1,0 +1,137 @@
+"""Checks of what a user hands in. Each error names the entry, the value and what is allowed."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from warpcontact.kernels.formula import check_values
+
+Array = NDArray[np.float64]
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+
+
+def limits(
+    unit: str,
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+    may_be_infinite: bool = False,
+) -> Mapping[str, Any]:
+    """Returns an allowed range in the form that ``check_values`` takes."""
+    return {
+        "unit": unit,
+        "above": above,
+        "at_least": at_least,
+        "at_most": at_most,
+        "may_be_infinite": may_be_infinite,
+    }
+
+
+FINITE = limits("-")
+
+
+def numbers(name: str, value: ArrayLike, shape: tuple[int, ...], allowed: Mapping[str, Any] = FINITE) -> Array:
+    """Returns ``value`` as float64 of exactly ``shape``, or raises ``ValueError``."""
+    try:
+        values = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be {describe_shape(shape)}, got {value!r}") from None
+    if values.shape != shape:
+        raise ValueError(f"{name} must be {describe_shape(shape)}, got {_brief(value, values)}")
+    check_values(name, values, allowed)
+    return values
+
+
+def describe_shape(shape: tuple[int, ...]) -> str:
+    """Returns ``shape`` in words."""
+    if shape == ():
+        return "a number"
+    if len(shape) == 1:
+        return f"{shape[0]} numbers"
+    return f"numbers of shape {shape}"
+
+
+def _brief(value: ArrayLike, values: Array) -> str:
+    return repr(value) if values.size <= 9 else f"an array of shape {values.shape}"
+
+
+def unit_quaternions(name: str, value: Array) -> Array:
+    """Returns quaternions (…, 4), in the order x, y, z, w, scaled to length 1.
+
+    Raises:
+        ValueError: If a length differs from 1 by more than 1e-3, more than any rounding.
+    """
+    length = np.linalg.norm(value, axis=-1)
+    bad = np.argwhere(np.abs(length - 1.0) > 1.0e-3)
+    if len(bad):
+        where = tuple(bad[0])
+        raise ValueError(
+            f"{name}{list(map(int, where)) if where else ''} must be a unit quaternion (x, y, z, w), "
+            f"got {value[where].tolist()} of length {length[where]:g}"
+        )
+    return value / length[..., None]
+
+
+def inertia_tensors(name: str, value: Array) -> Array:
+    """Returns inertia tensors (…, 3, 3), checked to be those of some rigid body.
+
+    Raises:
+        ValueError: If one is not symmetric, not positive definite, or breaks the triangle inequality of the
+            principal moments (no distribution of mass has I₁ > I₂ + I₃).
+    """
+    scale = np.abs(value).max(axis=(-2, -1))
+    skew = np.abs(value - np.swapaxes(value, -2, -1)).max(axis=(-2, -1))
+    _refuse(name, value, skew > 1.0e-6 * scale, "symmetric")
+    symmetric = 0.5 * (value + np.swapaxes(value, -2, -1))
+    moments = np.linalg.eigvalsh(symmetric)
+    _refuse(name, value, moments[..., 0] <= 1.0e-9 * moments[..., 2], "positive definite [kg·m²]")
+    # The tolerance lets a thin plate pass, for which equality holds, whatever its rounding.
+    too_large = moments[..., 2] > (moments[..., 0] + moments[..., 1]) * (1.0 + 1.0e-6)
+    _refuse(name, value, too_large, "physical: no principal moment may exceed the sum of the other two")
+    return symmetric
+
+
+def _refuse(name: str, value: Array, bad: NDArray[np.bool_], allowed: str) -> None:
+    where = np.argwhere(bad)
+    if len(where):
+        index = tuple(where[0])
+        entry = f"{name}{list(map(int, index)) if index else ''}"
+        raise ValueError(f"{entry} must be {allowed}, got {value[index].tolist()}")
+
+
+def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
+    """Returns ``value`` if it is one of ``allowed``, or raises ``ValueError``."""
+    if value not in allowed:
+        options = ", ".join(repr(option) for option in allowed)
+        raise ValueError(f"{name} must be one of {options}, got {value!r}")
+    return str(value)
+
+
+def new_name(kind: str, value: str | None, taken: Mapping[str, Any]) -> str:
+    """Returns ``value`` as the name of a new element, or one made from ``kind`` if it is ``None``."""
+    if value is None:
+        value, number = kind, 1
+        while value in taken:
+            number += 1
+            value = f"{kind}_{number}"
+        return value
+    if not isinstance(value, str) or not _NAME.fullmatch(value):
+        raise ValueError(
+            f"name of a {kind} must be letters, digits, _ and -, not starting with a digit, got {value!r}"
+        )
+    if value in taken or value == "scene":
+        raise ValueError(f"name {value!r} of a {kind} is taken; every name in a scene is used once")
+    return value
+
+
+def color(name: str, value: ArrayLike | None) -> Array | None:
+    """Returns an RGB colour with components from 0 to 1."""
+    if value is None:
+        return None
+    return numbers(name, value, (3,), limits("-", at_least=0.0, at_most=1.0))

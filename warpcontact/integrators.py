@@ -1,0 +1,36 @@
+"""Time integrators, chosen by passing an object to ``Simulation``."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import warp as wp
+
+from warpcontact.kernels import integrate
+
+
+class Integrator(ABC):
+    """A scheme that takes a state over one step."""
+
+    #: Order of convergence of the state for smooth forces.
+    order: int
+
+    @abstractmethod
+    def kernel(self, real: type) -> wp.Kernel:
+        """Returns the kernel (status, dt, model, state_in, wrenches, state_out), dim (env, body)."""
+
+
+@dataclass(frozen=True)
+class SemiImplicitEuler(Integrator):
+    """Velocities from the forces at the state before the step, positions from the new velocities.
+
+    First order; symplectic for conservative forces, so the energy of an elastic bounce does not drift.
+    """
+
+    order = 1
+
+    def kernel(self, real: type) -> wp.Kernel:
+        """Returns the kernel for precision ``real``."""
+        return integrate.semi_implicit_euler(real)
+
+
+__all__ = ["Integrator", "SemiImplicitEuler"]

@@ -1,0 +1,157 @@
+"""An oriented triangle mesh that is safe to hand to Warp."""
+
+from functools import cached_property, partial
+from math import inf, nan
+from numbers import Real
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from warpcontact.meshes.report import MeshReport, examine, weld
+
+
+class MeshError(ValueError):
+    """A mesh, or a mesh file, that cannot be used; the message says why, problem by problem."""
+
+
+class Mesh:
+    """An immutable, oriented triangle mesh.
+
+    The outer side of a face is the one from which its corners run counter-clockwise. Open surfaces,
+    several parts, non-manifold edges and inward orientation are allowed and appear in the warnings of
+    :attr:`report`. Everything that would crash Warp, or make it silently skip a face, is refused here.
+
+    Args:
+        vertices: Positions, (V, 3) real numbers [m]; finite, each coordinate within ±1e6 m.
+        faces: Vertex indices of each triangle, (F, 3) integers from 0 to V − 1.
+        name: Name for messages, reports and scenes.
+
+    Raises:
+        MeshError: If the arrays do not have these shapes and types, or are empty, or a vertex is not finite
+            or too far away, an index out of range, a face degenerate or a duplicate, or neighbouring faces
+            are wound inconsistently. All problems are listed, each with a count and its first case.
+        ValueError: If the name is not a non-empty string.
+    """
+
+    def __init__(self, vertices: npt.ArrayLike, faces: npt.ArrayLike, *, name: str = "mesh") -> None:
+        if not isinstance(name, str) or not name:
+            raise ValueError(f"name must be a non-empty string, got {name!r}")
+        self._take(vertices, faces, examine(vertices, faces, name), f"mesh {name!r}")
+
+    def _take(self, vertices: npt.ArrayLike, faces: npt.ArrayLike, report: MeshReport, subject: str) -> None:
+        """Fill the mesh with what ``report`` is about; ``subject`` begins the message of a refusal."""
+        if len(report.errors) == 1:
+            raise MeshError(f"{subject}: {report.errors[0]}")
+        if report.errors:
+            listed = "".join(f"\n  - {error}" for error in report.errors)
+            raise MeshError(f"{subject} has {len(report.errors)} problems:{listed}")
+        self._report = report
+        # Copies: the arrays of the caller stay writeable and may change, these may not.
+        self._vertices = np.array(vertices, dtype=np.float64, order="C")
+        self._faces = np.array(faces, dtype=np.int32, order="C")
+        self._vertices.flags.writeable = False
+        self._faces.flags.writeable = False
+
+    @classmethod
+    def _examined(cls, vertices: npt.ArrayLike, faces: npt.ArrayLike, report: MeshReport, subject: str) -> "Mesh":
+        """Make a mesh of arrays that were examined already."""
+        mesh = cls.__new__(cls)
+        mesh._take(vertices, faces, report, subject)
+        return mesh
+
+    @classmethod
+    def from_trimesh(cls, obj: Any, *, name: str = "mesh") -> "Mesh":
+        """Make a mesh of a ``trimesh.Trimesh``, or of anything with ``vertices`` and ``faces``.
+
+        Args:
+            obj: The object; its arrays are copied. Nothing is repaired or merged.
+            name: Name of the mesh.
+
+        Returns:
+            The mesh, with the face numbers of ``obj``.
+
+        Raises:
+            TypeError: If ``obj`` has no vertices and faces, such as a ``trimesh.Scene``.
+            MeshError: As for the constructor.
+        """
+        if not (hasattr(obj, "vertices") and hasattr(obj, "faces")):
+            raise TypeError(f"obj must have vertices and faces, like trimesh.Trimesh, got {type(obj).__name__}")
+        return cls(np.asarray(obj.vertices), np.asarray(obj.faces), name=name)
+
+    @property
+    def name(self) -> str:
+        """Name for messages, reports and scenes."""
+        return self._report.name
+
+    @property
+    def vertices(self) -> npt.NDArray[np.float64]:
+        """Positions as given, (V, 3) [m], read-only."""
+        return self._vertices
+
+    @property
+    def faces(self) -> npt.NDArray[np.int32]:
+        """Vertex indices of each triangle as given, (F, 3), read-only."""
+        return self._faces
+
+    @cached_property
+    def welded(self) -> npt.NDArray[np.int32]:
+        """Index of the first vertex at exactly the same place, for every vertex, (V,), read-only.
+
+        ``mesh.welded[mesh.faces]`` has the connectivity of the surface also where the file repeats vertices.
+        """
+        welded = weld(self._vertices)
+        welded.flags.writeable = False
+        return welded
+
+    @property
+    def report(self) -> MeshReport:
+        """What is known of the mesh: size, topology, orientation, warnings."""
+        return self._report
+
+    @property
+    def bounds(self) -> npt.NDArray[np.float64]:
+        """Smallest and largest x, y, z of the vertices that faces use, (2, 3) [m]."""
+        return np.array([self._report.lower, self._report.upper])
+
+    def flipped(self) -> "Mesh":
+        """The same surface with its outer side inside: the winding of every face reversed."""
+        return Mesh(self._vertices, self._faces[:, [0, 2, 1]], name=self.name)
+
+    def scaled(self, factor: float) -> "Mesh":
+        """The mesh enlarged about its origin, for instance by 0.001 to turn millimetres into metres.
+
+        Args:
+            factor: Positive finite number [-].
+
+        Returns:
+            A new mesh with the same faces.
+
+        Raises:
+            ValueError: If the factor is not positive and finite.
+            MeshError: If the result is too large, or so small that faces vanish.
+        """
+        return Mesh(self._vertices * positive("factor", factor), self._faces, name=self.name)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # NumPy forgets the read-only flag in copies and pickles; the constructor restores it.
+        return partial(Mesh, name=self.name), (self._vertices, self._faces), {"_report": self._report}
+
+    def __repr__(self) -> str:
+        kind = "closed" if self._report.closed else "open"
+        return f"Mesh({self.name!r}, {len(self._vertices)} vertices, {len(self._faces)} faces, {kind})"
+
+
+def positive(label: str, value: object) -> float:
+    """``value`` as a float.
+
+    Raises:
+        ValueError: If it is not a positive finite real number; the message begins with ``label``.
+    """
+    try:
+        number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
+    except OverflowError:  # an integer beyond float64
+        number = inf
+    if not 0.0 < number < inf:
+        raise ValueError(f"{label} must be a positive finite number, got {value!r}")
+    return number

@@ -1,0 +1,214 @@
+"""A built scene: parameters, state and memory of many environments on one device."""
+
+import difflib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from warpcontact.checks import Array
+from warpcontact.health import Health
+from warpcontact.parameters import Parameter, Upload
+from warpcontact.readings import Reading
+from warpcontact.scene import Scene
+from warpcontact.schedule import force_stages
+
+
+@dataclass(frozen=True)
+class Group:
+    """Contacts that share the code of their law and friction, one launch of the force kernel."""
+
+    kernel: wp.Kernel
+    first: int  # index of the first contact
+    count: int
+    coefficients: SimpleNamespace  # .law, .friction: arrays [env, contact of the group]
+
+
+class Model:
+    """Many environments of one scene on a device. Made by ``Scene.build``.
+
+    ``model["ball.mass"]`` reads a parameter, (envs, …); ``model["ball.mass"] = values`` sets it, from one value
+    or one per environment. ``model.reading("touch.gap")`` measures the current state.
+
+    Attributes:
+        scene: The scene it was built from.
+        envs: Number of environments.
+        device: Warp device.
+        precision: ``"float32"`` or ``"float64"``.
+        state: The current state; its arrays ``body_position``, ``body_orientation``, ``body_linear_velocity``
+            and ``body_angular_velocity`` have shape (envs, bodies), keep their memory for the life of the
+            model, and can be shared with NumPy, PyTorch or JAX without a copy.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        envs: int,
+        device: wp.Device,
+        precision: str,
+        types: SimpleNamespace,
+        arrays: SimpleNamespace,
+        parameters: dict[str, Parameter],
+        uploads: list[Upload],
+        groups: list[Group],
+        readings: dict[str, Reading],
+        meshes: list[wp.Mesh],
+    ) -> None:
+        self.scene = scene
+        self.envs = envs
+        self.device = device
+        self.precision = precision
+        self.types = types
+        self.arrays = arrays
+        self.groups = groups
+        self.parameters = parameters
+        self.body_count = len(scene.bodies)
+        self.contact_count = sum(contact.count for contact in scene.contacts)
+        # Goes up when a device array moves: whoever prepared launches prepares them again.
+        self.revision = 0
+        # Whether the state is still the initial one, which then follows its parameters.
+        self.at_start = True
+        self._meshes = meshes  # kept alive: a kernel only holds their ids
+        self._readings = readings
+        self._evaluation: tuple[int, list[Any]] = (-1, [])
+        for upload in uploads:
+            upload.send()
+        self.reset()
+
+    @property
+    def state(self) -> Any:
+        """The current state, a Warp struct of arrays (envs, bodies)."""
+        return self.arrays.state
+
+    def __getitem__(self, name: str) -> Array:
+        """Returns parameter ``name``, (envs, …), read-only."""
+        return self._parameter(name).read(self.envs)
+
+    def __setitem__(self, name: str, value: ArrayLike) -> None:
+        """Sets parameter ``name`` from one value or one per environment."""
+        parameter = self._parameter(name)
+        parameter.field.assign(parameter.items, parameter.parse(value, self.envs), self.envs)
+        moved = [upload.send() for upload in parameter.uploads]
+        if any(moved):
+            self.revision += 1
+        if self.at_start and any(upload.struct is self.arrays.initial for upload in parameter.uploads):
+            self.reset()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.parameters
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterates over the names of all parameters."""
+        return iter(self.parameters)
+
+    def reset(self, env_mask: ArrayLike | None = None) -> None:
+        """Puts environments back to their initial state, with empty history.
+
+        Args:
+            env_mask: Booleans (envs,) of the environments to reset; ``None``: all.
+        """
+        if env_mask is None:
+            mask = np.ones(self.envs, dtype=bool)
+        else:
+            mask = np.asarray(env_mask)
+            if mask.dtype != bool or mask.shape != (self.envs,):
+                raise ValueError(
+                    f"env_mask must be {self.envs} booleans, got shape {mask.shape} of {mask.dtype} values"
+                )
+        from warpcontact.kernels import clear
+
+        a = self.arrays
+        wp.launch(
+            clear.reset(self.types.real),
+            dim=self.envs,
+            inputs=[
+                wp.array(mask, dtype=wp.bool, device=self.device),
+                self.body_count,
+                self.contact_count,
+                a.initial,
+                a.status,
+                a.state,
+                a.history,
+            ],
+            device=self.device,
+        )
+        if mask.all():
+            self.at_start = True
+
+    def evaluate(self) -> None:
+        """Computes contacts and wrenches of the current state; changes neither state nor history."""
+        if self._evaluation[0] != self.revision:
+            self._evaluation = (self.revision, force_stages(self, self.arrays.state))
+        for launch in self._evaluation[1]:
+            launch.launch()
+
+    def find_reading(self, name: str) -> Reading:
+        """Returns reading ``name``.
+
+        Raises:
+            KeyError: If there is none; the message suggests the nearest name.
+        """
+        return _look_up("reading", name, self._readings)
+
+    @property
+    def reading_names(self) -> tuple[str, ...]:
+        """Names of all readings."""
+        return tuple(self._readings)
+
+    def reading(self, name: str) -> NDArray[Any]:
+        """Measures ``name`` at the current state: (envs,), (envs, item) and a last axis for vectors."""
+        reading = self.find_reading(name)
+        if reading.of_contacts:
+            self.evaluate()
+        if reading.of_measures:
+            self.measure()
+        return reading.finish(reading.array(self.arrays).numpy())
+
+    def measure(self) -> None:
+        """Computes energies and momenta of the current state."""
+        from warpcontact.kernels import measures
+
+        a = self.arrays
+        if a.measures is None:
+            t = self.types
+            shape = (self.envs, self.body_count)
+            a.measures = SimpleNamespace(
+                kinetic_energy=wp.zeros(shape, dtype=t.real, device=self.device),
+                potential_energy=wp.zeros(shape, dtype=t.real, device=self.device),
+                linear_momentum=wp.zeros(shape, dtype=t.vec3, device=self.device),
+                angular_momentum=wp.zeros(shape, dtype=t.vec3, device=self.device),
+            )
+        m = a.measures
+        wp.launch(
+            measures.kernel(self.types.real),
+            dim=(self.envs, self.body_count),
+            inputs=[a.model, a.state],
+            outputs=[m.kinetic_energy, m.potential_energy, m.linear_momentum, m.angular_momentum],
+            device=self.device,
+        )
+
+    def health(self) -> Health:
+        """Returns which environments are frozen."""
+        return Health.of_status(self.arrays.status.numpy())
+
+    def _parameter(self, name: str) -> Parameter:
+        return _look_up("parameter", name, self.parameters)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Model of {self.envs} environments: {self.body_count} bodies, {self.contact_count} contacts, "
+            f"{self.precision} on {self.device}>"
+        )
+
+
+def _look_up(kind: str, name: str, table: dict[str, Any]) -> Any:
+    try:
+        return table[name]
+    except KeyError:
+        close = difflib.get_close_matches(name, table, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(table) or 'none'}"
+        raise KeyError(f"no {kind} {name!r}; {hint}") from None

@@ -1,0 +1,160 @@
+"""Numeric parameters of a model: one value that all environments share, or one per environment.
+
+``Field`` holds the values of one quantity for all items (all bodies' masses) on the host in float64;
+``Parameter`` is a named window on it (``ball.mass``); ``Upload`` puts what is computed from fields into an array
+of a Warp struct. A quantity that is shared is stored once on the device, with stride 0 over the environments.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from warpcontact.checks import Array
+from warpcontact.kernels.formula import check_values
+
+
+class Field:
+    """Values of one quantity, (1 or envs, items, ...)."""
+
+    def __init__(self, values: Array) -> None:
+        """Starts with ``values`` (items, ...) shared by all environments."""
+        self.values = np.array(values, dtype=np.float64)[None]
+
+    def assign(self, items: slice, values: Array, envs: int) -> None:
+        """Sets ``items`` from ``values`` (1 or envs, 1 or items, ...)."""
+        if len(values) > 1 and len(self.values) == 1:
+            self.values = np.repeat(self.values, envs, axis=0)
+        self.values[:, items] = values
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named quantity of one element.
+
+    Args:
+        name: ``<element>.<quantity>``.
+        field: Where its values are.
+        items: Which items of the field.
+        limits: Unit and allowed range, as ``check_values`` takes them.
+        tail: Shape of one value, () for a number.
+        single: Whether it has no item axis.
+        convert: Turns checked values (..., *given) into those to store, or raises ``ValueError``.
+        given: Shape of one value as a user writes it where it may differ from ``tail``.
+        uploads: What is to be sent to the device when it changes.
+    """
+
+    name: str
+    field: Field
+    items: slice
+    limits: Mapping[str, Any]
+    tail: tuple[int, ...] = ()
+    single: bool = True
+    convert: Callable[[str, Array], Array] | None = None
+    given: tuple[tuple[int, ...], ...] = ()
+    uploads: "list[Upload]" = field(default_factory=list)
+
+    @property
+    def count(self) -> int:
+        """Number of items."""
+        return self.items.stop - self.items.start
+
+    def parse(self, value: ArrayLike, envs: int) -> Array:
+        """Returns ``value`` as (1 or envs, 1 or items, *tail), checked.
+
+        Raises:
+            ValueError: If the shape fits neither one value nor one per environment, or a value is out of range.
+        """
+        try:
+            values = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"{self.name} must be numeric, got {value!r}") from None
+        for tail in self.given or (self.tail,):
+            lead = values.shape[: values.ndim - len(tail)]
+            if values.shape[len(lead) :] != tail:
+                continue
+            if lead == ():
+                shaped = values[None, None]
+            elif lead == (envs,):
+                shaped = values[:, None]
+            elif not self.single and lead in ((1, self.count), (envs, self.count), (envs, 1)):
+                shaped = values
+            else:
+                continue
+            check_values(self.name, values, self.limits)
+            return self.convert(self.name, shaped) if self.convert else shaped
+        raise ValueError(
+            f"{self.name} must have shape {' or '.join(str(s) for s in self._shapes(envs))}, got {values.shape}"
+        )
+
+    def _shapes(self, envs: int) -> list[tuple[int, ...]]:
+        leads: list[tuple[int, ...]] = [(), (envs,)]
+        if not self.single:
+            leads += [(1, self.count), (envs, self.count)]
+        return [lead + tail for tail in (self.given or (self.tail,)) for lead in leads]
+
+    def read(self, envs: int) -> Array:
+        """Returns a read-only view (envs, *tail), or (envs, items, *tail) for a set."""
+        values = self.field.values[:, self.items]
+        values = np.broadcast_to(values, (envs, *values.shape[1:]))
+        return values[:, 0] if self.single else values
+
+
+class Upload:
+    """One device array of a struct, and how its content follows from fields.
+
+    Args:
+        struct: Instance of a Warp struct.
+        attribute: Its array attribute, ``[env, item]``.
+        dtype: Warp type of the elements.
+        compute: Returns the content as NumPy array (1 or envs, items, ...).
+        envs: Number of environments.
+        device: Device of the array.
+    """
+
+    def __init__(
+        self,
+        struct: Any,
+        attribute: str,
+        dtype: Any,
+        compute: Callable[[], NDArray[Any]],
+        envs: int,
+        device: wp.Device,
+    ) -> None:
+        self.struct = struct
+        self.attribute = attribute
+        self.dtype = dtype
+        self.compute = compute
+        self.envs = envs
+        self.device = device
+        self._memory: wp.array | None = None
+
+    def send(self) -> bool:
+        """Sends the content; returns whether the array moved, so that prepared launches are stale."""
+        content = np.ascontiguousarray(self.compute())
+        if self._memory is not None and self._memory.shape == content.shape[:2]:
+            self._memory.assign(content)
+            return False
+        self._memory = wp.array(content, dtype=self.dtype, device=self.device)
+        setattr(self.struct, self.attribute, broadcast(self._memory, self.envs))
+        return True
+
+
+def broadcast(memory: wp.array, envs: int) -> wp.array:
+    """Returns ``memory`` (1 or envs, items) as an array (envs, items), with stride 0 if it is shared.
+
+    The caller keeps ``memory`` alive.
+    """
+    if memory.shape[0] == envs:
+        return memory
+    return wp.array(
+        ptr=memory.ptr,
+        shape=(envs, *memory.shape[1:]),
+        strides=(0, *memory.strides[1:]),
+        dtype=memory.dtype,
+        device=memory.device,
+        copy=False,
+    )

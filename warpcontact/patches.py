@@ -1,0 +1,81 @@
+"""Feature tables of a mesh: pseudonormals, activity and borders of every face, edge and corner.
+
+The angle-weighted pseudonormal of the feature that is nearest to a point tells the side of the point without
+error (Bærentzen & Aanæs, IEEE TVCG 11 (2005) 243); a face normal, or Warp's own sign, does not.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_COUNT
+from warpcontact.meshes import Mesh
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A set of faces to search, with its tables. Features: the face, edges 0-1, 1-2, 2-0, corners 0, 1, 2."""
+
+    corner: NDArray[np.float64]  # (F, 3, 3), mesh frame [m]
+    normal: NDArray[np.float64]  # (F, 7, 3) unit pseudonormals
+    flags: NDArray[np.uint8]  # (F, 7) FEATURE_* bits
+
+
+def make_patch(mesh: Mesh, active: NDArray[np.bool_], *, only_active: bool) -> Patch:
+    """Returns the tables of a mesh, or of its active part as an open surface of its own.
+
+    Args:
+        mesh: The mesh; coincident vertices count as one.
+        active: Mask (F,) of the faces that can touch.
+        only_active: Whether to leave the other faces out.
+    """
+    faces = mesh.faces[active] if only_active else mesh.faces
+    active = np.ones(len(faces), dtype=bool) if only_active else active
+    corner = mesh.vertices[faces]
+    welded = mesh.welded[faces]
+
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    face_normal = cross / np.linalg.norm(cross, axis=1, keepdims=True)
+
+    # Edges: both faces meet them with the angle π, so the weights are equal.
+    ends = np.stack([welded, np.roll(welded, -1, axis=1)], axis=2)  # (F, 3, 2)
+    _, edge = np.unique(np.sort(ends, axis=2).reshape(-1, 2), axis=0, return_inverse=True)
+    edge = edge.reshape(-1, 3)
+    face_count = np.bincount(edge.ravel())
+    edge_sum = _sum_over(edge, np.repeat(face_normal[:, None], 3, axis=1), len(face_count))
+    border = face_count == 1
+    edge_active = np.bincount(edge.ravel(), weights=np.repeat(active, 3)) > 0
+
+    # Corners: weighted with the angle of the face there.
+    to_next = _unit(np.roll(corner, -1, axis=1) - corner)
+    to_previous = _unit(np.roll(corner, 1, axis=1) - corner)
+    angle = np.arctan2(np.linalg.norm(np.cross(to_next, to_previous), axis=2), (to_next * to_previous).sum(axis=2))
+    count = int(welded.max()) + 1
+    corner_sum = _sum_over(welded, angle[..., None] * face_normal[:, None], count)
+    on_border = np.zeros(count, dtype=bool)
+    on_border[ends[border[edge]].ravel()] = True
+    corner_active = np.bincount(welded.ravel(), weights=np.repeat(active, 3), minlength=count) > 0
+
+    normal = np.concatenate([face_normal[:, None], edge_sum[edge], corner_sum[welded]], axis=1)
+    # Two sheets back to back leave no sum to speak of; there the face itself is the best guess.
+    length = np.linalg.norm(normal, axis=2, keepdims=True)
+    normal = np.where(length > 1.0e-9, normal / np.maximum(length, 1.0e-9), face_normal[:, None])
+
+    is_active = np.concatenate([active[:, None], edge_active[edge], corner_active[welded]], axis=1)
+    is_border = np.concatenate([np.zeros((len(faces), 1), dtype=bool), border[edge], on_border[welded]], axis=1)
+    flags = FEATURE_ACTIVE * is_active.astype(np.uint8) + FEATURE_BORDER * is_border.astype(np.uint8)
+    assert normal.shape == (len(faces), FEATURE_COUNT, 3)
+    return Patch(corner=corner, normal=normal, flags=flags)
+
+
+def _sum_over(index: NDArray[np.int_], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Sums vectors ``values`` (F, 3, 3) into ``count`` rows by ``index`` (F, 3)."""
+    return np.stack(
+        [np.bincount(index.ravel(), weights=values[..., k].ravel(), minlength=count) for k in range(3)],
+        axis=1,
+    )
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

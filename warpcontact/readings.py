@@ -1,0 +1,113 @@
+"""What can be measured: names, units, shapes, and where the values are on the device."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.scene import Contact, Scene
+from warpcontact.status import Status
+
+AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
+
+# name: (array, unit, what it is)
+_BODY_STATE = {
+    "position": ("body_position", "m", "centre of mass, world"),
+    "orientation": ("body_orientation", "-", "rotation body → world, quaternion x, y, z, w"),
+    "linear_velocity": ("body_linear_velocity", "m/s", "velocity of the centre of mass, world"),
+    "angular_velocity": ("body_angular_velocity", "rad/s", "angular velocity, world axes"),
+}
+_BODY_WRENCH = {
+    "force": ("force", "N", "sum of the contact forces, world"),
+    "torque": ("torque", "N·m", "sum of their moments about the centre of mass, world axes"),
+}
+_BODY_MEASURE = {
+    "kinetic_energy": ("kinetic_energy", "J", "kinetic energy"),
+    "potential_energy": ("potential_energy", "J", "potential energy of gravity, 0 at the world's origin"),
+    "linear_momentum": ("linear_momentum", "kg·m/s", "linear momentum, world"),
+    "angular_momentum": ("angular_momentum", "kg·m²/s", "angular momentum about the world's origin"),
+}
+_CONTACT = {
+    "gap": ("gap", "m", "signed distance, negative in overlap"),
+    "penetration": ("penetration", "m", "depth, 0 without contact"),
+    "normal_force": ("normal_force", "N", "normal force"),
+    "friction_force": ("friction_force", "N", "friction force on the point's body, world"),
+    "point": ("point", "m", "point K where the force acts, world"),
+    "normal": ("normal", "-", "unit normal out of the surface, world"),
+    "slip_speed": ("slip_speed", "m/s", "tangential speed at K, 0 without contact"),
+    "approach_speed": ("approach_speed", "m/s", "rate of penetration at K, 0 without contact"),
+    "status": ("status", "-", "state of the contact"),
+}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One measurable quantity.
+
+    Attributes:
+        name: ``<element>.<quantity>``.
+        unit: SI unit.
+        meaning: What it is, and its frame.
+        array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
+        of_contacts: Whether contacts and wrenches have to be evaluated first.
+        of_measures: Whether energies and momenta have to be measured first.
+        items: Number of items of a set, 0 if there is no item axis.
+        total: Whether the item axis is summed over.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    array: Callable[[SimpleNamespace], wp.array]
+    of_contacts: bool = False
+    of_measures: bool = False
+    items: int = 0
+    total: bool = False
+
+    def finish(self, values: NDArray[Any], axis: int = 1) -> NDArray[Any]:
+        """Returns what is reported from what was read; ``axis`` is the item axis."""
+        return values.sum(axis=axis) if self.total else values
+
+
+def readings_of(scene: Scene, start_of: Mapping[Contact, int]) -> dict[str, Reading]:
+    """Returns all readings of a scene by name; ``start_of`` tells where a contact's values begin."""
+    table: dict[str, Reading] = {}
+
+    def add(name: str, unit: str, meaning: str, array: Callable[..., wp.array], **options: Any) -> None:
+        table[name] = Reading(name, unit, meaning, array, **options)
+
+    def column(part: str, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+        return lambda arrays: getattr(getattr(arrays, part), attribute)[:, items]
+
+    for body in scene.bodies:
+        for key, (attribute, unit, meaning) in _BODY_STATE.items():
+            add(f"{body.name}.{key}", unit, meaning, column("state", attribute, body.index))
+        for key, (attribute, unit, meaning) in _BODY_WRENCH.items():
+            array = column("wrenches", attribute, body.index)
+            add(f"{body.name}.{key}", unit, meaning, array, of_contacts=True)
+        for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
+            array = column("measures", attribute, body.index)
+            add(f"{body.name}.{key}", unit, meaning, array, of_measures=True)
+    for contact in scene.contacts:
+        single = contact.points.single
+        start = start_of[contact]
+        items = start if single else slice(start, start + contact.count)
+        for key, (attribute, unit, meaning) in _CONTACT.items():
+            array = column("contacts", attribute, items)
+            count = 0 if single else contact.count
+            add(f"{contact.name}.{key}", unit, meaning, array, of_contacts=True, items=count)
+    for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
+        array = column("measures", attribute, slice(0, len(scene.bodies)))
+        add(f"scene.{key}", unit, f"{meaning}, all bodies", array, of_measures=True, total=True)
+    return table
+
+
+def status_attributes() -> dict[str, Any]:
+    """Returns the CF attributes that explain the codes of a status."""
+    return {
+        "flag_values": [int(status) for status in Status],
+        "flag_meanings": " ".join(status.name for status in Status),
+    }

@@ -1,0 +1,127 @@
+"""Recording: chosen readings, gathered on the device and drained into one labelled data set."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import warp as wp
+import xarray as xr
+
+from warpcontact._version import __version__
+from warpcontact.model import Model
+from warpcontact.readings import AXES, Reading, status_attributes
+from warpcontact.scene import Scene
+
+# Frames wait on the device up to this size, then move to the host in one copy.
+RING_BYTES = 64 * 2**20
+
+
+class Recording(xr.Dataset):
+    """An ``xarray.Dataset`` of readings that remembers the scene they came from."""
+
+    __slots__ = ("scene",)
+
+    scene: Scene
+
+
+class _Channel:
+    """The frames of one reading: a buffer on the device and the result on the host."""
+
+    def __init__(self, model: Model, reading: Reading, frames: int) -> None:
+        self.reading = reading
+        self.source = reading.array(model.arrays)
+        shape = self.source.shape
+        frame_bytes = max(1, int(np.prod(shape)) * wp.types.type_size_in_bytes(self.source.dtype))
+        self.slots = int(min(frames, max(1, RING_BYTES // frame_bytes)))
+        self.ring = wp.empty((self.slots, *shape), dtype=self.source.dtype, device=model.device)
+        first = reading.finish(self.ring[:1].numpy(), axis=2)
+        self.result = np.empty((frames, *first.shape[1:]), dtype=first.dtype)
+        self.taken = 0
+        self.drained = 0
+
+    def take(self) -> None:
+        wp.copy(self.ring[self.taken - self.drained], self.source)
+        self.taken += 1
+        if self.taken - self.drained == self.slots:
+            self.drain()
+
+    def drain(self) -> None:
+        count = self.taken - self.drained
+        if count:
+            values = self.reading.finish(self.ring.numpy()[:count], axis=2)
+            self.result[self.drained : self.taken] = values
+            self.drained = self.taken
+
+
+class Recorder:
+    """Takes frames of readings from a model.
+
+    Args:
+        model: The model.
+        names: Readings to take.
+        frames: Number of frames to come.
+        poses: Whether to take the pose of every body as well.
+    """
+
+    def __init__(self, model: Model, names: Iterable[str], frames: int, poses: bool) -> None:
+        self.model = model
+        wanted = list(dict.fromkeys(names))
+        if poses:
+            both = ("position", "orientation")
+            wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
+        readings = [model.find_reading(name) for name in dict.fromkeys(wanted)]
+        self.of_contacts = any(reading.of_contacts for reading in readings)
+        self.of_measures = any(reading.of_measures for reading in readings)
+        if self.of_measures:
+            model.measure()
+        self.channels = [_Channel(model, reading, frames) for reading in readings]
+        self.times = np.zeros(frames)
+        self.taken = 0
+
+    def take(self, time: float) -> None:
+        """Takes one frame of the current state at ``time`` [s]."""
+        if self.of_contacts:
+            self.model.evaluate()
+        if self.of_measures:
+            self.model.measure()
+        for channel in self.channels:
+            channel.take()
+        self.times[self.taken] = time
+        self.taken += 1
+
+    def finish(self, attributes: Mapping[str, Any]) -> Recording:
+        """Returns the frames taken as one data set."""
+        model = self.model
+        sizes = {c.reading.items for c in self.channels if c.reading.items}
+        variables = {}
+        for channel in self.channels:
+            channel.drain()
+            reading = channel.reading
+            # Sets of different size cannot share a dimension.
+            item = "item" if len(sizes) == 1 else f"{reading.name.rpartition('.')[0]}.item"
+            dims = ["time", "env"] + ([item] if reading.items else [])
+            values = channel.result[: self.taken]
+            if values.ndim > len(dims):
+                dims.append(AXES[values.shape[-1]][0])
+            notes = {"units": reading.unit, "long_name": reading.meaning}
+            if reading.name.endswith(".status"):
+                notes |= status_attributes()
+            variables[reading.name] = (dims, values, notes)
+        used = {dim for dims, _, _ in variables.values() for dim in dims}
+        coordinates: dict[str, Any] = {
+            "time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"}),
+            "env": ("env", np.arange(model.envs), {"long_name": "environment"}),
+        }
+        coordinates |= {dim: (dim, labels) for dim, labels in AXES.values() if dim in used}
+        recording = Recording(
+            variables,
+            coords=coordinates,
+            attrs={
+                "source": f"warpcontact {__version__}",
+                "device": str(model.device),
+                "precision": model.precision,
+                **attributes,
+            },
+        )
+        recording.scene = model.scene
+        return recording

@@ -1,0 +1,187 @@
+"""Time stepping: takes a model forward and records what is asked for."""
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from warpcontact import checks
+from warpcontact.build import new_state
+from warpcontact.integrators import Integrator, SemiImplicitEuler
+from warpcontact.model import Model
+from warpcontact.parameters import broadcast
+from warpcontact.recorder import Recorder, Recording
+from warpcontact.schedule import step_stages
+
+# Steps between two looks at the progress bar; a step of a large model takes milliseconds.
+STEPS_PER_UPDATE = 50
+
+
+class Simulation:
+    """Steps a model through time.
+
+    Args:
+        model: The model; its state is the state of the simulation.
+        dt: Time step [s].
+        integrator: Scheme, semi-implicit Euler if not given.
+
+    Attributes:
+        steps: Steps taken since the last complete reset.
+    """
+
+    def __init__(self, model: Model, dt: float, integrator: Integrator | None = None) -> None:
+        integrator = SemiImplicitEuler() if integrator is None else integrator
+        if not isinstance(model, Model):
+            raise TypeError(f"model must come from Scene.build, got {model!r}")
+        if not isinstance(integrator, Integrator):
+            raise TypeError(
+                f"integrator must be an object of wc.integrators, such as SemiImplicitEuler(), got {integrator!r}"
+            )
+        self.model = model
+        self.integrator = integrator
+        self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
+        self.steps = 0
+        self._dt_memory = wp.full((1, 1), self.dt, dtype=model.types.real, device=model.device)
+        self._dt = broadcast(self._dt_memory, model.envs)
+        # Steps go from one buffer to the other and back; between calls the state is always in the model's.
+        self._other = new_state(model.types, (model.envs, model.body_count), model.device)
+        self._stages: tuple[int, list[wp.Launch], list[wp.Launch]] = (-1, [], [])
+
+    @property
+    def state(self) -> Any:
+        """The current state; see ``Model``."""
+        return self.model.state
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the last complete reset [s]."""
+        return self.steps * self.dt
+
+    def reset(self, env_mask: ArrayLike | None = None) -> None:
+        """Puts environments back to their initial state, with empty history.
+
+        Args:
+            env_mask: Booleans (envs,) of the environments to reset; ``None``: all, and the clock too.
+        """
+        self.model.reset(env_mask)
+        if self.model.at_start:
+            self.steps = 0
+
+    def step(self, count: int = 1) -> None:
+        """Takes ``count`` steps without recording."""
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
+            raise ValueError(f"count must be a whole number of at least 0, got {count!r}")
+        if count == 0:
+            return
+        model = self.model
+        model.at_start = False
+        if self._stages[0] != model.revision:
+            there = step_stages(model, self.integrator, self._dt, model.state, self._other)
+            back = step_stages(model, self.integrator, self._dt, self._other, model.state)
+            self._stages = (model.revision, there, back)
+        _, there, back = self._stages
+        # A frozen environment is skipped, so both buffers must hold it: they do since it was frozen, unless
+        # somebody wrote to the state in between.
+        for _ in range(count // 2):
+            for launch in there:
+                launch.launch()
+            for launch in back:
+                launch.launch()
+        if count % 2:
+            for launch in there:
+                launch.launch()
+            self._copy_back()
+        self.steps += int(count)
+
+    def run(
+        self,
+        duration: float,
+        record: Sequence[str] = (),
+        every: float | None = None,
+        *,
+        poses: bool = True,
+        progress: bool | None = None,
+    ) -> Recording:
+        """Simulates for ``duration`` and returns what was recorded, the state at the start included.
+
+        Args:
+            duration: Simulated time [s]; rounded up to whole steps.
+            record: Names of readings, see ``model.reading_names``.
+            every: Time between records [s], a multiple of the step; ``None``: every step.
+            poses: Whether to record the position and orientation of every body as well, so that the
+                recording can be replayed and exported.
+            progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
+
+        Returns:
+            A data set with dimensions (time, env), then ``item`` for sets of points and ``axis`` or
+            ``component`` for vectors and quaternions; units are in the attributes.
+
+        Raises:
+            ValueError: If a time is not allowed.
+            KeyError: If there is no such reading.
+        """
+        from tqdm import tqdm
+
+        steps = self._whole_steps("duration", duration, exact=False)
+        stride = 1 if every is None else self._whole_steps("every", every, exact=True)
+        if isinstance(record, str):
+            raise TypeError(f"record must be a list of readings, got the string {record!r}")
+        recorder = Recorder(self.model, record, frames=steps // stride + 1, poses=poses)
+        recorder.take(self.time)
+        frozen = len(self.model.health().frozen)
+        done = 0
+        with tqdm(
+            total=steps,
+            unit="step",
+            desc=f"{self.model.envs} environments",
+            delay=1.0,
+            disable=None if progress is None else not progress,
+        ) as bar:
+            while done < steps:
+                ahead = min(stride - done % stride, STEPS_PER_UPDATE, steps - done)
+                self.step(ahead)
+                done += ahead
+                bar.update(ahead)
+                if done % stride == 0:
+                    recorder.take(self.time)
+        health = self.model.health()
+        if len(health.frozen) > frozen:
+            warnings.warn(str(health), RuntimeWarning, stacklevel=2)
+        return recorder.finish(
+            {
+                "dt": self.dt,
+                "integrator": type(self.integrator).__name__,
+                "frozen_environments": health.frozen.tolist(),
+            }
+        )
+
+    def _whole_steps(self, name: str, time: float, *, exact: bool) -> int:
+        """Returns the number of steps in ``time``, which must be a multiple of the step if ``exact``."""
+        value = float(checks.numbers(name, time, (), checks.limits("s", above=0.0)))
+        steps = value / self.dt
+        nearest = round(steps)
+        # Decimal fractions of a second are not exact; 1e-6 steps is far below what anyone means.
+        if abs(steps - nearest) <= 1.0e-6 * max(1.0, steps):
+            return max(nearest, 1)
+        if exact:
+            below, above = max(int(steps), 1), int(steps) + 1
+            raise ValueError(
+                f"{name} must be a multiple of dt = {self.dt:g} s, got {value:g} s; "
+                f"the nearest are {below * self.dt:g} s and {above * self.dt:g} s"
+            )
+        return int(steps) + 1
+
+    def _copy_back(self) -> None:
+        for attribute in (
+            "body_position",
+            "body_orientation",
+            "body_linear_velocity",
+            "body_angular_velocity",
+        ):
+            wp.copy(getattr(self.model.state, attribute), getattr(self._other, attribute))
+
+    def __repr__(self) -> str:
+        return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"
