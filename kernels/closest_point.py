@@ -40,8 +40,8 @@ ROUNDING = 16.0
 def kernel(real: type) -> wp.Kernel:
     """Returns the kernel that fills ``contacts`` from ``state``. Launch with dim (env, contact)."""
     t = structs(real)
-    vec3, quat, Model, State, History, Contacts = t.vec3, t.quat, t.Model, t.State, t.History, t.Contacts
-    closest_on_triangle, Hit = triangle.functions(real).closest_on_triangle, triangle.functions(real).Hit
+    vec3, Model, State, History, Contacts = t.vec3, t.Model, t.State, t.History, t.Contacts
+    closest_on_triangle = triangle.functions(real).closest_on_triangle
     frame = frames.functions(real)
     point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
@@ -59,14 +59,10 @@ def kernel(real: type) -> wp.Kernel:
         distance: real  # |P − S|
 
     @wp.func
-    def on_face(model: Model, row: int, p: vec3):
-        return closest_on_triangle(
+    def foot_on(model: Model, row: int, p: vec3):
+        hit = closest_on_triangle(
             p, model.face_corner[row, 0], model.face_corner[row, 1], model.face_corner[row, 2]
         )
-
-    @wp.func
-    def foot_on(model: Model, row: int, p: vec3):
-        hit = on_face(model, row, p)
         foot = Foot()
         foot.point = hit.point
         foot.row = row

@@ -128,6 +128,7 @@ def structs(real: type) -> SimpleNamespace:
         delta_dot: real  # dδ/dt, > 0 on approach [m/s]
         entry_speed: real  # δ̇ when the contact began, or the largest since [m/s]
         mass: real  # effective mass along the normal [kg]; only for laws with needs_mass
+        dt: real  # step that the force acts over [s]; 0: the force of this instant
 
     @wp.struct
     class Slip:

@@ -86,7 +86,7 @@ class _Builder:
         self.runs = list(order.values())
         self.contacts = [contact for run in self.runs for contact in run]
         starts = np.cumsum([0] + [contact.count for contact in self.contacts]).tolist()
-        self.start_of = {contact: start for contact, start in zip(self.contacts, starts, strict=False)}
+        self.start_of = dict(zip(self.contacts, starts, strict=False))
 
     def model(self) -> Model:
         self._world()
@@ -254,7 +254,7 @@ class _Builder:
             "enabled": limits_of.ENABLED,
         }
         fields = {
-            key: Field(np.concatenate([np.full(c.count, getattr(c, key)) for c in self.contacts] or [[]]))
+            key: Field(np.concatenate([np.zeros(0), *(np.full(c.count, getattr(c, key)) for c in self.contacts)]))
             for key in ranges
         }
         struct = self.types.ContactGeometry

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array
 from warpcontact.health import Health
-from warpcontact.parameters import Parameter, Upload
+from warpcontact.parameters import Parameter, Upload, broadcast
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
 from warpcontact.schedule import force_stages
@@ -74,6 +74,8 @@ class Model:
         self.at_start = True
         self._meshes = meshes  # kept alive: a kernel only holds their ids
         self._readings = readings
+        self._instant = wp.zeros((1, 1), dtype=types.real, device=device)
+        self._no_step = broadcast(self._instant, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
         for upload in uploads:
             upload.send()
@@ -142,7 +144,7 @@ class Model:
     def evaluate(self) -> None:
         """Computes contacts and wrenches of the current state; changes neither state nor history."""
         if self._evaluation[0] != self.revision:
-            self._evaluation = (self.revision, force_stages(self, self.arrays.state))
+            self._evaluation = (self.revision, force_stages(self, self.arrays.state, self._no_step))
         for launch in self._evaluation[1]:
             launch.launch()
 

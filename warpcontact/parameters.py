@@ -5,8 +5,9 @@
 of a Warp struct. A quantity that is shared is stored once on the device, with stride 0 over the environments.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,7 @@ class Parameter:
     single: bool = True
     convert: Callable[[str, Array], Array] | None = None
     given: tuple[tuple[int, ...], ...] = ()
-    uploads: "list[Upload]" = field(default_factory=list)
+    uploads: "list[Upload]" = dataclasses.field(default_factory=list)
 
     @property
     def count(self) -> int:

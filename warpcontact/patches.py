@@ -5,6 +5,7 @@ error (Bærentzen & Aanæs, IEEE TVCG 11 (2005) 243); a face normal, or Warp's o
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +70,7 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], *, only_active: bool) -> P
     return Patch(corner=corner, normal=normal, flags=flags)
 
 
-def _sum_over(index: NDArray[np.int_], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _sum_over(index: NDArray[np.integer[Any]], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Sums vectors ``values`` (F, 3, 3) into ``count`` rows by ``index`` (F, 3)."""
     return np.stack(
         [np.bincount(index.ravel(), weights=values[..., k].ravel(), minlength=count) for k in range(3)],

@@ -65,6 +65,7 @@ class Recorder:
 
     def __init__(self, model: Model, names: Iterable[str], frames: int, poses: bool) -> None:
         self.model = model
+        self.poses = poses
         wanted = list(dict.fromkeys(names))
         if poses:
             both = ("position", "orientation")
@@ -89,17 +90,20 @@ class Recorder:
         self.times[self.taken] = time
         self.taken += 1
 
+    def _item_dimension(self, contact: str) -> str:
+        """Returns the name of the item axis of a contact: sets of different size cannot share one."""
+        sizes = {c.count for c in self.model.scene.contacts if not c.points.single}
+        return "item" if len(sizes) == 1 else f"{contact}.item"
+
     def finish(self, attributes: Mapping[str, Any]) -> Recording:
         """Returns the frames taken as one data set."""
         model = self.model
-        sizes = {c.reading.items for c in self.channels if c.reading.items}
         variables = {}
         for channel in self.channels:
             channel.drain()
             reading = channel.reading
-            # Sets of different size cannot share a dimension.
-            item = "item" if len(sizes) == 1 else f"{reading.name.rpartition('.')[0]}.item"
-            dims = ["time", "env"] + ([item] if reading.items else [])
+            element = reading.name.rpartition(".")[0]
+            dims = ["time", "env"] + ([self._item_dimension(element)] if reading.items else [])
             values = channel.result[: self.taken]
             if values.ndim > len(dims):
                 dims.append(AXES[values.shape[-1]][0])
@@ -107,6 +111,13 @@ class Recorder:
             if reading.name.endswith(".status"):
                 notes |= status_attributes()
             variables[reading.name] = (dims, values, notes)
+        if self.poses:
+            # What a replay needs beside the poses: spheres may differ in size.
+            for contact in model.scene.contacts:
+                name = f"{contact.name}.radius"
+                items = [] if contact.points.single else [self._item_dimension(contact.name)]
+                notes = {"units": "m", "long_name": "radius of the sphere about the point"}
+                variables[name] = (["env", *items], model[name].copy(), notes)
         used = {dim for dims, _, _ in variables.values() for dim in dims}
         coordinates: dict[str, Any] = {
             "time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"}),

@@ -327,7 +327,7 @@ class Scene:
                 f"{name}.max_depth", math.inf if max_depth is None else max_depth, (), MAX_DEPTH
             ),
             search_radius=checks.numbers(f"{name}.search_radius", search_radius, (), SEARCH_RADIUS),
-            enabled=np.float64(bool(enabled)),
+            enabled=np.array(float(bool(enabled))),
             search=checks.choice(f"{name}.search", search, ("whole", "active")),
             entry=checks.choice(f"{name}.entry", entry, ("literal", "latched")),
             rim=checks.choice(f"{name}.rim", rim, ("off", "outer")),

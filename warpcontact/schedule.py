@@ -24,8 +24,11 @@ def _prepare(model: "Model", kernel: wp.Kernel, dim: Any, inputs: list[Any]) -> 
     return [wp.launch(kernel, dim=dim, inputs=inputs, device=model.device, record_cmd=True)]
 
 
-def force_stages(model: "Model", state: Any) -> list[wp.Launch]:
-    """Returns the launches that compute contacts and wrenches of ``state``; they change nothing else."""
+def force_stages(model: "Model", state: Any, step: wp.array) -> list[wp.Launch]:
+    """Returns the launches that compute contacts and wrenches of ``state``; they change nothing else.
+
+    ``step`` [env, 0] is what the forces act over [s]; zeros for the forces of the instant.
+    """
     a, real = model.arrays, model.types.real
     bodies, contacts = (model.envs, model.body_count), (model.envs, model.contact_count)
     launches = _prepare(model, clear.kernel(real), bodies, [a.status, a.wrenches])
@@ -42,6 +45,7 @@ def force_stages(model: "Model", state: Any) -> list[wp.Launch]:
                 a.model,
                 state,
                 a.history,
+                step,
                 group.first,
                 group.coefficients.law,
                 group.coefficients.friction,
@@ -59,7 +63,7 @@ def step_stages(
     a, real = model.arrays, model.types.real
     bodies, contacts = (model.envs, model.body_count), (model.envs, model.contact_count)
     return [
-        *force_stages(model, state_in),
+        *force_stages(model, state_in, dt),
         *_prepare(
             model, integrator.kernel(real), bodies, [a.status, dt, a.model, state_in, a.wrenches, state_out]
         ),

@@ -12,4 +12,4 @@ CATALOGUE: tuple[type[Friction], ...] = (
     RegularizedCoulomb,
 )
 
-__all__ = ["CATALOGUE", *(friction.__name__ for friction in CATALOGUE)]
+__all__ = ["CATALOGUE", "Frictionless", "RegularizedCoulomb", "Tanh"]

@@ -14,4 +14,4 @@ CATALOGUE: tuple[type[Law], ...] = (
     KelvinVoigt,
 )
 
-__all__ = ["CATALOGUE", *(law.__name__ for law in CATALOGUE)]
+__all__ = ["CATALOGUE", "Hertz", "Hooke", "HuntCrossley", "KelvinVoigt"]

@@ -22,7 +22,8 @@ class Law(Formula):
 
     ``p`` holds the coefficients of this contact in this environment; ``c`` has ``delta`` > 0 [m], ``delta_dot``
     (> 0 on approach) [m/s], ``entry_speed`` (δ̇ at entry, or the largest since) [m/s] and, with ``needs_mass``,
-    the effective ``mass`` along the normal [kg]. Constants take the precision of the simulation when written as
+    the effective ``mass`` along the normal [kg]; ``dt`` is the step that the force acts over [s], 0 for the
+    force of an instant (a reading). Constants take the precision of the simulation when written as
     ``type(c.delta)(1.5)``. The force must depend on nothing else.
     """
 
@@ -44,6 +45,7 @@ def power(x: float, exponent: float):
 
 @wp.func
 def power(x: wp.float64, exponent: wp.float64):  # noqa: F811  an overload
+    """The same in float64."""
     if exponent == wp.float64(1.0):
         return x
     if exponent == wp.float64(1.5):
