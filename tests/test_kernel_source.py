@@ -1,0 +1,83 @@
+"""What a machine can check of the device code: every file compiles, imports only its own kind, stays short."""
+
+import ast
+import functools
+import importlib
+import pkgutil
+from pathlib import Path
+
+import pytest
+import warp as wp
+import warpcontact.kernels
+from warpcontact.kernels import contact_force
+
+import warpcontact as wc
+
+FOLDER = Path(warpcontact.kernels.__file__).parent
+FILES = sorted(FOLDER.rglob("*.py"))
+MODULES = [name for _, name, _ in pkgutil.walk_packages([str(FOLDER)], "warpcontact.kernels.")]
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(FOLDER)))
+def test_kernels_do_not_import_the_host(file):
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    imported = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "absolute imports only"
+            imported.add(node.module)
+            # Annotations as strings break the closures of kernel factories.
+            assert node.module != "__future__"
+    for name in imported:
+        assert not name.startswith("warpcontact") or name.startswith("warpcontact.kernels"), name
+
+
+def test_files_stay_short():
+    host = Path(warpcontact.__file__).parent
+    long = {
+        str(file): count
+        for folder in (host, FOLDER)
+        for file in folder.rglob("*.py")
+        if (count := len(file.read_text(encoding="utf-8").splitlines())) > 500
+    }
+    assert not long
+
+
+def find_factories():
+    """Every factory of kernels by precision: a cached function of the module with the one argument ``real``."""
+    for name in MODULES:
+        module = importlib.import_module(name)
+        for key, value in vars(module).items():
+            if isinstance(value, functools._lru_cache_wrapper) and value.__module__ == name:
+                names = value.__wrapped__.__code__.co_varnames[: value.__wrapped__.__code__.co_argcount]
+                if names == ("real",):
+                    yield pytest.param(value, id=f"{name.removeprefix('warpcontact.kernels.')}.{key}")
+
+
+FACTORIES = list(find_factories())
+
+
+@pytest.mark.parametrize("real", [wp.float32, wp.float64], ids=["float32", "float64"])
+@pytest.mark.parametrize("factory", FACTORIES)
+def test_every_kernel_compiles(factory, real, device):
+    made = factory(real)
+    if isinstance(made, wp.Kernel):
+        made.module.load(device)
+
+
+@pytest.mark.parametrize("real", [wp.float32, wp.float64], ids=["float32", "float64"])
+@pytest.mark.parametrize("law", wc.laws.CATALOGUE, ids=lambda law: law.__name__)
+def test_every_law_compiles(law, real, device):
+    contact_force.kernel(law, wc.frictions.Frictionless, real).module.load(device)
+
+
+@pytest.mark.parametrize("real", [wp.float32, wp.float64], ids=["float32", "float64"])
+@pytest.mark.parametrize("friction", wc.frictions.CATALOGUE, ids=lambda friction: friction.__name__)
+def test_every_friction_compiles(friction, real, device):
+    contact_force.kernel(wc.laws.Hooke, friction, real).module.load(device)
+
+
+def test_the_factories_are_found():
+    assert len(FACTORIES) >= 8

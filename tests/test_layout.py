@@ -1,0 +1,79 @@
+"""The two folders that make one package, and what goes wrong when they are mixed up."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import warpcontact.kernels
+
+import warpcontact
+
+HOST = Path(warpcontact.__file__).parent
+KERNELS = Path(warpcontact.kernels.__file__).parent
+CHECKOUT = KERNELS.parent if (KERNELS.parent / "pyproject.toml").is_file() else None
+
+
+def run(code, folder, **environment):
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_kernels_have_one_name(tmp_path):
+    shutil.copytree(KERNELS, tmp_path / "kernels", ignore=shutil.ignore_patterns("__pycache__"))
+    result = run("import kernels", tmp_path)
+    assert result.returncode != 0
+    assert "import this package as 'warpcontact.kernels', not as 'kernels'" in result.stderr
+
+
+def test_two_checkouts_in_one_environment_are_refused(tmp_path):
+    shutil.copytree(HOST, tmp_path / "warpcontact", ignore=shutil.ignore_patterns("__pycache__", "kernels"))
+    # The host from the current folder, its kernels from wherever this package is installed.
+    code = (
+        "import sys, warpcontact; from importlib import util;"
+        f"spec = util.spec_from_file_location('warpcontact.kernels', {str(KERNELS / '__init__.py')!r});"
+        "module = util.module_from_spec(spec); spec.loader.exec_module(module)"
+    )
+    result = run(code, tmp_path, PYTHONPATH=str(tmp_path))
+    assert result.returncode != 0
+    assert "two checkouts are mixed" in result.stderr
+
+
+@pytest.mark.skipif(CHECKOUT is None, reason="reads pyproject.toml of a checkout")
+def test_every_folder_is_packaged():
+    listed = set(tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
+    found = set()
+    for top, name in ((HOST, "warpcontact"), (KERNELS, "warpcontact.kernels")):
+        for file in top.rglob("*.py"):
+            parts = file.parent.relative_to(top).parts
+            found.add(".".join((name, *parts)))
+    assert listed == found
+    for package in found:
+        top, name = (KERNELS, "warpcontact.kernels") if ".kernels" in package else (HOST, "warpcontact")
+        folder = top.joinpath(*package.removeprefix(name).strip(".").split("."))
+        assert (folder / "__init__.py").is_file(), package
+
+
+def test_every_public_name_loads_and_is_listed_once():
+    assert sorted(warpcontact.__all__) == warpcontact.__all__
+    assert len(set(warpcontact.__all__)) == len(warpcontact.__all__)
+    for name in warpcontact.__all__:
+        assert getattr(warpcontact, name) is not None
+    assert set(warpcontact._HOME) | {"__version__"} == set(warpcontact.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'Scenes'"):
+        _ = warpcontact.Scenes
+
+
+def test_importing_the_package_loads_nothing_slow(tmp_path):
+    code = "import sys, warpcontact; print([m for m in ('warp', 'numpy', 'xarray', 'pxr') if m in sys.modules])"
+    result = run(code, tmp_path)
+    assert result.stdout.strip() == "[]", result.stderr

@@ -1,0 +1,44 @@
+"""A law defined outside the package runs like one of the catalogue."""
+
+import numpy as np
+import own_law
+import pytest
+from scenes import dropped_sphere
+
+import warpcontact as wc
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_a_law_of_the_user_bounces_elastically(precision, device):
+    model = dropped_sphere(
+        own_law.Cubic(stiffness=1e8), gravity=(0, 0, -9.81), height=0.3, velocity=(0, 0, 0), envs=4,
+        device=device, precision=precision,
+    )  # fmt: skip
+    model["touch.law.stiffness"] = np.geomspace(1e7, 1e9, 4)
+    recording = wc.Simulation(model, dt=1e-4).run(0.6, ["ball.position"], every=1e-3)
+    height = recording["ball.position"].sel(axis="z") - 0.1
+    second = height.where(height.time > 0.3).max("time")
+    # Less the time spent on the ground, nothing is lost: first-order scheme, 100 and more steps a contact.
+    np.testing.assert_allclose(second, 0.3, rtol=2e-3)
+
+
+def test_a_friction_of_the_user_slows_a_sphere(device):
+    model = dropped_sphere(
+        wc.laws.Hooke(stiffness=1e4), friction=own_law.Viscous(damping=2.0), height=-1e-3, velocity=(3, 0, 0),
+        device=device,
+    )  # fmt: skip
+    np.testing.assert_allclose(model.reading("touch.friction_force")[0], (-6, 0, 0), rtol=1e-5)
+
+
+def test_a_law_may_say_that_it_pulls(device):
+    model = dropped_sphere(own_law.Adhesive(stiffness=1e4, depth=2e-3), height=-1e-3, device=device)
+    np.testing.assert_allclose(model.reading("touch.normal_force"), -10.0, rtol=1e-4)
+    np.testing.assert_allclose(model.reading("ball.force")[0], (0, 0, -10), rtol=1e-4, atol=1e-6)
+
+
+def test_a_class_that_is_no_law_is_refused():
+    class Empty(wc.Law):
+        """Has no force."""
+
+    with pytest.raises(TypeError, match=r"Empty.force must be a wp.func of \(coefficients, state\)"):
+        Empty()

@@ -1,0 +1,118 @@
+"""Recordings: names, dimensions, units, times."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scenes import dropped_sphere, square
+
+import warpcontact as wc
+
+
+def test_a_recording_is_a_labelled_data_set(device):
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), gravity=(0, 0, -9.81), envs=3, device=device)
+    sim = wc.Simulation(model, dt=1e-3)
+    names = model.reading_names
+    recording = sim.run(0.05, names, every=0.01)
+    assert isinstance(recording, xr.Dataset)
+    np.testing.assert_allclose(recording.time, np.arange(6) * 0.01)
+    assert recording.env.values.tolist() == [0, 1, 2]
+    for name in names:
+        assert recording[name].dims[:2] == ("time", "env"), name
+        assert recording[name].attrs["units"], name
+        assert recording[name].attrs["long_name"], name
+    assert recording["ball.position"].dims == ("time", "env", "axis")
+    assert recording["ball.orientation"].dims == ("time", "env", "component")
+    assert recording["touch.gap"].attrs["units"] == "m"
+    assert recording["touch.status"].attrs["flag_meanings"].split()[1] == "CONTACT"
+    assert recording["ball.orientation"].sel(component="w").values[0, 0] == 1.0
+    # The last frame is the current state.
+    for name in names:
+        np.testing.assert_array_equal(recording[name].values[-1], model.reading(name), err_msg=name)
+
+
+def test_readings_belong_to_the_state_they_are_recorded_with(device):
+    """Gap and position of one frame are of one instant, not a step apart."""
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), velocity=(0, 0, -1.0), height=0.02, device=device)
+    recording = wc.Simulation(model, dt=1e-3).run(0.04, ["ball.position", "touch.gap", "touch.normal_force"])
+    height = recording["ball.position"].sel(axis="z").values[:, 0]
+    np.testing.assert_allclose(recording["touch.gap"].values[:, 0], height - 0.1, atol=2e-8)
+    force = 1e4 * np.maximum(0.1 - height, 0)
+    np.testing.assert_allclose(recording["touch.normal_force"].values[:, 0], force, atol=2e-3)
+    assert force.max() > 50
+
+
+def test_poses_and_radii_are_recorded_for_replays(device):
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=2, device=device)
+    model["touch.radius"] = [0.1, 0.2]
+    sim = wc.Simulation(model, dt=1e-3)
+    recording = sim.run(0.01)
+    assert set(recording.data_vars) == {"ball.position", "ball.orientation", "touch.radius"}
+    np.testing.assert_allclose(recording["touch.radius"], [0.1, 0.2])
+    assert recording.scene is model.scene
+    assert set(sim.run(0.01, ["touch.gap"], poses=False).data_vars) == {"touch.gap"}
+
+
+def test_sets_have_an_item_axis(device):
+    scene = wc.Scene()
+    ground = scene.add_surface(square())
+    body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 1), name="body")
+    template = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
+    scene.add_contact(scene.add_points(body, np.eye(3)), ground, template, name="hull")
+    model = scene.build(envs=2, device=device)
+    record = ["hull.gap", "hull.normal"]
+    recording = wc.Simulation(model, dt=1e-3).run(2e-3, record)
+    assert recording["hull.gap"].dims == ("time", "env", "item")
+    assert recording["hull.normal"].dims == ("time", "env", "item", "axis")
+    np.testing.assert_allclose(recording["hull.gap"].values[0, 0], [1, 1, 2], atol=1e-6)
+    # Two sets of different size keep apart.
+    scene.add_contact(scene.add_points(body, np.ones((2, 3))), ground, template, name="pair")
+    recording = wc.Simulation(scene.build(device=device), dt=1e-3).run(2e-3, ["hull.gap", "pair.gap"])
+    assert recording["hull.gap"].dims == ("time", "env", "hull.item")
+    assert recording["pair.gap"].shape == (3, 1, 2)
+
+
+def test_totals_are_sums_over_bodies(device):
+    scene = wc.Scene()
+    scene.add_body(1.0, (1, 1, 1), linear_velocity=(1, 0, 0), name="one")
+    scene.add_body(
+        2.0, (1, 2, 3), position=(0, 1, 0), linear_velocity=(0, 0, 2), angular_velocity=(0, 0, 1), name="two"
+    )
+    model = scene.build(envs=2, device=device)
+    np.testing.assert_allclose(model.reading("scene.linear_momentum"), [(1, 0, 4)] * 2)
+    np.testing.assert_allclose(model.reading("scene.kinetic_energy"), 0.5 + 4 + 1.5)
+    # (0, 1, 0) × 2 (0, 0, 2) and the spin 3.
+    np.testing.assert_allclose(model.reading("scene.angular_momentum"), [(4, 0, 3)] * 2)
+    model["two.position"] = (0, 0, 3)
+    np.testing.assert_allclose(model.reading("scene.potential_energy"), 2 * 9.81 * 3, rtol=1e-6)
+    recording = wc.Simulation(model, dt=1e-3).run(2e-3, ["scene.linear_momentum", "scene.kinetic_energy"])
+    assert recording["scene.linear_momentum"].dims == ("time", "env", "axis")
+
+
+def test_frames_are_drained_from_a_small_ring(device, monkeypatch):
+    monkeypatch.setattr("warpcontact.recorder.RING_BYTES", 7 * 3 * 4 * 4)
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=4, device=device)
+    small = wc.Simulation(model, dt=1e-3).run(0.05, ["ball.position", "touch.gap"])
+    monkeypatch.undo()
+    large = wc.Simulation(dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=4, device=device), dt=1e-3).run(
+        0.05, ["ball.position", "touch.gap"]
+    )
+    for name in large.data_vars:
+        np.testing.assert_array_equal(small[name], large[name])
+
+
+def test_time_goes_on_from_run_to_run(device):
+    sim = wc.Simulation(dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device), dt=1e-3)
+    sim.run(0.01)
+    second = sim.run(0.01, every=5e-3)
+    np.testing.assert_allclose(second.time, [0.01, 0.015, 0.02])
+    # A duration between two steps is rounded up; frames stay on multiples of the interval.
+    third = sim.run(0.0125, every=5e-3)
+    np.testing.assert_allclose(third.time, [0.02, 0.025, 0.03])
+    assert sim.steps == 33
+
+
+def test_unknown_readings_are_refused_before_anything_runs(device):
+    sim = wc.Simulation(dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device), dt=1e-3)
+    with pytest.raises(KeyError, match=r"did you mean 'touch\.gap'"):
+        sim.run(0.01, ["touch.gab"])
+    assert sim.steps == 0

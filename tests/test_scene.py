@@ -1,0 +1,227 @@
+"""What a user may hand in, and what is said when it is wrong."""
+
+import re
+
+import numpy as np
+import pytest
+from scenes import dropped_sphere, square
+
+import warpcontact as wc
+
+HOOKE = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
+
+
+def scene_with(**body):
+    scene = wc.Scene()
+    values = {"mass": 1.0, "inertia": (1, 1, 1), "name": "ball"} | body
+    scene.add_body(**values)
+    return scene
+
+
+def contact_with(**options):
+    scene = scene_with()
+    surface = scene.add_surface(square(), name="ground")
+    point = scene.add_point(scene.bodies[0], (0, 0, 0), name="tip")
+    return scene.add_contact(point, surface, HOOKE, name="touch", **options)
+
+
+BAD = [
+    (lambda: wc.Scene(gravity=(0, 0)), "gravity must be 3 numbers, got (0, 0)"),
+    (lambda: wc.Scene(gravity=(0, 0, np.nan)), "gravity[2] must be finite, got nan m/s²"),
+    (lambda: scene_with(mass=-0.2), "ball.mass must be greater than 0, got -0.2 kg"),
+    (lambda: scene_with(mass=0), "ball.mass must be greater than 0, got 0 kg"),
+    (lambda: scene_with(mass=np.inf), "ball.mass must be greater than 0, got inf kg"),
+    (lambda: scene_with(mass="heavy"), "ball.mass must be a number, got 'heavy'"),
+    (lambda: scene_with(mass=[1, 2]), "ball.mass must be a number, got [1, 2]"),
+    (lambda: scene_with(inertia=1.0), "ball.inertia must be 3 numbers or a 3×3 tensor"),
+    (lambda: scene_with(inertia=(1, 1, 0)), "ball.inertia must be positive definite"),
+    (lambda: scene_with(inertia=(1, 1, 3)), "ball.inertia must be physical: no principal moment may exceed"),
+    (lambda: scene_with(inertia=[[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]), "ball.inertia must be symmetric"),
+    (lambda: scene_with(inertia=(1, np.nan, 1)), "ball.inertia[1, 1] must be finite"),
+    (lambda: scene_with(position=(0, 0)), "ball.position must be 3 numbers, got (0, 0)"),
+    (lambda: scene_with(orientation=(0, 0, 0, 2)), "ball.orientation must be a unit quaternion (x, y, z, w)"),
+    (lambda: scene_with(orientation=(0, 0, 0)), "ball.orientation must be 4 numbers"),
+    (lambda: scene_with(linear_velocity=(np.inf, 0, 0)), "ball.linear_velocity[0] must be finite, got inf m/s"),
+    (lambda: scene_with(angular_velocity=None), "ball.angular_velocity must be 3 numbers, got None"),
+    (lambda: scene_with(color=(2, 0, 0)), "ball.color[0] must be at least 0 and at most 1, got 2"),
+    (lambda: scene_with(name="a.b"), "name of a body must be letters, digits, _ and -"),
+    (lambda: scene_with(name="scene"), "name 'scene' of a body is taken"),
+    (lambda: scene_with().add_body(1.0, (1, 1, 1), name="ball"), "name 'ball' of a body is taken"),
+    (lambda: scene_with().add_point(None, (0, 0)), "point.position must be 3 numbers"),
+    (lambda: scene_with().add_point("ball", (0, 0, 0)), "point.body must be a body of this scene or None"),
+    (lambda: scene_with().add_points(None, np.zeros((0, 3))), "points.position must have shape (n, 3) with n ≥ 1"),
+    (lambda: scene_with().add_point(scene_with().bodies[0], (0, 0, 0)), "point.body must be a body of this scene"),
+    (
+        lambda: scene_with().add_surface("mesh.stl"),
+        "mesh of 'surface' must be a wc.Mesh or have vertices and faces",
+    ),
+    (
+        lambda: scene_with().add_surface(square(), active_faces=[2]),
+        "active_faces must be face numbers from 0",
+    ),
+    (lambda: scene_with().add_surface(square(), active_faces=[True]), "as a mask must have shape (2,), got (1,)"),
+    (
+        lambda: scene_with().add_surface(square(), active_faces=[0.5]),
+        "must be a mask of 2 booleans",
+    ),
+    (lambda: contact_with(radius=-1), "touch.radius must be at least 0, got -1 m"),
+    (lambda: contact_with(kappa=1.5), "touch.kappa must be at least 0 and at most 1, got 1.5"),
+    (lambda: contact_with(max_depth=0), "touch.max_depth must be greater than 0, got 0 m"),
+    (lambda: contact_with(search_radius=-1), "touch.search_radius must be greater than 0, got -1 m"),
+    (lambda: contact_with(search="all"), "touch.search must be one of 'whole', 'active', got 'all'"),
+    (lambda: contact_with(entry="late"), "touch.entry must be one of 'literal', 'latched', got 'late'"),
+    (lambda: contact_with(rim="inner"), "touch.rim must be one of 'off', 'outer', got 'inner'"),
+    (lambda: wc.Scene().build(), "the scene has no body"),
+    (lambda: scene_with().build(envs=0), "envs must be a whole number of at least 1, got 0"),
+    (lambda: scene_with().build(envs=2.5), "envs must be a whole number of at least 1, got 2.5"),
+    (lambda: scene_with().build(device="gpu"), "device must be 'auto' or one of cpu"),
+    (lambda: scene_with().build(precision="half"), "precision must be one of 'float32', 'float64', got 'half'"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), BAD, ids=[message[:40] for _, message in BAD])
+def test_bad_input_is_refused_with_a_message_that_names_it(make, message):
+    with pytest.raises((ValueError, TypeError), match=re.escape(message)):
+        make()
+
+
+def test_both_sides_of_a_contact_may_not_be_fixed_together():
+    scene = scene_with()
+    surface = scene.add_surface(square())
+    with pytest.raises(ValueError, match="points and surface are both fixed to the world"):
+        scene.add_contact(scene.add_point(None, (0, 0, 0)), surface, HOOKE)
+    carried = scene.add_surface(square(), scene.bodies[0])
+    with pytest.raises(ValueError, match="both fixed to body 'ball'"):
+        scene.add_contact(scene.add_point(scene.bodies[0], (0, 0, 0)), carried, HOOKE)
+
+
+def test_elements_of_another_scene_are_refused():
+    scene, other = scene_with(), scene_with()
+    point = other.add_point(other.bodies[0], (0, 0, 0))
+    with pytest.raises(ValueError, match="must come from add_point or add_points of this scene"):
+        scene.add_contact(point, scene.add_surface(square()), HOOKE)
+
+
+def test_names_are_made_up_when_not_given():
+    scene = wc.Scene()
+    names = [scene.add_body(1.0, (1, 1, 1)).name for _ in range(3)]
+    assert names == ["body", "body_2", "body_3"]
+
+
+PARAMETERS = [
+    ("ball.mass", -1.0, "ball.mass must be greater than 0, got -1 kg"),
+    ("ball.mass", [1, 2, 0, 4], "ball.mass[2] must be greater than 0, got 0 kg"),
+    ("ball.mass", [1, 2, 3], "ball.mass must have shape () or (4,), got (3,)"),
+    ("ball.mass", "heavy", "ball.mass must be numeric, got 'heavy'"),
+    ("ball.position", np.zeros((4, 2)), "ball.position must have shape (3,) or (4, 3), got (4, 2)"),
+    ("ball.position", [0, np.nan, 0], "ball.position[1] must be finite, got nan m"),
+    ("ball.orientation", (0, 0, 1, 1), "ball.orientation[0, 0] must be a unit quaternion"),
+    ("ball.inertia", (1, 1, 3), "ball.inertia[0, 0] must be physical"),
+    ("touch.law.stiffness", 0, "touch.law.stiffness must be greater than 0, got 0 N/m"),
+    ("touch.radius", [0.1, 0.1, -0.1, 0.1], "touch.radius[2] must be at least 0, got -0.1 m"),
+    ("touch.enabled", 2, "touch.enabled must be at least 0 and at most 1, got 2"),
+    ("ground.orientation", (1, 1, 1, 1), "ground.orientation[0, 0] must be a unit quaternion"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "message"), PARAMETERS, ids=[f"{n}={v}" for n, v, _ in PARAMETERS])
+def test_bad_parameter_values_are_refused_and_change_nothing(name, value, message):
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e3), envs=4)
+    before = model[name].copy()
+    with pytest.raises(ValueError, match=re.escape(message)):
+        model[name] = value
+    np.testing.assert_array_equal(model[name], before)
+
+
+def test_unknown_names_suggest_the_nearest():
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e3))
+    with pytest.raises(KeyError, match=r"no parameter 'ball.masss'; did you mean 'ball.mass'\?"):
+        model["ball.masss"] = 1.0
+    with pytest.raises(KeyError, match=r"no reading 'touch.gapp'; did you mean 'touch.gap'\?"):
+        model.reading("touch.gapp")
+    with pytest.raises(KeyError, match=r"no parameter 'touch\.law\.restitution'"):
+        model["touch.law.restitution"] = 0.5
+
+
+def test_parameters_of_every_kind_take_one_value_or_one_per_environment():
+    scene = scene_with()
+    surface = scene.add_surface(square(), name="ground")
+    points = scene.add_points(scene.bodies[0], np.eye(3), name="corners")
+    template = wc.Template(
+        law=wc.laws.HuntCrossley(stiffness=1e3, restitution=0.5), friction=wc.frictions.Tanh(mu=0.3)
+    )
+    scene.add_contact(points, surface, template, name="touch")
+    envs = 5
+    model = scene.build(envs=envs)
+    for name in model:
+        old = model[name]
+        assert old.shape[0] == envs
+        of_a_set = name.startswith(("corners", "touch"))
+        for value in (old[:1] if of_a_set else old[0], old):
+            model[name] = value
+            np.testing.assert_allclose(model[name], old, rtol=1e-12)
+    model["touch.radius"] = np.arange(5) * 0.1
+    np.testing.assert_allclose(model["touch.radius"], np.arange(5)[:, None] * [[0.1, 0.1, 0.1]])
+    model["corners.position"] = np.arange(9.0).reshape(1, 3, 3)
+    np.testing.assert_allclose(model["corners.position"][4], np.arange(9.0).reshape(3, 3))
+
+
+def test_the_initial_state_follows_its_parameters_until_the_first_step():
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e3), envs=2)
+    sim = wc.Simulation(model, dt=1e-3)
+    model["ball.position"] = [(0, 0, 1), (0, 0, 2)]
+    np.testing.assert_allclose(model.reading("ball.position")[:, 2], [1, 2])
+    sim.step(1)
+    model["ball.position"] = (0, 0, 5)
+    assert model.reading("ball.position")[0, 2] < 2
+    sim.reset()
+    np.testing.assert_allclose(model.reading("ball.position")[:, 2], [5, 5])
+
+
+def test_one_scene_holds_several_laws():
+    scene = wc.Scene(gravity=(0, 0, 0))
+    ground = scene.add_surface(square(), name="ground")
+    templates = [
+        wc.Template(law=wc.laws.Hooke(stiffness=1e3)),
+        wc.Template(law=wc.laws.Hertz(stiffness=1e5), friction=wc.frictions.Tanh(mu=0.1)),
+        wc.Template(law=wc.laws.Hooke(stiffness=2e3)),
+    ]
+    for number, template in enumerate(templates):
+        body = scene.add_body(1.0, (1, 1, 1), position=(0.1 * number, 0, -0.01), name=f"body{number}")
+        scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, template, name=f"touch{number}")
+    model = scene.build(envs=2)
+    assert len(model.groups) == 2
+    expected = [10.0, 1e5 * 0.01**1.5, 20.0]
+    for number, force in enumerate(expected):
+        np.testing.assert_allclose(model.reading(f"touch{number}.normal_force"), force, rtol=1e-5)
+        np.testing.assert_allclose(model.reading(f"body{number}.force")[:, 2], force, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda m: wc.Simulation(m, dt=0), "dt must be greater than 0, got 0 s"),
+        (lambda m: wc.Simulation(m, dt=[1, 2]), "dt must be a number"),
+        (lambda m: wc.Simulation("model", dt=1), "model must come from Scene.build"),
+        (lambda m: wc.Simulation(m, dt=1, integrator="euler"), "integrator must be an object of wc.integrators"),
+        (lambda m: wc.Simulation(m, dt=1).step(-1), "count must be a whole number of at least 0, got -1"),
+        (lambda m: wc.Simulation(m, dt=0.1).run(-1), "duration must be greater than 0, got -1 s"),
+        (lambda m: wc.Simulation(m, dt=0.1).run(1, every=0.25), "every must be a multiple of dt = 0.1 s"),
+        (lambda m: wc.Simulation(m, dt=0.1).run(1, "ball.position"), "record must be a list of readings"),
+        (lambda m: m.reset([1]), "env_mask must be 1 booleans"),
+    ],
+)  # fmt: skip
+def test_bad_simulation_input_is_refused(make, message):
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e3))
+    with pytest.raises((ValueError, TypeError), match=re.escape(message)):
+        make(model)
+
+
+def test_a_mesh_whose_faces_vanish_in_float32_is_refused():
+    scene = scene_with()
+    far = 5e5
+    mesh = wc.Mesh([(far, 0, 0), (far + 1e-3, 0, 0), (far, 1e-3, 0)], [(0, 1, 2)])
+    surface = scene.add_surface(mesh, name="ground")
+    scene.add_contact(scene.add_point(scene.bodies[0], (0, 0, 0)), surface, HOOKE)
+    with pytest.raises(ValueError, match="ground: face 0 is too small for its distance from the origin"):
+        scene.build()
