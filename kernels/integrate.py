@@ -47,11 +47,13 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
         w_W = state_in.body_angular_velocity[env, body]
         inertia_B = model.body_inertia[env, body]
         inverse_B = model.body_inverse_inertia[env, body]
-        momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
-        momentum = momentum + dt * wrenches.torque[env, body]
+        before = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
+        momentum = before + dt * wrenches.torque[env, body]
         q_middle = rotated(q_WB, real(0.5) * dt * spin(inverse_B, q_WB, momentum))
         orientation = rotated(q_WB, dt * spin(inverse_B, q_middle, momentum))
-        turning = spin(inverse_B, orientation, momentum)
+        # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and scales
+        # what it rotates, which in a difference from step to step cancels instead of adding up.
+        turning = w_W + (spin(inverse_B, orientation, momentum) - spin(inverse_B, q_WB, before))
 
         state_out.body_position[env, body] = position
         state_out.body_orientation[env, body] = orientation

@@ -17,6 +17,16 @@ class Cubic(wc.Law):
         return p.stiffness * c.delta * c.delta * c.delta
 
 
+class Careless(wc.Law):
+    """Multiplies with a float32 constant: compiles in float32 only."""
+
+    stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
+
+    @wp.func
+    def force(p: Any, c: Any):
+        return 2.0 * p.stiffness * c.delta
+
+
 class Adhesive(wc.Law):
     """A spring that pulls below a depth."""
 

@@ -135,6 +135,16 @@ def test_steps_in_any_portions_give_the_same_bits(device):
     np.testing.assert_array_equal(one.state.body_position.numpy(), other.state.body_position.numpy())
 
 
+def test_a_reading_stays_what_it_was(device):
+    sim = wc.Simulation(terrain_model(2, device), dt=5e-4)
+    height, energy = (sim.model.reading(name) for name in ("ball.position", "scene.kinetic_energy"))
+    kept = height.copy(), energy.copy()
+    sim.step(100)
+    sim.model.reading("scene.kinetic_energy")
+    np.testing.assert_array_equal(height, kept[0])
+    np.testing.assert_array_equal(energy, kept[1])
+
+
 def test_readings_do_not_disturb_the_motion(device):
     one, other = (wc.Simulation(terrain_model(8, device), dt=5e-4) for _ in range(2))
     one.step(600)

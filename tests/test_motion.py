@@ -168,14 +168,14 @@ def test_an_asymmetric_top_turns_over(device):
     np.testing.assert_allclose(rotation.T @ model.reading("top.angular_velocity")[0], (0.1, -5, 0), atol=2e-3)
 
 
-@pytest.mark.parametrize(("precision", "tolerance"), [("float32", 1e-4), ("float64", 1e-12)])
+@pytest.mark.parametrize(("precision", "tolerance"), [("float32", 1e-5), ("float64", 1e-13)])
 def test_free_bodies_conserve_momentum(precision, tolerance, device):
     model = spinning((1.0, 2.0, 3.0), (0.1, 5.0, 1.0), device, precision, orientation=(0.5, 0.5, 0.5, 0.5))
     before = {key: model.reading(f"top.{key}")[0] for key in ("linear_momentum", "angular_momentum")}
     sim = wc.Simulation(model, dt=1e-3)
     sim.step(2000)
     np.testing.assert_array_equal(model.reading("top.linear_momentum")[0], before["linear_momentum"])
-    # 2000 roundings of a momentum of size 10, in a random walk.
+    # 2000 roundings of a momentum of size 10 in a random walk, with inertias up to 3: 10 ε √2000 · 3.
     np.testing.assert_allclose(
         model.reading("top.angular_momentum")[0], before["angular_momentum"], atol=10 * tolerance
     )

@@ -2,7 +2,6 @@
 
 import difflib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,21 +10,12 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array
+from warpcontact.groups import Group
 from warpcontact.health import Health
 from warpcontact.parameters import Parameter, Upload, broadcast
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
 from warpcontact.schedule import force_stages
-
-
-@dataclass(frozen=True)
-class Group:
-    """Contacts that share the code of their law and friction, one launch of the force kernel."""
-
-    kernel: wp.Kernel
-    first: int  # index of the first contact
-    count: int
-    coefficients: SimpleNamespace  # .law, .friction: arrays [env, contact of the group]
 
 
 class Model:
@@ -162,13 +152,21 @@ class Model:
         return tuple(self._readings)
 
     def reading(self, name: str) -> NDArray[Any]:
-        """Measures ``name`` at the current state: (envs,), (envs, item) and a last axis for vectors."""
+        """Measures ``name`` at the current state.
+
+        Returns:
+            A new array (envs,), or (envs, item) for a set of points, with a last axis for vectors.
+
+        Raises:
+            KeyError: If there is no such reading.
+        """
         reading = self.find_reading(name)
         if reading.of_contacts:
             self.evaluate()
         if reading.of_measures:
             self.measure()
-        return reading.finish(reading.array(self.arrays).numpy())
+        # On the CPU the values are a view of memory that the next step overwrites.
+        return reading.finish(np.array(reading.array(self.arrays).numpy()))
 
     def measure(self) -> None:
         """Computes energies and momenta of the current state."""

@@ -2,7 +2,8 @@
 
 ``Field`` holds the values of one quantity for all items (all bodies' masses) on the host in float64;
 ``Parameter`` is a named window on it (``ball.mass``); ``Upload`` puts what is computed from fields into an array
-of a Warp struct. A quantity that is shared is stored once on the device, with stride 0 over the environments.
+of a Warp struct; ``Parameters`` collects both while a model is built. A quantity that is shared is stored once on
+the device, with stride 0 over the environments.
 """
 
 import dataclasses
@@ -159,3 +160,53 @@ def broadcast(memory: wp.array, envs: int) -> wp.array:
         device=memory.device,
         copy=False,
     )
+
+
+class Parameters:
+    """The parameters and uploads of a model in the making.
+
+    Args:
+        envs: Number of environments.
+        device: Device of the arrays.
+        real: Warp type of a real number on the device.
+    """
+
+    def __init__(self, envs: int, device: wp.Device, real: type) -> None:
+        self.envs = envs
+        self.device = device
+        self.real = wp.dtype_to_numpy(real)
+        self.by_name: dict[str, Parameter] = {}
+        self.uploads: list[Upload] = []
+
+    def upload(self, struct: Any, attribute: str, dtype: Any, compute: Callable[[], NDArray[Any]]) -> Upload:
+        """Adds an array of ``struct``; reals are rounded to the precision of the device."""
+
+        def content() -> NDArray[Any]:
+            values = compute()
+            return values if values.dtype.names else values.astype(self.real)
+
+        upload = Upload(struct, attribute, dtype, content, self.envs, self.device)
+        self.uploads.append(upload)
+        return upload
+
+    def add(
+        self,
+        name: str,
+        field: Field,
+        items: slice,
+        allowed: Mapping[str, Any],
+        uploads: list[Upload],
+        **options: Any,
+    ) -> None:
+        """Adds a parameter; ``options`` are those of ``Parameter``."""
+        self.by_name[name] = Parameter(name, field, items, allowed, uploads=uploads, **options)
+
+
+def pack(struct: Any, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    """Returns a structured array for a Warp struct from one array (1 or envs, items) per field."""
+    envs = max(len(column) for column in columns.values())
+    items = max(column.shape[1] for column in columns.values())
+    packed = np.zeros((envs, items), dtype=struct.numpy_dtype())
+    for name, column in columns.items():
+        packed[name] = column
+    return packed

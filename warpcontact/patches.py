@@ -1,17 +1,23 @@
-"""Feature tables of a mesh: pseudonormals, activity and borders of every face, edge and corner.
+"""What the closest-point search reads: meshes, and the pseudonormals, activity and borders of their features.
 
 The angle-weighted pseudonormal of the feature that is nearest to a point tells the side of the point without
 error (Bærentzen & Aanæs, IEEE TVCG 11 (2005) 243); a face normal, or Warp's own sign, does not.
 """
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_COUNT
 from warpcontact.meshes import Mesh
+from warpcontact.scene import Contact
+
+# Warp skips slimmer triangles, |cross|/Σ edge², in its queries.
+SLIVER = 1.0e-6
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,66 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], *, only_active: bool) -> P
     flags = FEATURE_ACTIVE * is_active.astype(np.uint8) + FEATURE_BORDER * is_border.astype(np.uint8)
     assert normal.shape == (len(faces), FEATURE_COUNT, 3)
     return Patch(corner=corner, normal=normal, flags=flags)
+
+
+def upload_patches(
+    contacts: list[Contact], model: Any, t: SimpleNamespace, device: wp.Device
+) -> tuple[dict[Contact, int], list[wp.Mesh]]:
+    """Fills the patches of ``model``; contacts that search the same faces share one.
+
+    Returns:
+        The patch of each contact, and the meshes: a kernel holds only their ids, so somebody has to keep them.
+    """
+    rows: dict[tuple[int, bool], int] = {}
+    patches: list[Patch] = []
+    surfaces: list[int] = []
+    meshes: list[wp.Mesh] = []
+    patch_of = {}
+    for contact in contacts:
+        surface = contact.surface
+        only_active = contact.search == "active" and not surface.active_faces.all()
+        key = (surface.index, only_active)
+        if key not in rows:
+            rows[key] = len(patches)
+            patches.append(make_patch(surface.mesh, surface.active_faces, only_active=only_active))
+            meshes.append(_search_mesh(surface.name, patches[-1], device))
+            surfaces.append(surface.index)
+        patch_of[contact] = rows[key]
+    starts = np.cumsum([0] + [len(patch.flags) for patch in patches])
+    real = wp.dtype_to_numpy(t.real)
+
+    def send(values: Any, dtype: Any, kind: Any) -> wp.array:
+        return wp.array(np.asarray(values, dtype=kind), dtype=dtype, device=device)
+
+    model.patch_mesh = send([mesh.id for mesh in meshes], wp.uint64, np.uint64)
+    model.patch_surface = send(surfaces, wp.int32, np.int32)
+    model.patch_face_start = send(starts[: len(patches)], wp.int32, np.int32)
+    if patches:
+        model.face_corner = send(np.concatenate([patch.corner for patch in patches]), t.vec3, real)
+        model.face_normal = send(np.concatenate([patch.normal for patch in patches]), t.vec3, real)
+        model.face_flags = send(np.concatenate([patch.flags for patch in patches]), wp.uint8, np.uint8)
+    return patch_of, meshes
+
+
+def _search_mesh(name: str, patch: Patch, device: wp.Device) -> wp.Mesh:
+    """Returns the mesh that queries search. The mesh is sound in float64; only float32 can still spoil it."""
+    corner = patch.corner.astype(np.float32)
+    edges = (np.roll(corner, -1, axis=1) - corner).astype(np.float64)
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    lost = np.flatnonzero(area < SLIVER * (edges**2).sum(axis=(1, 2)))
+    # A face whose corners all coincide has neither area nor edges.
+    lost = np.union1d(lost, np.flatnonzero(area == 0.0))
+    if len(lost):
+        raise ValueError(
+            f"{name}: face {lost[0]} is too small for its distance from the origin of the mesh, "
+            f"{np.abs(corner[lost[0]]).max():g} m: its corners {patch.corner[lost[0]].tolist()} coincide in "
+            f"float32 ({len(lost)} such faces); move the mesh to its origin and place it with position"
+        )
+    return wp.Mesh(
+        points=wp.array(corner.reshape(-1, 3), dtype=wp.vec3f, device=device),
+        indices=wp.array(np.arange(3 * len(corner), dtype=np.int32), dtype=wp.int32, device=device),
+        bvh_constructor="sah",  # the same tree on every device
+    )
 
 
 def _sum_over(index: NDArray[np.integer[Any]], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:

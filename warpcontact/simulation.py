@@ -9,7 +9,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warpcontact import checks
-from warpcontact.build import new_state
+from warpcontact.build import allocate
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.model import Model
 from warpcontact.parameters import broadcast
@@ -47,7 +47,7 @@ class Simulation:
         self._dt_memory = wp.full((1, 1), self.dt, dtype=model.types.real, device=model.device)
         self._dt = broadcast(self._dt_memory, model.envs)
         # Steps go from one buffer to the other and back; between calls the state is always in the model's.
-        self._other = new_state(model.types, (model.envs, model.body_count), model.device)
+        self._other = allocate(model.types.State, (model.envs, model.body_count), model.device)
         self._stages: tuple[int, list[wp.Launch], list[wp.Launch]] = (-1, [], [])
 
     @property
@@ -175,12 +175,7 @@ class Simulation:
         return int(steps) + 1
 
     def _copy_back(self) -> None:
-        for attribute in (
-            "body_position",
-            "body_orientation",
-            "body_linear_velocity",
-            "body_angular_velocity",
-        ):
+        for attribute in self.model.types.State.vars:
             wp.copy(getattr(self.model.state, attribute), getattr(self._other, attribute))
 
     def __repr__(self) -> str:
