@@ -1,6 +1,6 @@
 """Closest point and orientation: the kinematics of a point or sphere against an oriented surface.
 
-The algorithm of EULER's ``contactPS2`` element (SPEC 1.2, steps 1–7) on a triangle mesh (SPEC 1.4): the nearest
+The algorithm of EULER's ``contactPS2`` element on a triangle mesh: the nearest
 point S over the whole patch, then whether S is active, then the side. The BVH query runs in float32 in the
 mesh's own frame and only names a face; the distance, the feature hit and its pseudonormal are computed here in
 the precision of the simulation.
@@ -165,7 +165,7 @@ def kernel(real: type) -> wp.Kernel:
         flags = wp.int32(model.face_flags[foot.row, foot.feature])
         contacts.face[env, contact] = foot.row - start
 
-        # Signed distance s, direction n, and whether P lies beside an open border (SPEC 1.4, 1 and 3).
+        # Signed distance s, direction n, and whether P lies beside an open border.
         to_point = p_S - foot.point
         side = wp.dot(to_point, n_S)
         distance = foot.distance

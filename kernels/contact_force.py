@@ -1,4 +1,4 @@
-"""Contact force of one group of contacts: law and friction to the wrenches of both bodies (SPEC 1.2, 8–11).
+"""Contact force of one group of contacts: law and friction to the wrenches of both bodies.
 
 A factory compiles the law and the friction into the kernel, once per (law, friction, precision); their
 coefficients are data. A pure function of model, state and history: nothing here changes them.
@@ -76,7 +76,7 @@ def kernel(law: type, friction: type, real: type) -> wp.Kernel:
         body_1 = model.point_body[model.contact_point[contact]]
         body_2 = model.surface_body[model.patch_surface[model.contact_patch[contact]]]
 
-        # Of the surface relative to the point: approach is positive (SPEC 1.2, 8).
+        # Of the surface relative to the point: approach is positive.
         v_W = velocity_at(state, env, body_2, k_W) - velocity_at(state, env, body_1, k_W)
         approach = wp.dot(v_W, n_W)
 
@@ -84,7 +84,7 @@ def kernel(law: type, friction: type, real: type) -> wp.Kernel:
         touch.delta = contacts.penetration[env, contact]
         touch.delta_dot = approach
         # A contact that begins here has no entry speed yet; one that reloads faster than it began takes the
-        # faster speed (FORCE_LAWS D). The same rule advances the history, so a trial state sees the same force.
+        # faster speed. The same rule advances the history, so a trial state sees the same force.
         touch.entry_speed = wp.max(history.entry_speed[env, contact], approach)
         if wp.static(needs_mass):
             touch.mass = real(1.0) / (

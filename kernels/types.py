@@ -20,7 +20,7 @@ ENV_ACTIVE = 0
 ENV_FAILED = 1  # turned non-finite in this step; its other bodies may be half way
 ENV_FROZEN = 2  # held at its last finite state
 
-# Status of a contact (SPEC 1.2, sensors).
+# Status of a contact.
 OPEN = 0
 CONTACT = 1
 HIDDEN = 2

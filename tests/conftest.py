@@ -17,6 +17,7 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if config.getoption("--bounds-check"):
         wp.config.mode = "debug"
+    wp.init()
 
 
 @pytest.fixture(scope="session")

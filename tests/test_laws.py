@@ -112,6 +112,27 @@ def test_greatest_penetration_and_force_of_hertz_impact(shared, device):
     np.testing.assert_allclose(float(recording["touch.normal_force"].max()), oracle["Fmax_closed"], rtol=1e-3)
 
 
+def test_published_damping_factors_give_their_measured_restitution(shared, device):
+    """Every impact of the oracle in one batch: with v₀ = 1 m/s a published factor d is a constant χ = d/v₀."""
+    oracle = json.loads((shared / "spec" / "oracle_contactps2.json").read_text())["laws"]
+    published = {
+        "hunt_crossley": lambda e: 1.5 * (1 - e),
+        "lankarani_nikravesh": lambda e: 0.75 * (1 - e**2),
+        "flores": lambda e: 1.6 * (1 - e) / e,
+    }
+    cases = [(name, *name.split("_e0.")) for name in oracle if name != "hertz"]
+    damping = [published[law](float(f"0.{digit}")) for _, law, digit in cases]
+    law = wc.laws.HuntCrossley(stiffness=1e6, damping=1.0)
+    model = dropped_sphere(law, height=1e-4, envs=len(cases), device=device)
+    model["touch.law.damping"] = damping
+    recording = wc.Simulation(model, dt=5e-6).run(0.02, ["touch.penetration", "touch.normal_force"])
+    expected = {key: [oracle[name][key] for name, _, _ in cases] for key in ("delta_max", "Fmax", "e_out")}
+    # About 2600 steps per contact; the velocity that a step sees is half a step old.
+    np.testing.assert_allclose(recording["touch.penetration"].max("time"), expected["delta_max"], rtol=1e-3)
+    np.testing.assert_allclose(recording["touch.normal_force"].max("time"), expected["Fmax"], rtol=1e-3)
+    np.testing.assert_allclose(model.reading("ball.linear_velocity")[:, 2], expected["e_out"], rtol=1e-3)
+
+
 def test_hertz_from_materials():
     # FORCE_LAWS G2: a steel ball of 10 mm on a steel half-space.
     law = wc.laws.Hertz.from_materials(E=210e9, nu=0.3, R=0.01, E2=210e9, nu2=0.3)

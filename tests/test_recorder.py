@@ -46,7 +46,8 @@ def test_poses_and_radii_are_recorded_for_replays(device):
     model["touch.radius"] = [0.1, 0.2]
     sim = wc.Simulation(model, dt=1e-3)
     recording = sim.run(0.01)
-    assert set(recording.data_vars) == {"ball.position", "ball.orientation", "touch.radius"}
+    replay = {"ball.position", "ball.orientation", "ball.mass", "ball.inertia", "touch.radius"}
+    assert set(recording.data_vars) == replay
     np.testing.assert_allclose(recording["touch.radius"], [0.1, 0.2])
     assert recording.scene is model.scene
     assert set(sim.run(0.01, ["touch.gap"], poses=False).data_vars) == {"touch.gap"}

@@ -178,6 +178,14 @@ def test_the_initial_state_follows_its_parameters_until_the_first_step():
     np.testing.assert_allclose(model.reading("ball.position")[:, 2], [5, 5])
 
 
+def test_a_model_does_not_change_with_its_scene():
+    scene = scene_with()
+    model = scene.build()
+    scene.add_body(1.0, (1, 1, 1), name="later")
+    assert [body.name for body in model.scene.bodies] == ["ball"]
+    assert model.body_count == 1
+
+
 def test_one_scene_holds_several_laws():
     scene = wc.Scene(gravity=(0, 0, 0))
     ground = scene.add_surface(square(), name="ground")

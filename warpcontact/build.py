@@ -69,7 +69,7 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
     patch_of, meshes = upload_patches(contacts, arrays.model, t, where)
     _add_contacts(contacts, start_of, patch_of, arrays, parameters, t)
     return Model(
-        scene=scene,
+        scene=scene.snapshot(),
         envs=envs,
         device=where,
         precision=precision,

@@ -112,7 +112,13 @@ class Recorder:
                 notes |= status_attributes()
             variables[reading.name] = (dims, values, notes)
         if self.poses:
-            # What a replay needs beside the poses: spheres may differ in size.
+            # What a replay needs beside the poses: bodies and spheres may differ between environments.
+            for body in model.scene.bodies:
+                name = f"{body.name}.mass"
+                variables[name] = (["env"], model[name].copy(), {"units": "kg", "long_name": "mass"})
+                name = f"{body.name}.inertia"
+                notes = {"units": "kg·m²", "long_name": "inertia about the centre of mass, body axes"}
+                variables[name] = (["env", "row", "column"], model[name].copy(), notes)
             for contact in model.scene.contacts:
                 name = f"{contact.name}.radius"
                 items = [] if contact.points.single else [self._item_dimension(contact.name)]

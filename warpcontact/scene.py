@@ -1,7 +1,7 @@
 """What there is: bodies, surfaces, points and contacts, as a user says them. All input is checked here."""
 
+import copy
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -346,9 +346,17 @@ class Scene:
 
         return build(self, envs=envs, device=device, precision=precision)
 
-    def element_names(self) -> Iterable[str]:
+    def element_names(self) -> tuple[str, ...]:
         """Returns the names of all elements."""
-        return self._elements.keys()
+        return tuple(self._elements)
+
+    def snapshot(self) -> "Scene":
+        """Returns a copy that what is added to this scene later does not change."""
+        copied = copy.copy(self)
+        for name in ("bodies", "surfaces", "points", "contacts"):
+            setattr(copied, name, list(getattr(self, name)))
+        copied._elements = dict(self._elements)
+        return copied
 
     def _body(self, name: str, body: Body | None) -> Body | None:
         if body is not None and (not isinstance(body, Body) or self._elements.get(body.name) is not body):

@@ -14,7 +14,7 @@ class RegularizedCoulomb(Friction):
     """
 
     formula = "F = −μ N min(s/s_d, 1) v/s"
-    reference = "FORCE_LAWS C3"
+    reference = "ramp of slip speed, as in Exudyn and other multibody codes"
     validity = "no stiction"
 
     mu: float = parameter("-", "coefficient of friction μ", at_least=0.0)

@@ -11,7 +11,7 @@ class Hooke(Law):
     """Linear elastic contact, without loss; also a penalty stiffness."""
 
     formula = "N = K δ"
-    reference = "elementary; FORCE_LAWS A1"
+    reference = "elementary"
     validity = "any stiffness"
 
     stiffness: float = parameter("N/m", "stiffness K", above=0.0)

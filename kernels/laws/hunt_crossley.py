@@ -16,7 +16,7 @@ SERIES_RANGE = 2.0e-3
 def restitution_of_damping_factor(factor: np.ndarray) -> np.ndarray:
     """Restitution e of N = f(δ)(1 + d δ̇/v₀) in a free impact, from d ≥ 0, for any elastic function f.
 
-    e = [1 + W₀(−(1+d) exp(−(1+d)))]/d (FORCE_LAWS B2).
+    e = [1 + W₀(−(1+d) exp(−(1+d)))]/d.
     """
     factor = np.asarray(factor, dtype=np.float64)
     safe = np.maximum(factor, 1.0e-8)  # below, e = 1 − 2d/3 is 1 to the last digit that W leaves
@@ -28,7 +28,7 @@ def restitution_of_damping_factor(factor: np.ndarray) -> np.ndarray:
 def damping_factor_of_restitution(restitution: np.ndarray) -> np.ndarray:
     """Damping factor d whose free impact has restitution 0 < e ≤ 1: d (1 + e) = ln[(1 + d)/(1 − d e)].
 
-    Solved for u = ln(1 − d e), in which nothing cancels for small e (FORCE_LAWS B2). Near e = 1 the equation
+    Solved for u = ln(1 − d e), in which nothing cancels for small e. Near e = 1 the equation
     degenerates to 0 = 0 and its series in q = 1 − e takes over; they agree to 1e-9 at the seam.
     """
     e = np.asarray(restitution, dtype=np.float64)
@@ -61,7 +61,7 @@ class HuntCrossley(Law):
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d(1+e) = ln[(1+d)/(1−de)]"
     reference = (
         "Hunt & Crossley, J. Appl. Mech. 42 (1975) 440; exact d: Gonthier et al., Multibody Syst. Dyn. 11 (2004) "
-        "209, Zhang & Sharf, J. Appl. Mech. 76 (2009) 051002; FORCE_LAWS B2"
+        "209, Zhang & Sharf, J. Appl. Mech. 76 (2009) 051002"
     )
     validity = "any δ-dependence; restitution independent of mass, stiffness and speed"
     exactly_one_of = ("restitution", "damping")

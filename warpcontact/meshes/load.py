@@ -105,7 +105,7 @@ def _parse(data: bytes, suffix: str) -> _Content:
     """Run the reader for ``suffix``; whatever stops it becomes one sentence."""
     try:
         with warnings.catch_warnings():
-            # How NumPy before 2.3 says that it stopped at a word that is no number; later it is an error.
+            # Older NumPy only warns that it stopped at a word that is no number; newer raises.
             warnings.filterwarnings("error", message="string or file could not be read to its end")
             return _READERS[suffix](data)
     except _Unreadable:

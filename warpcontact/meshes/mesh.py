@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.meshes.report import MeshReport, examine, weld
+from warpcontact.meshes.report import MeshReport, examine
+from warpcontact.meshes.topology import weld
 
 
 class MeshError(ValueError):

@@ -1,0 +1,71 @@
+"""A scene with one of everything, its recording, and what to read a stage with."""
+
+import numpy as np
+import scenes
+from pxr import Usd, UsdGeom, UsdValidation
+from scipy.spatial.transform import Rotation
+
+import warpcontact as wc
+
+ENVS = 4
+RADII = np.array([0.05, 0.06, 0.07, 0.08])
+CORNERS = 0.2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+TILT = Rotation.from_rotvec([0.0, 0.3, 0.0]).as_quat()
+READINGS = ("gap", "normal_force", "friction_force", "normal", "point", "status", "slip_speed")
+
+
+def simulate(device, precision="float32"):
+    """A ball and a spinning cube, with a mesh and a set of points, that fall on a partly active floor."""
+    scene = wc.Scene(gravity=(0.0, 0.0, -9.81))
+    floor = scene.add_surface(
+        scenes.square(5.0), name="floor", active_faces=[0], color=(0.8, 0.6, 0.4), position=(0.1, 0.2, -0.02)
+    )
+    scene.add_surface(scenes.square(), name="hidden", position=(0, 0, -3), orientation=TILT, visible=False)
+    ball = scene.add_body(mass=0.5, inertia=(5e-4,) * 3, position=(2, -2, 0.1), name="ball", color=(1, 0, 0))
+    cube = scene.add_body(
+        mass=2.0,
+        inertia=(0.05, 0.06, 0.07),
+        position=(1, -2, 0.4),
+        linear_velocity=(0.3, 0.0, 0.0),
+        angular_velocity=(1, 2, 3),
+        name="cube",
+    )
+    hull = scene.add_surface(wc.meshes.box((0.4, 0.3, 0.2)), body=cube, position=(0.1, 0, 0), name="hull")
+    template = scenes.oracle_law()
+    scene.add_contact(scene.add_point(ball, (0, 0, 0.01)), floor, template, radius=0.05, name="touch")
+    corners = scene.add_points(cube, CORNERS, name="corners")
+    scene.add_contact(corners, floor, template, name="cube-floor", color=(0, 1, 0))
+    pins = scene.add_points(None, [(0, 0, 0), (0, 0, 9)], name="pins")
+    scene.add_contact(pins, hull, template, radius=0.02, name="pin", visible=False, enabled=False)
+    model = scene.build(envs=ENVS, device=device, precision=precision)
+    model["touch.radius"] = RADII
+    model["ball.linear_velocity"] = np.linspace((0, 0, 0), (1, 0, -1), ENVS)
+    record = [f"{contact}.{key}" for contact in ("touch", "cube-floor") for key in READINGS]
+    record += ["pin.gap", "ball.force", "cube.force", "cube.linear_velocity", "cube.angular_velocity"]
+    simulation = wc.Simulation(model, dt=1e-3)
+    return simulation.run(duration=0.3, record=[*record, "scene.kinetic_energy"], every=1e-2)
+
+
+def export(recording, tmp_path, suffix=".usda", **options):
+    path = tmp_path / f"stage{suffix}"
+    assert wc.export_usd(recording, path, **options) == path
+    return Usd.Stage.Open(str(path))
+
+
+def value(stage, path, name, code=None):
+    attribute = stage.GetPrimAtPath(path).GetAttribute(name)
+    assert attribute, f"{path}.{name}"
+    found = attribute.Get() if code is None else attribute.Get(code)
+    return np.array(found) if not isinstance(found, str) else found
+
+
+def world(stage, path, code):
+    """Rotation (3, 3) and translation of a prim, acting on column vectors."""
+    matrix = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(stage.GetPrimAtPath(path)))
+    return matrix[:3, :3].T, matrix[3, :3]
+
+
+def findings(stage):
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) >= 20
+    return UsdValidation.ValidationContext(validators).Validate(stage)

@@ -1,0 +1,140 @@
+"""How values and names are written: NumPy arrays to USD types, element names to prim names."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# What NumPy holds → what the types of Sdf and Vt are called, for numbers, and the suffix of their vectors.
+_NUMBERS = {
+    "float32": ("Float", "f"),
+    "float64": ("Double", "d"),
+    "int32": ("Int", None),
+    "int64": ("Int64", None),
+    "bool": ("Bool", None),
+}
+
+
+def identifiers(names: Iterable[str], reserved: Iterable[str] = ()) -> dict[str, str]:
+    """Returns a prim name for each of ``names``, no two alike and none of them in ``reserved``.
+
+    A name that is valid in USD stays as it is; ``-`` becomes ``_``, and a number tells apart what would
+    otherwise fall together.
+    """
+    from pxr import Tf
+
+    taken = set(reserved)
+    table: dict[str, str] = {}
+    # Valid names first, so that they keep theirs whatever the order.
+    for name in sorted(names, key=lambda name: not Tf.IsValidIdentifier(name)):
+        identifier = base = Tf.MakeValidIdentifier(name)
+        number = 0
+        while identifier in taken:
+            number += 1
+            identifier = f"{base}_{number}"
+        taken.add(identifier)
+        table[name] = identifier
+    return table
+
+
+def mark(prim: Any, name: str) -> None:
+    """Keeps the name that an element has in the scene on its prim."""
+    prim.SetCustomDataByKey("warpcontact:name", name)
+    if prim.GetName() != name:
+        prim.SetDisplayName(name)
+
+
+def attribute_name(quantity: str) -> str:
+    """Returns the name of the attribute for a reading: ``normal_force`` → ``warpcontact:normalForce``."""
+    from pxr import Tf
+
+    parts = []
+    for part in quantity.split("."):
+        first, *others = Tf.MakeValidIdentifier(part).split("_")
+        parts.append(first + "".join(word.capitalize() for word in others))
+    return ":".join(["warpcontact", *parts])
+
+
+def attribute_type(dtype: np.dtype[Any], kind: str, is_array: bool, role: str = "Vector3") -> Any:
+    """Returns the Sdf type of a quantity.
+
+    Args:
+        dtype: Type of its numbers; floating-point numbers keep their precision.
+        kind: ``"number"``, ``"vector"`` or ``"quaternion"``.
+        is_array: Whether there is one value per item of a set.
+        role: ``"Vector3"``, ``"Point3"`` or ``"Normal3"``, what a vector stands for.
+    """
+    from pxr import Sdf
+
+    number, suffix = _NUMBERS[dtype.name]
+    name = {"number": number, "vector": f"{role}{suffix}", "quaternion": f"Quat{suffix}"}[kind]
+    return getattr(Sdf.ValueTypeNames, f"{name}Array" if is_array else name)
+
+
+def series(values: NDArray[Any], kind: str, is_array: bool) -> list[Any]:
+    """Returns one USD value per entry of the first axis of ``values``; see ``attribute_type``."""
+    from pxr import Vt
+
+    number, suffix = _NUMBERS[values.dtype.name]
+    if kind == "number" and not is_array:
+        return list(values.tolist())
+    name = {"number": number, "vector": f"Vec3{suffix}", "quaternion": f"Quat{suffix}"}[kind]
+    array = getattr(Vt, f"{name}Array")
+    if is_array:
+        return [array.FromNumpy(np.ascontiguousarray(entry)) for entry in values]
+    return list(array.FromNumpy(np.ascontiguousarray(values)))
+
+
+def plain(values: NDArray[Any]) -> NDArray[Any]:
+    """Returns ``values`` in a type that ``series`` takes, without loss."""
+    if values.dtype.name in _NUMBERS:
+        return values
+    if values.dtype.kind == "f":
+        return values.astype(np.float64)
+    return values.astype(np.int32 if values.dtype.itemsize < 4 else np.int64)
+
+
+def write_samples(attribute: Any, codes: Sequence[float], values: Sequence[Any]) -> None:
+    """Writes one time sample per code.
+
+    The first is the default value as well: a program that does not look at time, as most importers of
+    physics do not, then sees the start.
+    """
+    attribute.Set(values[0])
+    # The layer takes samples three times as fast as the stage.
+    layer, path = attribute.GetStage().GetRootLayer(), attribute.GetPath()
+    for code, value in zip(codes, values, strict=True):
+        layer.SetTimeSample(path, code, value)
+
+
+def vectors(rows: NDArray[Any]) -> Any:
+    """Returns ``rows`` (n, 3) as an array of single-precision vectors, what USD has points in."""
+    from pxr import Vt
+
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rows, dtype=np.float32))
+
+
+def add_pose(xformable: Any, position: NDArray[Any], orientation: NDArray[Any]) -> None:
+    """Adds operations ``translate`` (double3) and ``orient`` (quatd) with a pose to a prim.
+
+    Args:
+        xformable: The prim's ``UsdGeom.Xformable``.
+        position: Origin in the frame of the parent [m].
+        orientation: Rotation to the frame of the parent, quaternion (x, y, z, w).
+    """
+    turn, move = pose_attributes(xformable)
+    move.Set(series(position[None], "vector", False)[0])
+    turn.Set(series(orientation[None], "quaternion", False)[0])
+
+
+def pose_attributes(xformable: Any) -> tuple[Any, Any]:
+    """Adds the operations of a pose to a prim and returns their attributes ``orient`` and ``translate``.
+
+    USD makes a matrix of a quaternion by the arc cosine of w: single precision would lose turns below 0.02
+    degrees altogether, so ``orient`` is a quatd.
+    """
+    from pxr import UsdGeom
+
+    move = xformable.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).GetAttr()
+    return xformable.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).GetAttr(), move

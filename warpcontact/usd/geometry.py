@@ -1,0 +1,236 @@
+"""Shapes of a stage: surfaces as meshes, contact points as spheres or points."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from warpcontact.checks import Array
+from warpcontact.scene import Body, Contact, Scene, Surface
+from warpcontact.usd.author import add_pose, mark, vectors
+from warpcontact.usd.replay import Replay
+
+WORLD_COLOR = (0.55, 0.55, 0.5)
+BODY_COLOR = (0.35, 0.5, 0.7)
+# Brightness of the faces that nothing can touch.
+INACTIVE = 0.4
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """Spheres, or points, that one or several contacts have in common.
+
+    Attributes:
+        contacts: The contacts, of the same points and radius.
+        radii: Radius of each, (env, item) [m]; all zero: points.
+    """
+
+    contacts: list[Contact]
+    radii: Array
+
+    @property
+    def name(self) -> str:
+        """Name of the first contact."""
+        return self.contacts[0].name
+
+    @property
+    def body(self) -> Body | None:
+        """Body that carries them; ``None``: the world."""
+        return self.contacts[0].points.body
+
+    @property
+    def positions(self) -> Array:
+        """Centres in the frame of the body, (item, 3) [m]."""
+        return self.contacts[0].points.positions
+
+    @property
+    def are_points(self) -> bool:
+        """Whether no environment gives any of them a size."""
+        return not self.radii.any()
+
+
+def spheres_of(replay: Replay) -> list[Spheres]:
+    """Returns the spheres and points of all contacts, each once however many contacts it is part of."""
+    found: dict[tuple[str, bytes], Spheres] = {}
+    for contact in replay.scene.contacts:
+        radii = replay.radii(contact)
+        key = (contact.points.name, radii.tobytes())
+        found.setdefault(key, Spheres([], radii)).contacts.append(contact)
+    return list(found.values())
+
+
+def body_size(body: Body, scene: Scene, spheres: Iterable[Spheres]) -> float:
+    """Returns the diameter about its centre of mass of everything a body carries [m]."""
+    reach = 0.0
+    for surface in scene.surfaces:
+        if surface.body is body:
+            # Rotation of the mesh in its own frame does not change how far it reaches from that frame's origin.
+            far = np.linalg.norm(surface.mesh.vertices, axis=1).max() + np.linalg.norm(surface.position)
+            reach = max(reach, float(far))
+    for group in spheres:
+        if group.body is body:
+            reach = max(reach, float((np.linalg.norm(group.positions, axis=1) + group.radii).max()))
+    return 2.0 * reach
+
+
+def scene_size(replay: Replay, spheres: Iterable[Spheres]) -> float:
+    """Returns a length to draw arrows and points by [m]: the largest body's, or a tenth of the space they need."""
+    spheres = list(spheres)
+    scene = replay.scene
+    largest = max((body_size(body, scene, spheres) for body in scene.bodies), default=0.0)
+    if largest > 0.0:
+        return largest
+    places = [replay.pose(body)[0].reshape(-1, 3) for body in scene.bodies]
+    places += [surface.mesh.bounds for surface in scene.surfaces]
+    if not places:
+        return 1.0
+    return 0.1 * float(np.linalg.norm(np.ptp(np.concatenate(places), axis=0))) or 1.0
+
+
+def define_surface(stage: Any, path: str, surface: Surface) -> None:
+    """Writes a surface as a mesh that collides, in the frame of what carries it."""
+    from pxr import Kind, Usd, UsdGeom, UsdPhysics, Vt
+
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    prim = mesh.GetPrim()
+    mark(prim, surface.name)
+    vertices, faces = surface.mesh.vertices, surface.mesh.faces
+    mesh.CreatePointsAttr(vectors(vertices))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateExtentAttr(vectors(np.array([vertices.min(axis=0), vertices.max(axis=0)])))
+    add_pose(mesh, surface.position, surface.orientation)
+    _color_faces(mesh, surface)
+    if not surface.visible:
+        mesh.MakeInvisible()
+    UsdPhysics.CollisionAPI.Apply(prim)
+    UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.none)
+    if surface.body is None:
+        Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
+
+
+def _color_faces(mesh: Any, surface: Surface) -> None:
+    """Colours the active faces, dims the others, and names the active ones as a subset."""
+    from pxr import UsdGeom, Vt
+
+    color = surface.color
+    if color is None:
+        color = np.array(WORLD_COLOR) if surface.body is None else body_color(surface.body)
+    active = surface.active_faces
+    if active.all():
+        set_color(mesh, color)
+        return
+    primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.uniform)
+    primvar.Set(vectors(np.array([color, INACTIVE * color])))
+    primvar.SetIndices(Vt.IntArray.FromNumpy((~active).astype(np.int32)))
+    UsdGeom.Subset.CreateGeomSubset(
+        mesh,
+        "active",
+        UsdGeom.Tokens.face,
+        Vt.IntArray.FromNumpy(np.flatnonzero(active).astype(np.int32)),
+        "warpcontact",
+        UsdGeom.Tokens.unrestricted,
+    ).GetPrim().SetDocumentation("Faces that can touch.")
+
+
+def set_color(gprim: Any, color: ArrayLike) -> None:
+    """Gives a shape one colour, RGB in 0…1."""
+    gprim.CreateDisplayColorAttr(vectors(np.atleast_2d(color)))
+
+
+def body_color(body: Body | None) -> NDArray[np.float64]:
+    """Returns the colour of what a body carries."""
+    if body is None:
+        return np.array(WORLD_COLOR)
+    return np.array(BODY_COLOR) if body.color is None else body.color
+
+
+def define_spheres(stage: Any, path: str, group: Spheres, point_width: float) -> None:
+    """Writes spheres that collide, with the radius of the first environment, or points.
+
+    A single one becomes a prim at ``path``; a set has a child ``item_<number>`` per sphere, or is one
+    ``UsdGeom.Points``.
+    """
+    from pxr import UsdGeom, Vt
+
+    color = body_color(group.body)
+    if group.are_points:
+        points = UsdGeom.Points.Define(stage, path)
+        places = group.positions
+        points.CreatePointsAttr(vectors(places))
+        points.CreateWidthsAttr(Vt.FloatArray([point_width]))
+        points.SetWidthsInterpolation(UsdGeom.Tokens.constant)
+        half = 0.5 * point_width
+        points.CreateExtentAttr(vectors(np.array([places.min(axis=0) - half, places.max(axis=0) + half])))
+        set_color(points, color)
+        prim = points.GetPrim()
+    elif group.contacts[0].points.single:
+        prim = _define_sphere(stage, path, group.positions[0], color)
+    else:
+        prim = UsdGeom.Xform.Define(stage, path).GetPrim()
+        for item, place in enumerate(group.positions):
+            _define_sphere(stage, f"{path}/item_{item}", place, color)
+    mark(prim, group.name)
+    prim.SetCustomDataByKey("warpcontact:contacts", Vt.StringArray([c.name for c in group.contacts]))
+    if not group.are_points:
+        set_radii(stage, path, group, 0)
+
+
+def _define_sphere(stage: Any, path: str, place: Array, color: ArrayLike) -> Any:
+    from pxr import Gf, UsdGeom, UsdPhysics
+
+    sphere = UsdGeom.Sphere.Define(stage, path)
+    if place.any():
+        sphere.AddTranslateOp().Set(Gf.Vec3d(*place.tolist()))
+    set_color(sphere, color)
+    UsdPhysics.CollisionAPI.Apply(sphere.GetPrim())
+    return sphere.GetPrim()
+
+
+def set_radii(stage: Any, path: str, group: Spheres, row: int) -> None:
+    """Gives the spheres at ``path`` the radii of environment number ``row`` of the export."""
+    from pxr import UsdGeom
+
+    single = group.contacts[0].points.single
+    for item, radius in enumerate(group.radii[row].tolist()):
+        sphere = UsdGeom.Sphere(stage.GetPrimAtPath(path if single else f"{path}/item_{item}"))
+        sphere.CreateRadiusAttr(radius)
+        sphere.CreateExtentAttr(vectors(np.array([[-radius] * 3, [radius] * 3])))
+
+
+def define_look(stage: Any, scope: str, prim: Any) -> None:
+    """Writes a material that shows ``displayColor`` into ``scope`` and binds it to ``prim`` and all below.
+
+    Renderers other than Hydra's own draw only what a material says.
+    """
+    from pxr import Sdf, UsdGeom, UsdShade
+
+    UsdGeom.Scope.Define(stage, scope)
+    path = f"{scope}/Display"
+    material = UsdShade.Material.Define(stage, path)
+    shader = UsdShade.Shader.Define(stage, f"{path}/Surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.6)
+    reader = UsdShade.Shader.Define(stage, f"{path}/Color")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+    output = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
+    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(output)
+    material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
+
+
+def define_surfaces(stage: Any, path: str, scene: Scene, names: Mapping[str, str]) -> None:
+    """Writes the surfaces that are fixed to the world, below ``path``."""
+    from pxr import Kind, Usd, UsdGeom
+
+    scope = UsdGeom.Scope.Define(stage, path)
+    Usd.ModelAPI(scope).SetKind(Kind.Tokens.group)
+    for surface in scene.surfaces:
+        if surface.body is None:
+            define_surface(stage, f"{path}/{names[surface.name]}", surface)

@@ -1,0 +1,108 @@
+"""What physics programs read: gravity, rigid bodies, mass, velocity, and who can touch whom."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.scene import Body
+from warpcontact.usd.author import vectors, write_samples
+from warpcontact.usd.replay import Replay
+
+
+def define_gravity(stage: Any, path: str, gravity: Array) -> None:
+    """Writes the physics scene with gravity [m/s²]."""
+    from pxr import Gf, UsdPhysics
+
+    scene = UsdPhysics.Scene.Define(stage, path)
+    magnitude = float(np.linalg.norm(gravity))
+    # A direction of zero length would mean "down" by convention; without gravity it does not matter.
+    direction = gravity / magnitude if magnitude > 0.0 else np.array([0.0, 0.0, -1.0])
+    scene.CreateGravityDirectionAttr(Gf.Vec3f(*direction.tolist()))
+    scene.CreateGravityMagnitudeAttr(magnitude)
+
+
+def apply_rigid_body(prim: Any) -> None:
+    """Makes a prim a rigid body whose centre of mass is its origin, as that of every ``Body`` is."""
+    from pxr import Gf, UsdPhysics
+
+    UsdPhysics.RigidBodyAPI.Apply(prim)
+    UsdPhysics.MassAPI.Apply(prim).CreateCenterOfMassAttr(Gf.Vec3f(0.0))
+
+
+def write_mass(prim: Any, replay: Replay, body: Body, row: int) -> None:
+    """Writes the mass and inertia of a body in environment number ``row`` of the export, if recorded.
+
+    The values of the scene would be wrong wherever a study varied them, and nothing in a stage would tell.
+    """
+    from pxr import Gf, UsdPhysics
+
+    api = UsdPhysics.MassAPI(prim)
+    mass = replay.static(f"{body.name}.mass", ())
+    if mass is not None:
+        api.CreateMassAttr(float(mass[row]))
+    inertia = replay.static(f"{body.name}.inertia", (3, 3))
+    if inertia is not None:
+        moments, axes = principal(inertia[row])
+        api.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
+        # Gf multiplies row vectors from the left: its rotation matrix is the transpose of ours.
+        turn = Gf.Matrix3d(*axes.T.reshape(-1).tolist()).ExtractRotation().GetQuat()
+        api.CreatePrincipalAxesAttr(Gf.Quatf(turn))
+
+
+def principal(inertia: Array) -> tuple[Array, Array]:
+    """Returns the principal moments and the rotation (3, 3) principal axes → body of a tensor.
+
+    Moments of a tensor that is diagonal already keep their order.
+    """
+    if not (inertia - np.diag(np.diag(inertia))).any():
+        return np.diag(inertia).copy(), np.eye(3)
+    moments, axes = np.linalg.eigh(inertia)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] = -axes[:, 0]
+    return moments, axes
+
+
+def write_velocity(prim: Any, replay: Replay, body: Body, row: int) -> None:
+    """Writes the recorded velocities of a body, so that a simulator can go on from any record.
+
+    UsdPhysics has them in the frame that the body's pose is in, whose axes are the world's here, and the
+    angular one in degrees per second.
+    """
+    from pxr import UsdPhysics
+
+    api = UsdPhysics.RigidBodyAPI(prim)
+    linear = replay.series(f"{body.name}.linear_velocity")
+    if linear is not None:
+        write_samples(api.CreateVelocityAttr(), replay.codes, list(vectors(linear[:, row])))
+    angular = replay.series(f"{body.name}.angular_velocity")
+    if angular is not None:
+        degrees = np.degrees(angular[:, row].astype(np.float64))
+        write_samples(api.CreateAngularVelocityAttr(), replay.codes, list(vectors(degrees)))
+
+
+def define_collision_groups(stage: Any, path: str, envs: Sequence[str], shared: str | None) -> None:
+    """Keeps environments apart: what is in one collides with itself and with what all share.
+
+    Args:
+        stage: The stage.
+        path: Where the groups go.
+        envs: Paths of the environments.
+        shared: Path of the surfaces that all environments share, if they do.
+    """
+    from pxr import UsdGeom, UsdPhysics
+
+    UsdGeom.Scope.Define(stage, path)
+
+    def group_of(prim_path: str) -> Any:
+        group = UsdPhysics.CollisionGroup.Define(stage, f"{path}/{prim_path.rpartition('/')[2]}")
+        group.GetCollidersCollectionAPI().CreateIncludesRel().AddTarget(prim_path)
+        return group
+
+    everyone = [] if shared is None else [group_of(shared).GetPath()]
+    for env in envs:
+        group = group_of(env)
+        # Inverted, the list grows with the number of environments and not with its square.
+        group.CreateInvertFilteredGroupsAttr(True)
+        group.CreateFilteredGroupsRel().SetTargets([group.GetPath(), *everyone])

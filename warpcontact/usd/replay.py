@@ -1,0 +1,185 @@
+"""What is exported of a recording: the chosen environments, checked, as arrays."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from warpcontact.checks import Array
+from warpcontact.scene import Body, Contact, Scene
+
+DEFAULT_ENVIRONMENTS = 16
+# Time codes per second of a single record, which has no interval; the default of USD.
+STILL_RATE = 24.0
+
+
+@dataclass(frozen=True)
+class Replay:
+    """The chosen environments of a recording; arrays are (time, env, …), in the order of ``envs``.
+
+    Attributes:
+        scene: What was simulated.
+        data: The recording, of the chosen environments only.
+        envs: Their numbers.
+        times: Simulated time of each record [s].
+        codes: USD time code of each record.
+        rate: Time codes per second.
+    """
+
+    scene: Scene
+    data: xr.Dataset
+    envs: list[int]
+    times: Array
+    codes: list[float]
+    rate: float
+
+    @classmethod
+    def of(cls, recording: xr.Dataset, scene: Scene | None, envs: int | Iterable[int] | None) -> "Replay":
+        """Chooses environments of a recording; arguments and errors as for ``export_usd``."""
+        if not isinstance(recording, xr.Dataset):
+            raise TypeError(f"recording must be what Simulation.run returns, got {type(recording).__name__}")
+        if scene is None:
+            # Operations of xarray return the class without the slot's content.
+            scene = getattr(recording, "scene", None)
+            if scene is None:
+                raise ValueError("the recording does not know its scene (xarray operations drop it): pass scene=")
+        if not isinstance(scene, Scene):
+            raise TypeError(f"scene must be a wc.Scene, got {scene!r}")
+        needed = [f"{body.name}.{key}" for body in scene.bodies for key in ("position", "orientation")]
+        missing = [name for name in needed if name not in recording]
+        if missing:
+            raise ValueError(
+                f"the recording lacks {', '.join(missing)}: record the poses with Simulation.run(..., poses=True)"
+            )
+        absent = [dim for dim in ("time", "env") if dim not in recording.dims]
+        if absent:
+            raise ValueError(f"the recording lacks the dimension {absent[0]!r}; select with a list, as in env=[3]")
+        labels = recording["env"].values
+        rows = _chosen(envs, labels)
+        times = _seconds(recording["time"].values)
+        codes, rate = _time_codes(times)
+        return cls(
+            scene=scene,
+            data=recording.isel(env=rows).load(),
+            envs=[int(labels[row]) for row in rows],
+            times=times,
+            codes=codes,
+            rate=rate,
+        )
+
+    def pose(self, body: Body) -> tuple[Array, Array]:
+        """Returns positions (time, env, 3) [m] and unit quaternions (time, env, 4) as x, y, z, w, all finite."""
+        found = []
+        for key in ("position", "orientation"):
+            values = self.data[f"{body.name}.{key}"].transpose("time", "env", ...).values.astype(np.float64)
+            kind, shortest = ("position", -1.0) if key == "position" else ("rotation", 0.0)
+            length = np.linalg.norm(values, axis=-1)
+            bad = np.argwhere(~(np.isfinite(length) & (length > shortest)))
+            if len(bad):
+                record, row = bad[0]
+                raise ValueError(
+                    f"{body.name}.{key} of environment {self.envs[row]} at {self.times[record]:g} s is not a "
+                    f"{kind}: {values[record, row].tolist()}; export other environments, or the records before it"
+                )
+            found.append(values if key == "position" else values / length[..., None])
+        return found[0], found[1]
+
+    def radii(self, contact: Contact) -> Array:
+        """Returns the radius of each sphere of a contact, (env, item) [m].
+
+        As recorded in ``<contact>.radius``, or that of the scene.
+        """
+        name, shape = f"{contact.name}.radius", (len(self.envs), contact.count)
+        if name not in self.data:
+            return np.full(shape, float(contact.radius))
+        values = self.data[name].transpose("env", ...).values.astype(np.float64)
+        if values.shape not in (shape, shape[:1]):
+            raise ValueError(f"{name} must have shape {shape[:1]} or {shape}, got {values.shape}")
+        bad = values[~(np.isfinite(values) & (values >= 0.0))]
+        if len(bad):
+            raise ValueError(f"{name} must be finite and at least 0 m, got {bad[0]}")
+        return np.broadcast_to(values.reshape(shape[0], -1), shape)
+
+    def static(self, name: str, shape: tuple[int, ...]) -> Array | None:
+        """Returns variable ``name``, (env, *shape), or ``None`` if it was not recorded."""
+        if name not in self.data:
+            return None
+        values = self.data[name].transpose("env", ...).values.astype(np.float64)
+        if values.shape != (len(self.envs), *shape):
+            raise ValueError(f"{name} must have shape {(len(self.envs), *shape)}, got {values.shape}")
+        return values
+
+    def series(self, name: str) -> NDArray[Any] | None:
+        """Returns reading ``name``, (time, env, …), or ``None`` if it was not recorded."""
+        return self.data[name].transpose("time", "env", ...).values if name in self.data else None
+
+    def of_element(self, element: str) -> Iterator[tuple[str, xr.DataArray]]:
+        """Iterates over what was recorded of an element as (quantity, values)."""
+        for name, values in self.data.data_vars.items():
+            owner, _, quantity = str(name).partition(".")
+            if owner == element and quantity:
+                yield quantity, values
+
+
+def _chosen(envs: int | Iterable[int] | None, labels: NDArray[Any]) -> list[int]:
+    """Returns where the chosen environments are among ``labels``."""
+    if not np.issubdtype(labels.dtype, np.integer):
+        raise ValueError(f"the env coordinate of the recording must be environment numbers, got {labels.dtype}")
+    if envs is None:
+        wanted: list[Any] = labels[:DEFAULT_ENVIRONMENTS].tolist()
+    elif isinstance(envs, Iterable):
+        wanted = list(envs)
+    else:
+        wanted = [envs]
+    row_of = {int(label): row for row, label in enumerate(labels)}
+    rows: dict[int, None] = {}
+    for env in wanted:
+        if isinstance(env, bool) or not isinstance(env, int | np.integer):
+            raise TypeError(f"envs must be environment numbers, got {env!r}")
+        if int(env) not in row_of:
+            raise ValueError(f"environment {env} is not in the recording, which has {_span(labels)}")
+        rows[row_of[int(env)]] = None
+    if not rows:
+        raise ValueError("envs must name at least one environment, got none")
+    return list(rows)
+
+
+def _span(labels: NDArray[Any]) -> str:
+    if len(labels) == 0:
+        return "none"
+    low, high = int(labels.min()), int(labels.max())
+    if high - low + 1 == len(labels):
+        return f"{low} to {high}"
+    return f"{len(labels)} of the numbers from {low} to {high}"
+
+
+def _seconds(times: NDArray[Any]) -> Array:
+    if times.dtype.kind not in "fiu":
+        raise ValueError(f"the time coordinate of the recording must be numbers [s], got {times.dtype}")
+    seconds = times.astype(np.float64)
+    if len(seconds) == 0:
+        raise ValueError("the recording holds no records")
+    if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
+        raise ValueError("the time coordinate of the recording must be finite and increase from record to record")
+    return seconds
+
+
+def _time_codes(times: Array) -> tuple[list[float], float]:
+    """Returns a time code per record and the time codes per second.
+
+    Evenly spaced records have codes 0, 1, 2, …; in others the shortest interval is one code.
+    """
+    if len(times) == 1:
+        return [0.0], STILL_RATE
+    intervals = np.diff(times)
+    mean = float(times[-1] - times[0]) / len(intervals)
+    # Times are multiples of the step in double precision; what differs by less than this is rounding.
+    if np.abs(intervals - mean).max() <= 1.0e-6 * mean:
+        rate = 1.0 / mean
+        whole = float(round(rate))
+        return [float(i) for i in range(len(times))], whole if abs(rate - whole) <= 1.0e-9 * rate else rate
+    rate = 1.0 / float(intervals.min())
+    return ((times - times[0]) * rate).tolist(), rate
