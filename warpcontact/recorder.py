@@ -33,9 +33,9 @@ class _Channel:
         shape = self.source.shape
         frame_bytes = max(1, int(np.prod(shape)) * wp.types.type_size_in_bytes(self.source.dtype))
         self.slots = int(min(frames, max(1, RING_BYTES // frame_bytes)))
-        self.ring = wp.empty((self.slots, *shape), dtype=self.source.dtype, device=model.device)
+        self.ring = wp.zeros((self.slots, *shape), dtype=self.source.dtype, device=model.device)
         first = reading.finish(self.ring[:1].numpy(), axis=2)
-        self.result = np.empty((frames, *first.shape[1:]), dtype=first.dtype)
+        self.result = np.zeros((frames, *first.shape[1:]), dtype=first.dtype)
         self.taken = 0
         self.drained = 0
 

@@ -1,0 +1,147 @@
+"""The command line: what it prints, where it prints it, and its exit codes."""
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import warpcontact as wc
+from warpcontact.cli import main
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
+HEAVY = ["matplotlib", "numpy", "pxr", "pydantic", "scipy", "tqdm", "trimesh", "warp", "xarray"]
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+
+
+def python(*words):
+    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+
+
+def test_help_and_version_answer_without_anything_heavy():
+    code = (
+        "import sys\nfrom warpcontact.cli import main\ntry: main(sys.argv[1:])\nexcept SystemExit: pass\n"
+        f"print('imported', sorted(set({HEAVY}) & set(sys.modules)))"
+    )
+    for words in (["--help"], ["run", "--help"], ["--version"]):
+        result = python("-c", code, *words)
+        assert result.stdout.endswith("imported []\n"), result
+    assert python("-m", "warpcontact", "--version").stdout == f"warpcontact {wc.__version__}\n"
+
+
+def test_example_runs_and_says_where_the_results_are(device, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["run", str(EXAMPLE), "--envs", "4", "--duration", "0.1", "--device", device]
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    folder = Path("results/terrain_drop")
+    for name in ("recording.zarr", "animation.usdc", "picture.png", "experiment.toml", "run.json"):
+        assert (folder / name).exists()
+        assert str(folder / name) in out
+    assert "4 environments × 0.1 s in 500 steps" in out
+    assert "environment steps per second" in out
+    assert "all 4 environments are active" in out
+    for stage in ("reading", "building", "running", "writing"):
+        assert stage in err
+
+    assert main(words) == 2
+    assert "results/terrain_drop: holds an earlier run" in capsys.readouterr().err
+    assert main([*words, "--overwrite"]) == 0
+    assert main([*words, "--out", "another"]) == 0
+    assert Path("another/run.json").exists()
+
+
+def test_frozen_environments_are_said_without_a_warning(tmp_path, capsys):
+    path = tmp_path / "study.toml"
+    path.write_text(
+        "duration = 0.01\ndt = 1e-3\nenvs = 2\n"
+        '[[surface]]\nname = "s"\nmesh = { shape = "grid" }\n'
+        '[[body]]\nname = "b"\nmass = 1\ninertia = [1, 1, 1]\n'
+        '[[point]]\nname = "p"\nbody = "b"\nposition = [0, 0, -0.1]\n'
+        '[[template]]\nname = "t"\nlaw = { type = "Hooke", stiffness = 1e38 }\n'
+        '[[contact]]\nname = "c"\npoints = "p"\nsurface = "s"\ntemplate = "t"\nradius = 10.0\n'
+    )
+    assert main(["run", str(path), "--out", str(tmp_path / "out"), "--device", "cpu"]) == 0
+    assert "2 of 2 environments turned non-finite and are frozen" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run", "none.toml"], "none.toml: there is no such file"),
+        (["run", "bad.toml"], "bad.toml: line 1, column 6: "),
+        (["run", "wrong.toml"], "  - body[0].mass must be greater than 0, got -1 kg\n"),
+        (["run", str(EXAMPLE), "--device", "cuda:99"], "device must be 'auto' or one of"),
+        (["run", str(EXAMPLE), "--envs", "0"], "envs must be at least 1, got 0"),
+        (["run", str(EXAMPLE), "--duration", "nan"], "duration must be finite, got nan"),
+        (["run", str(EXAMPLE), "--out", "."], "is not empty"),
+        (["run", str(EXAMPLE), "--out", "bad.toml/x", "--envs", "1", "--duration", "0.02"], "bad.toml"),
+        (["inspect", "none.stl"], "mesh file 'none.stl' does not exist"),
+        (["inspect", "."], "is not a regular file"),
+        (["inspect", "good.obj", "--scale", "0"], "scale must be a positive finite number, got 0.0"),
+    ],
+    ids=lambda value: " ".join(value)[-40:] if isinstance(value, list) else None,
+)
+def test_errors_are_one_message_and_exit_code_2(words, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("bad.toml").write_text("dt = = 1")
+    Path("wrong.toml").write_text('dt = 0\nduration = 1\n[[body]]\nname = "b"\nmass = -1\ninertia = [1, 1, 1]\n')
+    Path("good.obj").write_text(TRIANGLE)
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+    assert "Traceback" not in err
+    assert "warpcontact: " in err
+
+
+@pytest.mark.parametrize("words", [[], ["dance"], ["run"], ["run", "x.toml", "--envs", "many"]])
+def test_wrong_words_show_the_usage(words, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(words)
+    assert caught.value.code == 2
+    assert "usage: warpcontact" in capsys.readouterr().err
+
+
+def test_interrupt_is_no_traceback(monkeypatch, capsys):
+    def interrupted(path):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(wc.Experiment, "from_toml", interrupted)
+    assert main(["run", "x.toml"]) == 130
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_inspect_prints_the_report_and_says_whether_it_is_usable(tmp_path, capsys):
+    mesh = tmp_path / "mesh.obj"
+    mesh.write_text(TRIANGLE)
+    assert main(["inspect", str(mesh), "--scale", "0.001"]) == 0
+    out = capsys.readouterr().out
+    assert out == wc.meshes.examine_file(mesh, scale=0.001).to_text() + "\n"
+    assert "0.001 × 0.001 × 0 m" in out
+    mesh.write_text(TRIANGLE.replace("f 1 2 3", "f 1 2 9"))
+    assert main(["inspect", str(mesh)]) == 1
+    assert "out of index range" in capsys.readouterr().out
+
+
+def test_laws_lists_the_whole_catalogue(capsys):
+    assert main(["laws"]) == 0
+    out = capsys.readouterr().out
+    words = " ".join(out.split())
+    for formula in (*wc.laws.CATALOGUE, *wc.frictions.CATALOGUE):
+        for text in (formula.__name__, formula.formula, formula.validity, formula.reference):
+            assert " ".join(text.split()) in words, formula
+        for field in dataclasses.fields(formula):
+            limits = formula.limits(field.name)
+            assert f"{field.name} {limits['unit']} " in words
+            assert limits["meaning"] in words
+    assert max(map(len, out.splitlines())) <= 100
+
+
+def test_output_may_be_cut_off():
+    command = f"{sys.executable} -m warpcontact laws | head -n 1"
+    result = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert result.stdout.startswith("N: normal force")
+    assert "Traceback" not in result.stderr
+    assert "BrokenPipe" not in result.stderr

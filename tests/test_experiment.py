@@ -1,0 +1,356 @@
+"""Experiments do what the same script would do, leave complete results, and draw the same values again."""
+
+import dataclasses
+import inspect
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import warpcontact as wc
+from warpcontact.experiment.catalogue import SHAPES
+from warpcontact.experiment.experiment import default_readings
+from warpcontact.experiment.schema import BodySettings, ContactSettings, SurfaceSettings
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
+
+
+def content(**changes):
+    """A small experiment that is right: a sphere above a square."""
+    return {
+        "envs": 4,
+        "duration": 0.02,
+        "dt": 1.0e-3,
+        "surface": [{"name": "ground", "mesh": {"shape": "grid", "size": [4.0, 4.0]}}],
+        "body": [{"name": "ball", "mass": 1.0, "inertia": [4.0e-3] * 3, "position": [0.0, 0.0, 0.105]}],
+        "point": [{"name": "centre", "body": "ball", "position": [0, 0, 0]}],
+        "template": [{"name": "rubber", "law": {"type": "Hooke", "stiffness": 1.0e4}}],
+        "contact": [
+            {"name": "touch", "points": "centre", "surface": "ground", "template": "rubber", "radius": 0.1}
+        ],
+        "record": {"readings": ["touch.gap"]},
+    } | changes
+
+
+def small_example():
+    return wc.Experiment.from_toml(EXAMPLE).changed(envs=3, duration=0.06)
+
+
+def test_example_leaves_complete_results(device, tmp_path):
+    run = small_example().run(tmp_path / "out", device=device)
+    assert {path.name for path in run.files.values()} == {path.name for path in run.folder.iterdir()}
+    assert run.health.good
+    stored = xr.open_zarr(run.files["recording"], consolidated=False)
+    assert stored["touch.gap"].dims == ("time", "env")
+    assert stored["touch.gap"].shape == (4, 3)
+    np.testing.assert_array_equal(stored["ball.position"].values, run.recording["ball.position"].values)
+    assert list(stored["axis"].values) == ["x", "y", "z"]
+    assert stored["ball.mass"].dims == ("env",)
+    assert stored["ball.mass"].attrs["units"] == "kg"
+    assert stored["ball.position.initial"].dims == ("env", "axis")
+    np.testing.assert_allclose(stored["ball.position.initial"], stored["ball.position"][0], rtol=1e-6)
+    assert run.files["picture"].read_bytes().startswith(b"\x89PNG")
+    summary = json.loads(run.files["summary"].read_text())
+    assert summary["state"] == "finished"
+    assert (summary["envs"], summary["steps"], summary["seed"]) == (3, 300, 1)
+    assert all(str(path) in str(run) for path in run.files.values())
+
+
+def test_example_animation_shows_the_first_environments(device, tmp_path):
+    from pxr import Usd
+
+    run = wc.Experiment(content(output={"usd_envs": 2})).run(tmp_path / "out", device=device)
+    stage = Usd.Stage.Open(str(run.files["animation"]))
+    assert stage.GetPrimAtPath("/World/env_1/ball")
+    assert not stage.GetPrimAtPath("/World/env_2")
+    without = wc.Experiment(content(output={"usd_envs": 0})).run(tmp_path / "none", device=device)
+    assert "animation" not in without.files
+
+
+def test_written_experiment_repeats_the_run(device, tmp_path):
+    first = small_example().run(tmp_path / "first", device=device)
+    again = wc.Experiment.from_toml(first.files["experiment"])
+    assert again.settings == small_example().settings
+    second = again.run(tmp_path / "second", device=device)
+    assert second.files["experiment"].read_bytes() == first.files["experiment"].read_bytes()
+    assert first.recording.identical(second.recording)
+
+
+def test_spheres_of_the_example_gain_no_energy_and_stay_above_the_ground(device, tmp_path):
+    data = wc.Experiment.from_toml(EXAMPLE).run(tmp_path, envs=64, device=device).recording
+    assert np.abs(data["ball.position"].values[..., :2]).max() < 8.0  # the terrain ends there
+    assert (data["touch.gap"] > -0.6 * data["touch.radius"]).all()
+    energy = (data["scene.kinetic_energy"] + data["scene.potential_energy"]).values
+    flying = data["touch.status"].values == wc.Status.OPEN
+    for env in range(64):
+        flights = energy[flying[:, env], env]
+        # Float32 holds 3 J to 2e-7 J; one percent is less than any bounce loses.
+        assert (np.diff(flights) < 0.01 * flights[0]).all()
+    assert np.median(energy[-1]) < 0.2 * np.median(energy[0])
+
+
+def test_experiment_is_what_the_same_script_does(device, tmp_path):
+    varied = {"ball.linear_velocity": {"uniform": [[0, 0, -2], [0, 0, -1]]}}
+    friction = {"type": "Tanh", "mu": 0.3}
+    raw = content(variation=varied, template=[{**content()["template"][0], "friction": friction}])
+    recorded = wc.Experiment(raw).run(tmp_path / "out", device=device).recording
+
+    scene = wc.Scene()
+    ground = scene.add_surface(wc.meshes.grid(size=(4.0, 4.0)), name="ground")
+    ball = scene.add_body(mass=1.0, inertia=[4.0e-3] * 3, position=(0.0, 0.0, 0.105), name="ball")
+    centre = scene.add_point(ball, (0, 0, 0), name="centre")
+    rubber = wc.Template(law=wc.laws.Hooke(stiffness=1.0e4), friction=wc.frictions.Tanh(mu=0.3))
+    scene.add_contact(centre, ground, rubber, radius=0.1, name="touch")
+    model = scene.build(envs=4, device=device)
+    model["ball.linear_velocity"] = recorded["ball.linear_velocity.initial"].values
+    expected = wc.Simulation(model, dt=1.0e-3).run(0.02, record=["touch.gap"])
+    assert (expected["touch.gap"].values < 0.0).any()
+    # To the bit: compiling ahead of the run leaves no trace in it.
+    np.testing.assert_array_equal(recorded["touch.gap"].values, expected["touch.gap"].values)
+
+
+def test_defaults_are_those_of_the_python_api():
+    for settings, function in (
+        (SurfaceSettings, wc.Scene.add_surface),
+        (BodySettings, wc.Scene.add_body),
+        (ContactSettings, wc.Scene.add_contact),
+    ):
+        parameters = inspect.signature(function).parameters
+        assert set(settings.model_fields) <= set(parameters) | {"template"}
+        for name, field in settings.model_fields.items():
+            if name != "name" and not field.is_required():
+                default = parameters[name].default
+                # TOML has no infinity here: a key that is left out.
+                assert field.default == (None if default == np.inf else default), name
+    assert wc.Experiment(content()).settings.gravity == tuple(wc.Scene().gravity)
+
+
+@pytest.mark.parametrize("kind", [*wc.laws.CATALOGUE, *wc.frictions.CATALOGUE], ids=lambda kind: kind.__name__)
+def test_every_law_and_friction_can_be_used(kind):
+    optional = set(kind.exactly_one_of[1:])
+    values = {field.name: 0.5 for field in dataclasses.fields(kind) if field.name not in optional}
+    values |= {"exponent": 2.0} if "exponent" in values else {}
+    part = "law" if kind in wc.laws.CATALOGUE else "friction"
+    template = content()["template"][0] | {part: {"type": kind.__name__, **values}}
+    scene = wc.Experiment(content(template=[template])).scene()
+    assert getattr(scene.contacts[0].template, part) == kind(**values)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_every_generated_mesh_can_be_used(shape):
+    scene = wc.Experiment(content(surface=[{"name": "ground", "mesh": {"shape": shape}}])).scene()
+    np.testing.assert_array_equal(scene.surfaces[0].mesh.vertices, SHAPES[shape]().vertices)
+
+
+def test_mesh_files_are_relative_to_the_experiment_and_to_its_copy(tmp_path):
+    triangle = "v 0 0 0\nv 1000 0 0\nv 0 1000 0\nf 1 2 3\n"
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "corner.obj").write_text(triangle)
+    (tmp_path / "study.toml").write_text(
+        'duration = 0.01\ndt = 0.001\n[[body]]\nname = "b"\nmass = 1\ninertia = [1, 1, 1]\n'
+        '[[surface]]\nname = "s"\nmesh = { file = "meshes/corner.obj", scale = 0.001 }\n'
+    )
+    experiment = wc.Experiment.from_toml(tmp_path / "study.toml")
+    assert experiment.settings.name == "study"
+    np.testing.assert_array_equal(experiment.scene().surfaces[0].mesh.bounds[1], (1.0, 1.0, 0.0))
+    run = experiment.run(tmp_path / "deep" / "results", device="cpu")
+    written = tomllib.loads(run.files["experiment"].read_text())
+    assert written["surface"][0]["mesh"]["file"] == "../../meshes/corner.obj"
+    assert wc.Experiment.from_toml(run.files["experiment"]).scene().surfaces[0].mesh.report.face_count == 1
+
+
+def test_all_that_a_file_may_say_reads_back_as_it_was_written(tmp_path):
+    raw = content(
+        name='a "quoted" \\ name with ü',
+        precision="float64",
+        body=[
+            *content()["body"],
+            {"name": "table", "mass": 2, "inertia": [[2, 0.1, 0], [0.1, 2, 0], [0, 0, 2]], "color": [0, 0.5, 1]},
+        ],
+        surface=[
+            {"name": "ground", "mesh": {"shape": "grid"}, "body": "table", "active_faces": [1], "flip": True},
+            {"name": "roof", "mesh": {"shape": "grid"}, "active_faces": [True, False], "visible": False},
+        ],
+        points=[{"name": "corners", "body": "ball", "positions": [[0, 0, 1], [1, 0, 0]]}],
+        contact=[
+            *content()["contact"],
+            {
+                **{"name": "edge", "points": "corners", "surface": "roof", "template": "rubber", "kappa": 1},
+                **{"search": "active", "entry": "latched", "max_depth": 0.1, "rim": "outer", "search_radius": 2},
+                "enabled": False,
+            },
+        ],
+        variation={
+            "ball.mass": {"loguniform": [0.1, 10]},
+            "ball.inertia": {"solid_sphere": {"mass": "ball.mass", "radius": 0.1}},
+            "touch.law.stiffness": {"values": [1e3, 2e3, 3e3, 4e3]},
+            "ball.angular_velocity": {"normal": [[0, 0, 0], [1, 1, 0]]},
+            "edge.radius": {"linspace": [0, 0.1]},
+            "corners.position": {"uniform": [[[0, 0, 0], [1, 1, 1]], [[0, 0, 1], [1, 1, 2]]]},
+        },
+        record={"every": 0.002, "readings": ["edge.gap", "ball.linear_velocity"]},
+    )
+    experiment = wc.Experiment(raw)
+    assert experiment.scene().contacts[1].surface.active_faces.tolist() == [True, False]
+    run = experiment.run(tmp_path / "out", device="cpu")
+    assert wc.Experiment.from_toml(run.files["experiment"]).settings == experiment.settings
+    assert run.recording["edge.radius"].dims == ("env", "item")
+    assert run.recording["corners.position"].dims == ("env", "item", "axis")
+    assert run.recording["ball.inertia"].dims == ("env", "axis", "column")
+
+
+def test_readings_and_interval_have_defaults():
+    experiment = wc.Experiment(content(duration=3.0, record={}))
+    assert experiment.settings.record.every == 0.03
+    assert experiment.settings.record.readings == ("touch.gap", "touch.normal_force", "scene.kinetic_energy")
+    assert default_readings(experiment.model(device="cpu")) == list(experiment.settings.record.readings)
+
+
+# What varies.
+
+VARIED = {
+    "ball.mass": {"uniform": [0.2, 2.0]},
+    "touch.radius": {"loguniform": [0.01, 0.1]},
+    "ball.linear_velocity": {"normal": [[0, 0, -1], [0.1, 0.1, 0]]},
+}
+
+
+def drawn(names=VARIED, *, envs=50, seed=0):
+    raw = content(envs=envs, seed=seed, variation={name: VARIED[name] for name in names})
+    model = wc.Experiment(raw).model(device="cpu")
+    return {name: model[name] for name in VARIED}
+
+
+def test_draws_follow_their_distribution():
+    values = drawn(envs=4000)
+    mass, radius, velocity = (values[name] for name in VARIED)
+    assert 0.2 <= mass.min() < 0.21
+    assert 1.99 < mass.max() <= 2.0
+    # 4000 draws leave the median of a unit interval uncertain by 1/(2 √4000) = 0.008.
+    assert np.median(mass) == pytest.approx(1.1, abs=4 * 0.008 * 1.8)
+    assert np.log10(np.median(radius)) == pytest.approx(-1.5, abs=4 * 0.008)
+    assert (velocity[:, 2] == -1.0).all()
+    assert velocity[:, :2].std(axis=0) == pytest.approx(0.1, rel=4 / np.sqrt(8000))
+    assert abs(np.corrcoef(mass, radius)[0, 1]) < 4 / np.sqrt(4000)
+
+
+def test_draws_depend_on_the_seed_and_nothing_else():
+    for name, values in drawn().items():
+        np.testing.assert_array_equal(values, drawn()[name])
+        assert not np.array_equal(values, drawn(seed=1)[name])
+        # Neither on what else varies, nor on how many environments follow.
+        np.testing.assert_array_equal(values, drawn([name])[name])
+        np.testing.assert_array_equal(values, drawn(envs=200)[name][:50])
+
+
+def test_drawn_values_are_the_same_in_every_version():
+    # The same file means the same run for good. These are the numbers of version 0.1.0.
+    values = drawn(envs=1)
+    np.testing.assert_allclose(values["ball.mass"], [1.8575271503517654], rtol=1e-12)
+    np.testing.assert_allclose(values["touch.radius"], [0.035928239002009234], rtol=1e-12)
+
+
+def test_listed_and_spaced_values_are_taken_as_they_are():
+    raw = content(
+        variation={
+            "ball.mass": {"values": [1, 2, 3, 4]},
+            "ball.position": {"linspace": [[0, 0, 1], [3, 0, 1]]},
+        }
+    )
+    model = wc.Experiment(raw).model(device="cpu")
+    assert model["ball.mass"].tolist() == [1, 2, 3, 4]
+    assert model["ball.position"].tolist() == [[0, 0, 1], [1, 0, 1], [2, 0, 1], [3, 0, 1]]
+    # Fewer environments are the first ones.
+    assert wc.Experiment(raw).model(envs=2, device="cpu")["ball.mass"].tolist() == [1, 2]
+    with pytest.raises(
+        wc.ExperimentError, match=r'variation."ball.mass".values must have one value for each of 5'
+    ):
+        wc.Experiment(raw).model(envs=5, device="cpu")
+
+
+@pytest.mark.parametrize("order", [("ball.inertia", "ball.mass"), ("ball.mass", "ball.inertia")])
+def test_inertia_of_a_solid_sphere_follows_mass_and_radius(order):
+    varied = {
+        "ball.mass": {"uniform": [0.2, 2.0]},
+        "ball.inertia": {"solid_sphere": {"mass": "ball.mass", "radius": "touch.radius"}},
+    }
+    model = wc.Experiment(content(variation={name: varied[name] for name in order})).model(device="cpu")
+    expected = 0.4 * model["ball.mass"] * model["touch.radius"] ** 2
+    np.testing.assert_allclose(model["ball.inertia"], expected[:, None, None] * np.eye(3))
+
+
+def test_principal_moments_of_three_environments_are_no_tensor():
+    moments = [[1, 1, 1], [1, 2, 2], [1, 1, 1.5]]
+    model = wc.Experiment(content(envs=3, variation={"ball.inertia": {"values": moments}})).model(device="cpu")
+    assert model["ball.inertia"].tolist() == [np.diag(row).tolist() for row in moments]
+
+
+# The folder of results.
+
+
+def test_folder_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    for overwrite in (False, True):
+        with pytest.raises(wc.ExperimentError, match="not empty"):
+            wc.Experiment(content()).run(tmp_path, overwrite=overwrite)
+    (tmp_path / "run.json").write_text('{"program": "another"}')
+    with pytest.raises(wc.ExperimentError, match="not empty"):
+        wc.Experiment(content()).run(tmp_path, overwrite=True)
+    with pytest.raises(wc.ExperimentError, match="not a folder"):
+        wc.Experiment(content()).run(tmp_path / "thesis.tex")
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def test_earlier_run_is_replaced_on_request_only(tmp_path):
+    wc.Experiment(content()).run(tmp_path, device="cpu")
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(wc.ExperimentError, match="holds an earlier run"):
+        wc.Experiment(content()).run(tmp_path, device="cpu")
+    with pytest.raises(wc.ExperimentError, match="device"):  # found before anything is removed
+        wc.Experiment(content()).run(tmp_path, device="cuda:99", overwrite=True)
+    assert (tmp_path / "recording.zarr").exists()
+    run = wc.Experiment(content(output={"usd_envs": 0})).run(tmp_path, device="cpu", overwrite=True)
+    assert not (tmp_path / "animation.usdc").exists()
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert run.summary["state"] == "finished"
+
+
+def test_interrupted_run_is_known_as_unfinished(tmp_path):
+    def interrupt(stage):
+        if stage == "writing":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        wc.Experiment(content()).run(tmp_path, device="cpu", on_stage=interrupt)
+    assert json.loads((tmp_path / "run.json").read_text())["state"] == "unfinished"
+    assert wc.Experiment(content()).run(tmp_path, device="cpu", overwrite=True).health.good
+
+
+def test_frozen_environments_are_reported(tmp_path):
+    # A force beyond float32 in the last environment only.
+    stiffness = {"values": [1e4, 1e4, 1e4, 1e38]}
+    body = content()["body"][0] | {"position": [0, 0, 0.05]}
+    experiment = wc.Experiment(content(body=[body], variation={"touch.law.stiffness": stiffness}))
+    with pytest.warns(RuntimeWarning, match="1 of 4 environments turned non-finite"):
+        run = experiment.run(tmp_path, device="cpu")
+    assert run.health.frozen.tolist() == [3]
+    assert json.loads(run.files["summary"].read_text())["frozen_environments"] == [3]
+    assert "1 of 4 environments turned non-finite" in str(run)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"envs": 1},
+        {"contact": [], "surface": [], "record": {"readings": ["ball.linear_velocity"]}},
+        {"record": {"readings": ["touch.normal_force"]}, "variation": {"ball.mass": {"loguniform": [0.01, 10]}}},
+        {"surface": [{"name": "ground", "mesh": {"shape": "box"}, "position": [0, 0, -0.5]}]},
+    ],
+    ids=["one", "nothing to touch", "logarithmic colours", "closed mesh"],
+)
+def test_picture_is_made_of_whatever_there_is(changes, tmp_path):
+    run = wc.Experiment(content(**changes)).run(tmp_path, device="cpu")
+    assert run.files["picture"].stat().st_size > 10_000

@@ -1,0 +1,339 @@
+"""Every mistake in an experiment is found before anything runs, all at once, each named by its key."""
+
+import copy
+from math import inf, nan
+
+import numpy as np
+import pytest
+
+import warpcontact as wc
+
+RIGHT = {
+    "envs": 3,
+    "duration": 0.1,
+    "dt": 1.0e-3,
+    "surface": [{"name": "ground", "mesh": {"shape": "grid"}}],
+    "body": [{"name": "ball", "mass": 1.0, "inertia": [0.1, 0.1, 0.1], "position": [0, 0, 1]}],
+    "point": [{"name": "centre", "body": "ball", "position": [0, 0, 0]}],
+    "points": [{"name": "hull", "body": "ball", "positions": [[0, 0, 0], [0, 0, 1]]}],
+    "template": [{"name": "rubber", "law": {"type": "HuntCrossley", "stiffness": 1e5, "restitution": 0.7}}],
+    "contact": [{"name": "touch", "points": "centre", "surface": "ground", "template": "rubber"}],
+    "variation": {"ball.mass": {"uniform": [1, 2]}},
+    "record": {"every": 0.01, "readings": ["touch.gap"]},
+    "output": {"usd_envs": 2},
+}
+LEFT_OUT = object()
+VARIED = ("variation", "ball.mass")
+LAW = ("template", 0, "law")
+GROUND = ("surface", 0)
+
+
+def wrong(*changes):
+    """``RIGHT`` with other values: pairs of a place, as a tuple of keys, and what is to be there."""
+    content = copy.deepcopy(RIGHT)
+    for place, value in changes:
+        target = content
+        for key in place[:-1]:
+            target = target[key]
+        if value is LEFT_OUT:
+            del target[place[-1]]
+        elif isinstance(target, list):
+            target[place[-1] :] = [value]
+        else:
+            target[place[-1]] = value
+    return content
+
+
+def problems_of(content, folder="."):
+    with pytest.raises(wc.ExperimentError) as caught:
+        wc.Experiment.from_dict(content, folder)
+    return caught.value.problems
+
+
+BAD = [
+    # Keys.
+    (("nmae",), "x", "nmae is not known; did you mean 'name'?"),
+    (("bodys",), [], "bodys is not known; did you mean 'body'?"),
+    (("xyz",), 1, "xyz is not known; allowed: name, envs, duration"),
+    (("body", 0, "mas"), 1, "body[0].mas is not known; did you mean 'mass'?"),
+    (("contact", 0, "raduis"), 1, "contact[0].raduis is not known; did you mean 'radius'?"),
+    ((*LAW, "stifness"), 1, "template[0].law.stifness is not known; did you mean 'stiffness'?"),
+    ((*GROUND, "mesh", "celss"), 1, "surface[0].mesh.celss is not known; did you mean 'cells'?"),
+    (("record", "evry"), 1, "record.evry is not known; did you mean 'every'?"),
+    (("output", "usd_env"), 1, "output.usd_env is not known; did you mean 'usd_envs'?"),
+    ((*VARIED, "unifrom"), [1, 2], "variation.\"ball.mass\".unifrom is not known; did you mean 'uniform'?"),
+    # What is missing.
+    (("dt",), LEFT_OUT, "dt is missing: time step [s]"),
+    (("duration",), LEFT_OUT, "duration is missing: simulated time [s]"),
+    (("body",), LEFT_OUT, "body is missing: an experiment needs a [[body]]"),
+    (("body", 0, "mass"), LEFT_OUT, "body[0].mass is missing: mass [kg]"),
+    (("body", 0, "name"), LEFT_OUT, "body[0].name is missing"),
+    ((*LAW, "stiffness"), LEFT_OUT, "template[0].law.stiffness is missing: stiffness K [N/mⁿ]"),
+    ((*LAW, "type"), LEFT_OUT, "template[0].law.type is missing: one of Hooke, Hertz, HuntCrossley"),
+    ((*GROUND, "mesh", "shape"), LEFT_OUT, "surface[0].mesh.shape is missing: one of grid, "),
+    # Types: a text is no number, true is not 1.
+    (("dt",), "1e-3", "dt must be a number [s], got '1e-3'"),
+    (("envs",), 8.0, "envs must be a whole number, got 8.0"),
+    (("envs",), True, "envs must be a whole number, got True"),
+    (("seed",), "one", "seed must be a whole number, got 'one'"),
+    (("name",), 3, "name must be a text on one line, got 3"),
+    (("body",), {"name": "ball"}, "body must be a list of tables, [[body]], got"),
+    (("body", 0), 3, "body[0] must be a table, got 3"),
+    (("body", 0, "mass"), True, "body[0].mass must be a number [kg], got True"),
+    (("body", 0, "mass"), [1], "body[0].mass must be a number [kg], got [1]"),
+    (("body", 0, "position"), [0, 1], "body[0].position must be 3 numbers [m], got [0, 1]"),
+    (("body", 0, "position"), [0, 1, "2"], "body[0].position must be 3 numbers [m], got '2'"),
+    (("body", 0, "inertia"), [[1, 0], [0, 1]], "body[0].inertia must be 3 numbers or a 3×3 tensor [kg·m²], got"),
+    (("body", 0, "inertia"), [[1, 0], [0]], "body[0].inertia must be 3 numbers or a 3×3 tensor [kg·m²], got"),
+    (("points", 0, "positions"), [0, 0, 1], "points[0].positions[0] must be 3 numbers [m], got 0.0"),
+    (("points", 0, "positions"), [], "points[0].positions must be a list of 3 numbers each [m], got []"),
+    ((*GROUND, "flip"), "yes", "surface[0].flip must be true or false, got 'yes'"),
+    ((*GROUND, "mesh"), "grid", "surface[0].mesh must be a table, got 'grid'; write mesh = { shape = 'grid', … }"),
+    ((*GROUND, "mesh", "cells"), [2.5, 1], "surface[0].mesh.cells must be 2 whole numbers, got [2.5, 1]"),
+    ((*GROUND, "active_faces"), [0, True], "surface[0].active_faces must be a list of face numbers"),
+    (LAW, "Hooke", "template[0].law must be a table, got 'Hooke'; write law = { type = 'Hooke', … }"),
+    (("record", "readings"), "touch.gap", "record.readings must be a list, got 'touch.gap'"),
+    # Ranges, with their units.
+    (("envs",), 0, "envs must be at least 1, got 0"),
+    (("dt",), 0, "dt must be greater than 0, got 0 s"),
+    (("duration",), -1.0, "duration must be greater than 0, got -1 s"),
+    (("duration",), inf, "duration must be finite, got inf"),
+    (("seed",), -1, "seed must be at least 0, got -1"),
+    (("precision",), "float16", "precision must be one of 'float32', 'float64', got 'float16'"),
+    (("gravity",), [0, 0, nan], "gravity must be finite, got nan"),
+    (("body", 0, "mass"), -1, "body[0].mass must be greater than 0, got -1 kg"),
+    (("body", 0, "mass"), 10**400, "body[0].mass must be finite, got 1000"),
+    (("body", 0, "inertia"), [1, 1, 3], "body[0].inertia must be physical: no principal moment may exceed"),
+    (("body", 0, "orientation"), [1, 1, 0, 0], "body[0].orientation must be a unit quaternion (x, y, z, w), got"),
+    (("body", 0, "color"), [0, 2, 0], "body[0].color[1] must be at least 0 and at most 1, got 2"),
+    (
+        ("point", 1),
+        {"name": "my eye", "position": [0, 0, 0]},
+        "point[1].name must be letters, digits, _ and -, not starting with a digit",
+    ),
+    ((*LAW, "stiffness"), -5, "template[0].law.stiffness must be greater than 0, got -5 N/mⁿ"),
+    ((*LAW, "exponent"), 9, "template[0].law.exponent must be at least 1 and at most 4, got 9"),
+    ((*LAW, "damping"), 1, "template[0].law: HuntCrossley takes exactly one of restitution and damping, got"),
+    ((*LAW, "type"), "HuntCrosley", "template[0].law.type must be one of Hooke, Hertz, HuntCrossley, KelvinVoigt"),
+    ((*LAW, "type"), "huntcrossley", "got 'huntcrossley'; did you mean 'HuntCrossley'?"),
+    ((*LAW, "type"), ["Hooke"], "template[0].law.type must be one of Hooke, Hertz"),
+    (
+        ("template", 0, "friction"),
+        {"type": "Tanh", "mu": -1},
+        "template[0].friction.mu must be at least 0, got -1",
+    ),
+    (("template", 0, "friction"), {"type": "tahn"}, "template[0].friction.type must be one of Frictionless, Tanh"),
+    (("contact", 0, "radius"), -0.1, "contact[0].radius must be at least 0, got -0.1 m"),
+    (("contact", 0, "kappa"), 1.5, "contact[0].kappa must be at least 0 and at most 1, got 1.5"),
+    (("contact", 0, "max_depth"), inf, "contact[0].max_depth must be finite, got inf; leave the key out"),
+    (("contact", 0, "search"), "all", "contact[0].search must be one of 'whole', 'active', got 'all'"),
+    ((*GROUND, "mesh", "size"), [1, -1], "surface[0].mesh.size[1] must be a positive finite number, got -1.0"),
+    ((*GROUND, "mesh", "shape"), "gird", "surface[0].mesh.shape must be one of grid, "),
+    ((*GROUND, "mesh"), {"file": "no.stl"}, "surface[0].mesh.file: mesh file 'no.stl' does not exist"),
+    ((*GROUND, "mesh"), {"file": "no.stl", "scale": 0}, "surface[0].mesh.scale must be greater than 0, got 0"),
+    ((*GROUND, "active_faces"), [0, 7], "surface[0].active_faces must be face numbers from 0 to 1, got 7"),
+    (("output", "usd_envs"), -1, "output.usd_envs must be at least 0, got -1"),
+    # References.
+    ((*GROUND, "body"), "bal", "surface[0].body must be the name of a body, got 'bal'; did you mean 'ball'?"),
+    (("point", 0, "body"), "x", "point[0].body must be the name of a body, got 'x'; there are: ball"),
+    (
+        ("contact", 0, "points"),
+        "center",
+        "contact[0].points must be the name of a point, got 'center'; did you mean",
+    ),
+    (("contact", 0, "surface"), "grund", "contact[0].surface must be the name of a surface, got 'grund'; did you"),
+    (("contact", 0, "template"), "ruber", "contact[0].template must be the name of a template, got 'ruber'; did"),
+    ((*GROUND, "body"), "ball", "contact[0]: points and surface are both fixed to body 'ball'; one must move"),
+    (("point", 1), {"name": "ball", "position": [0, 0, 0]}, "point[1]: name 'ball' of a point is taken"),
+    (("template", 1), RIGHT["template"][0], "template[1]: name 'rubber' of a template is taken"),
+    (
+        ("record", "readings"),
+        ["touch.gpa"],
+        "record.readings[0] must be the name of a reading, got 'touch.gpa'; did",
+    ),
+    # Times.
+    (
+        ("record", "every"),
+        0.0125,
+        "record.every must be a multiple of dt = 0.001 s, got 0.0125 s; the nearest are",
+    ),
+    (("record", "every"), 0.2, "record.every must be at most the duration, 0.1 s, got 0.2 s"),
+    # Variations.
+    (
+        ("variation", "ball.mas"),
+        {"uniform": [1, 2]},
+        'variation."ball.mas" is not the name of a parameter; did you',
+    ),
+    (VARIED, {}, 'variation."ball.mass" must have exactly one of uniform, loguniform, normal, linspace'),
+    (VARIED, {"uniform": [1, 2], "values": [1]}, 'variation."ball.mass" must have exactly one of'),
+    (VARIED, 3, 'variation."ball.mass" must be a table, got 3'),
+    (VARIED, {"uniform": [1]}, 'variation."ball.mass".uniform must be two numbers, or two lists of numbers of'),
+    (VARIED, {"uniform": [2, 1]}, 'variation."ball.mass".uniform must be [low, high] with low ≤ high, got [2, 1]'),
+    (VARIED, {"uniform": [-1, 2]}, 'variation."ball.mass".uniform[0] must be greater than 0, got -1 kg'),
+    (VARIED, {"loguniform": [0, 2]}, 'variation."ball.mass".loguniform must be [low, high] with 0 < low ≤ high'),
+    (VARIED, {"normal": [1, -1]}, 'variation."ball.mass".normal must be [mean, deviation] with deviation ≥ 0'),
+    (VARIED, {"normal": [1, 99]}, 'variation."ball.mass"['),
+    (VARIED, {"linspace": [1, inf]}, 'variation."ball.mass".linspace must be finite, got inf'),
+    (
+        VARIED,
+        {"values": [1, 2]},
+        'variation."ball.mass".values must have one value for each of 3 environments, got 2',
+    ),
+    (VARIED, {"values": [1, 2, -3]}, 'variation."ball.mass"[2] must be greater than 0, got -3 kg'),
+    (
+        VARIED,
+        {"uniform": [[1, 1], [2, 2]]},
+        'variation."ball.mass".uniform[0] must have shape () or (1,), got (2,)',
+    ),
+    (VARIED, {"solid_sphere": {"mass": 1, "radius": 1}}, 'variation."ball.mass".solid_sphere gives an inertia'),
+    (
+        ("variation", "ball.inertia"),
+        {"solid_sphere": {"mass": "ball.mas", "radius": 1}},
+        'variation."ball.inertia".solid_sphere.mass must be a number or the name of a parameter; did you mean',
+    ),
+    (
+        ("variation", "ball.inertia"),
+        {"solid_sphere": {"mass": "ball.position", "radius": 1}},
+        "variation.\"ball.inertia\".solid_sphere.mass must be a parameter that is one number, got 'ball.position'",
+    ),
+    (
+        ("variation", "touch.law.damping"),
+        {"uniform": [1, 2]},
+        'variation."touch.law.damping" is not the name of a parameter',
+    ),
+]
+
+
+@pytest.mark.parametrize(("place", "value", "message"), BAD, ids=[message[:50] for _, _, message in BAD])
+def test_mistake_is_named_by_its_key(place, value, message):
+    problems = problems_of(wrong((place, value)))
+    assert any(message in problem for problem in problems), problems
+    # And it is the only one: a mistake does not make others appear.
+    assert len(problems) == 1, problems
+
+
+def test_all_mistakes_are_found_at_once():
+    content = wrong(
+        (("dt",), "fast"),
+        (("body", 0, "mass"), -1),
+        (("body", 0, "positon"), [0, 0, 0]),
+        ((*LAW, "type"), "HuntCrosley"),
+        (("contact", 0, "radius"), -0.1),
+        (("surface", 1), {"name": "wall", "mesh": {"file": "no.stl"}, "body": "nobody"}),
+        (("body", 1), {"name": "other", "mass": 1, "inertia": [1, 1, 1]}),
+        (("contact", 1), {"name": "second", "points": "hul", "surface": "groun", "template": "rubber"}),
+        (("variation", "other.mas"), {"uniform": [1, 2]}),
+        (("variation", "ball.orientation"), {"uniform": [0]}),
+        (("variation", "other.mass"), {"values": [1, 2]}),
+    )
+    found = problems_of(content)
+    begins = [
+        "dt must be a number",
+        "body[0].mass must be greater",
+        "body[0].positon is not known",
+        "template[0].law.type must be one of",
+        "contact[0].radius must be at least 0",
+        "surface[1].mesh.file: mesh file",
+        "surface[1].body must be the name of a body",
+        "contact[1].points must be the name of a point",
+        "contact[1].surface must be the name of a surface",
+        'variation."other.mas" is not the name',
+        'variation."ball.orientation".uniform must be two numbers',
+        'variation."other.mass".values must have one value for each of 3',
+    ]
+    missed = [begin for begin in begins if not any(problem.startswith(begin) for problem in found)]
+    assert not missed, found
+    # What refers to something that has problems of its own is no problem.
+    assert len(found) == len(begins), found
+
+
+def test_what_may_refer_to_an_entry_without_a_name_is_no_problem():
+    content = wrong((("body", 1), {"mass": 1, "inertia": [1, 1, 1]}), (("record", "readings"), ["box.position"]))
+    content["variation"]["box.mass"] = {"solid_sphere": {"mass": "box.mass", "radius": 1}}
+    content["surface"][0]["body"] = "box"
+    assert problems_of(content) == ("body[1].name is missing",)
+
+
+def test_message_lists_the_problems_under_the_source():
+    with pytest.raises(wc.ExperimentError) as caught:
+        wc.Experiment.from_dict(wrong((("dt",), 0), (("body", 0, "mass"), 0)))
+    assert str(caught.value).splitlines() == [
+        "experiment has 2 problems:",
+        "  - dt must be greater than 0, got 0 s",
+        "  - body[0].mass must be greater than 0, got 0 kg",
+    ]
+    assert caught.value.source == "experiment"
+
+
+def test_hundreds_of_problems_are_cut():
+    bodies = [{"name": f"b{i}", "mass": -1, "inertia": [1, 1, 1]} for i in range(200)]
+    with pytest.raises(wc.ExperimentError) as caught:
+        wc.Experiment.from_dict(wrong((("body",), [*RIGHT["body"], *bodies])))
+    assert len(caught.value.problems) == 200
+    assert str(caught.value).splitlines()[-1] == "  … and 160 more"
+
+
+def test_defects_of_a_mesh_file_are_reported_with_its_key(tmp_path):
+    (tmp_path / "bad.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 9\n")
+    (problem,) = problems_of(wrong(((*GROUND, "mesh"), {"file": "bad.obj"})), tmp_path)
+    assert problem.startswith("surface[0].mesh.file: mesh file ")
+    assert "degenerate" in problem
+    assert "out of index range" in problem
+
+
+def test_face_that_vanishes_in_float32_is_reported_with_its_surface(tmp_path):
+    far = "".join(f"v {x} {y} 0\n" for x, y in ((999999, 0), (999999.001, 0), (999999, 0.001)))
+    (tmp_path / "far.obj").write_text(far + "f 1 2 3\n")
+    (problem,) = problems_of(wrong(((*GROUND, "mesh"), {"file": "far.obj"})), tmp_path)
+    assert problem.startswith("surface[0]: face 0 is too small")
+
+
+def test_values_of_numpy_are_values():
+    content = wrong((("body", 0, "mass"), np.float32(2.0)), (("body", 0, "position"), np.arange(3)))
+    body = wc.Experiment.from_dict(content).scene().bodies[0]
+    assert body.mass == 2.0
+    assert body.position.tolist() == [0.0, 1.0, 2.0]
+
+
+def test_overrides_are_checked_like_the_file(tmp_path):
+    experiment = wc.Experiment.from_dict(RIGHT)
+    for options, message in (
+        ({"envs": 0}, "envs must be at least 1, got 0"),
+        ({"envs": 2.5}, "envs must be a whole number, got 2.5"),
+        ({"duration": -1}, "duration must be greater than 0, got -1 s"),
+        ({"duration": 1e-3}, "record.every must be at most the duration"),
+        ({"device": "cuda:99"}, "device must be 'auto' or one of"),
+    ):
+        with pytest.raises(wc.ExperimentError, match=message):
+            experiment.run(tmp_path / "out", **options)
+        assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("dt = 1\nenvs = \n", "line 2, column 8: Invalid value"),
+        ("dt = 1\n[[body]\n", "line 2"),
+        ("dt = 1\ndt = 2\n", "line 2"),
+        ("dt == 1\n", "line 1, column 5"),
+        ("dt = [1,\n", "document"),
+        ("a = " + "[" * 100_000, "too deeply"),
+    ],
+)
+def test_line_of_a_syntax_error_is_named(tmp_path, text, message):
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    with pytest.raises(wc.ExperimentError) as caught:
+        wc.Experiment.from_toml(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert message in str(caught.value)
+
+
+def test_file_that_cannot_be_read_is_named(tmp_path):
+    with pytest.raises(wc.ExperimentError, match=r"none\.toml: there is no such file"):
+        wc.Experiment.from_toml(tmp_path / "none.toml")
+    with pytest.raises(wc.ExperimentError, match="cannot be read"):
+        wc.Experiment.from_toml(tmp_path)
+    (tmp_path / "latin.toml").write_bytes("name = 'Kübel'".encode("latin-1"))
+    with pytest.raises(wc.ExperimentError, match="byte 9 is not UTF-8"):
+        wc.Experiment.from_toml(tmp_path / "latin.toml")

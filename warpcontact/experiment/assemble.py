@@ -1,0 +1,126 @@
+"""From the parts of an experiment to a scene; whatever cannot be added is reported with its key and left out."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from warpcontact.experiment.catalogue import FileMesh
+from warpcontact.experiment.errors import Problems
+from warpcontact.experiment.reading import Parts
+from warpcontact.experiment.schema import ContactSettings, PointSettings, PointsSettings, SurfaceSettings
+from warpcontact.meshes import Mesh, MeshError, load_mesh
+from warpcontact.scene import Scene, Template
+
+# Of what kind a reference is, and the sections in which its target may be.
+_BODY = ("body", ("body",))
+_POINTS = ("point", ("point", "points"))
+_SURFACE = ("surface", ("surface",))
+_TEMPLATE = ("template", ("template",))
+
+
+class _Unresolved(Exception):
+    """A reference to something that does not exist or has problems of its own; reported already."""
+
+
+class Assembler:
+    """Makes scenes of an experiment.
+
+    Args:
+        parts: What there is.
+        folder: Folder to which the names of mesh files are relative.
+        loaded: Meshes by the key of their surface that were read before; filled, so that each is read once.
+    """
+
+    def __init__(self, parts: Parts, folder: Path, loaded: dict[str, Mesh]) -> None:
+        self.parts = parts
+        self.folder = folder
+        self.loaded = loaded
+        self.made: dict[str, dict[str, Any]] = {}
+
+    def scene(self, problems: Problems) -> Scene:
+        """Returns a scene of all parts that can be added; ``problems`` receives why the others cannot."""
+        settings = self.parts.settings
+        scene = Scene() if settings is None else Scene(gravity=settings.gravity)
+        self.made = {section: {} for section in self.parts.entries}
+        add: dict[str, Callable[..., Any]] = {
+            "body": lambda path, entry: scene.add_body(**entry.model_dump()),
+            "surface": lambda path, entry: self._surface(scene, path, entry, problems),
+            "point": lambda path, entry: self._points(scene, path, entry, problems),
+            "points": lambda path, entry: self._points(scene, path, entry, problems),
+            "template": lambda path, entry: self._template(entry),
+            "contact": lambda path, entry: self._contact(scene, path, entry, problems),
+        }
+        for section, path, entry in self.parts:
+            try:
+                self.made[section][entry.name] = add[section](path, entry)
+            except _Unresolved:
+                pass
+            except ValueError as error:
+                problems.add(path, _continued(str(error), entry.name))
+        return scene
+
+    def _surface(self, scene: Scene, path: str, entry: SurfaceSettings, problems: Problems) -> Any:
+        mesh = self._mesh(path, entry, problems)  # first, so that its defects are found in any case
+        body = self._find(f"{path}.body", entry.body, _BODY, problems)
+        if mesh is None:
+            raise _Unresolved
+        return scene.add_surface(mesh, body, **entry.model_dump(exclude={"mesh", "body"}))
+
+    def _mesh(self, path: str, entry: SurfaceSettings, problems: Problems) -> Mesh | None:
+        if path in self.loaded:
+            return self.loaded[path]
+        mesh = entry.mesh
+        try:
+            if isinstance(mesh, FileMesh):
+                self.loaded[path] = load_mesh(self.folder / mesh.file, scale=mesh.scale, name=entry.name)
+            else:
+                self.loaded[path] = mesh.make(entry.name)
+        except MeshError as error:
+            key = ".file" if isinstance(mesh, FileMesh) else ""
+            problems.add(f"{path}.mesh{key}", f": {error}")
+        except ValueError as error:
+            problems.add(f"{path}.mesh", f".{error}")
+        return self.loaded.get(path)
+
+    def _points(self, scene: Scene, path: str, entry: PointSettings | PointsSettings, problems: Problems) -> Any:
+        body = self._find(f"{path}.body", entry.body, _BODY, problems)
+        if isinstance(entry, PointSettings):
+            return scene.add_point(body, entry.position, name=entry.name)
+        return scene.add_points(body, entry.positions, name=entry.name)
+
+    def _template(self, entry: Any) -> Template:
+        if entry.name in self.made["template"]:
+            raise ValueError(f"name {entry.name!r} of a template is taken; every template has its own")
+        return Template(law=entry.law.make(), friction=entry.friction.make())
+
+    def _contact(self, scene: Scene, path: str, entry: ContactSettings, problems: Problems) -> Any:
+        options = entry.model_dump(exclude={"points", "surface", "template"}, exclude_none=True)
+        references = (("points", _POINTS), ("surface", _SURFACE), ("template", _TEMPLATE))
+        targets, missing = [], False
+        for key, kind in references:  # all three are looked up before giving up
+            try:
+                targets.append(self._find(f"{path}.{key}", getattr(entry, key), kind, problems))
+            except _Unresolved:
+                missing = True
+        if missing:
+            raise _Unresolved
+        return scene.add_contact(*targets, **options)
+
+    def _find(self, path: str, name: str | None, kind: tuple[str, tuple[str, ...]], problems: Problems) -> Any:
+        if name is None:
+            return None
+        word, sections = kind
+        for section in sections:
+            if name in self.made[section]:
+                return self.made[section][name]
+        known = [given for section in sections for given in sorted(self.parts.names[section])]
+        if name not in known and not self.parts.unnamed.intersection(sections):
+            problems.refer(path, name, word, known)
+        raise _Unresolved
+
+
+def _continued(message: str, name: str) -> str:
+    """Returns a message of the scene about element ``name`` so that it continues the key of the element."""
+    if message.startswith(f"{name}."):
+        return message[len(name) :]
+    return f": {message}" if not message.startswith(f"{name}: ") else message[len(name) :]

@@ -1,0 +1,87 @@
+"""What is wrong with an experiment: all problems at once, each with the place in the file."""
+
+import difflib
+import json
+import re
+from collections.abc import Iterable
+from typing import Any
+
+# More than this helps nobody: they then have one cause.
+PROBLEMS_SHOWN = 40
+# A bad value is quoted up to this many characters.
+VALUE_LENGTH = 60
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+class ExperimentError(ValueError):
+    """An experiment that cannot be read or run.
+
+    Attributes:
+        source: The file, or what stands in its place.
+        problems: One sentence each, beginning with the key, such as ``body[0].mass must be …``.
+    """
+
+    def __init__(self, source: str, problems: Iterable[str]) -> None:
+        self.source = source
+        self.problems = tuple(problems)
+        if len(self.problems) == 1:
+            super().__init__(f"{source}: {self.problems[0]}")
+            return
+        shown = self.problems[:PROBLEMS_SHOWN]
+        lines = [f"{source} has {len(self.problems)} problems:", *(f"  - {problem}" for problem in shown)]
+        if len(self.problems) > len(shown):
+            lines.append(f"  … and {len(self.problems) - len(shown)} more")
+        super().__init__("\n".join(lines))
+
+
+class Problems:
+    """Collects problems on the way through an experiment."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def __bool__(self) -> bool:
+        return bool(self.lines)
+
+    def add(self, path: str, message: str) -> None:
+        """Adds ``message`` about ``path``; one that begins with ``[``, ``.`` or ``:`` continues the path."""
+        space = "" if message[:1] in "[.: " else " "
+        # Lists within a message, such as the defects of a mesh, keep their place below it.
+        self.lines.append(f"{path}{space}{message}".replace("\n", "\n    "))
+
+    def refer(self, path: str, value: str, kind: str, known: Iterable[str]) -> None:
+        """Adds that ``value`` is no ``kind``, with the nearest name or all that there are."""
+        names = list(dict.fromkeys(known))
+        hint = suggestion(value, names) or f"; there are: {', '.join(names[:20]) or 'none'}"
+        self.add(path, f"must be the name of a {kind}, got {shown(value)}{hint}")
+
+    def stop(self, source: str) -> None:
+        """Raises ``ExperimentError`` if there is any problem."""
+        if self.lines:
+            raise ExperimentError(source, dict.fromkeys(self.lines))
+
+
+def key_path(location: Iterable[str | int]) -> str:
+    """Returns a place in the file as one writes it: ``variation."ball.mass".uniform[0]``."""
+    path = ""
+    for part in location:
+        if isinstance(part, int):
+            path += f"[{part}]"
+        else:
+            key = part if _BARE_KEY.fullmatch(part) else json.dumps(part, ensure_ascii=False)
+            path += f".{key}" if path else key
+    return path
+
+
+def shown(value: Any) -> str:
+    """Returns ``value`` for a message, cut if it is long."""
+    text = repr(value)
+    return text if len(text) <= VALUE_LENGTH else f"{text[: VALUE_LENGTH - 2]} …"
+
+
+def suggestion(value: Any, known: Iterable[str]) -> str:
+    """Returns ``"; did you mean 'mass'?"`` for the nearest name, or nothing if none is near."""
+    names = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(str(value).lower(), names, n=1)
+    return f"; did you mean {names[close[0]]!r}?" if close else ""

@@ -1,0 +1,294 @@
+"""Experiments: a scene, what varies between its environments, how long, and what is recorded."""
+
+import datetime
+import platform
+import time
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpcontact._version import __version__
+from warpcontact.experiment import result
+from warpcontact.experiment.assemble import Assembler
+from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
+from warpcontact.experiment.reading import Parts, load_toml, read_settings
+from warpcontact.experiment.result import Run
+from warpcontact.experiment.schema import Settings
+from warpcontact.experiment.toml import to_toml
+from warpcontact.experiment.variation import Draw, truncated
+from warpcontact.meshes import Mesh
+from warpcontact.model import Model
+from warpcontact.scene import Scene
+from warpcontact.simulation import Simulation
+
+# Frames of a recording for which nothing else is asked.
+FRAMES = 100
+
+
+class Experiment:
+    """An experiment, checked as a whole: what is wrong with it is found before anything runs.
+
+    Args:
+        content: What an experiment file holds, as nested dictionaries and lists.
+        folder: Folder to which the names of mesh files are relative.
+        source: What to call it in messages.
+
+    Attributes:
+        settings: All settings, with everything that was left to defaults filled in.
+
+    Raises:
+        ExperimentError: If anything is wrong with it; lists all problems with their keys.
+    """
+
+    def __init__(
+        self, content: Mapping[str, Any], folder: str | PathLike[str] = ".", *, source: str = "experiment"
+    ) -> None:
+        self.folder = Path(folder)
+        self.source = source
+        self._loaded: dict[str, Mesh] = {}
+        self._check(content)
+
+    @classmethod
+    def from_toml(cls, path: str | PathLike[str]) -> "Experiment":
+        """Reads an experiment file; mesh files in it are relative to its folder.
+
+        Raises:
+            ExperimentError: If it cannot be read, with line and column if it is no TOML; or if anything is wrong
+                with the experiment, with the keys of all problems.
+        """
+        path = Path(path)
+        return cls({"name": path.stem} | load_toml(path), path.parent, source=str(path))
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any], folder: str | PathLike[str] = ".") -> "Experiment":
+        """Makes an experiment of a dictionary of the form of an experiment file.
+
+        Raises:
+            ExperimentError: If anything is wrong with it; lists all problems with their keys.
+        """
+        return cls(content, folder)
+
+    def scene(self) -> Scene:
+        """Returns a new scene of this experiment."""
+        problems = Problems()
+        scene = Assembler(Parts.of_settings(self.settings), self.folder, self._loaded).scene(problems)
+        problems.stop(self.source)
+        return scene
+
+    def model(self, envs: int | None = None, device: str = "auto") -> Model:
+        """Builds the environments, each with its own values of what varies.
+
+        Args:
+            envs: Number of environments; ``None``: that of the experiment.
+            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if there is one.
+
+        Raises:
+            ExperimentError: If there is no such device, or a value is out of range.
+        """
+        return self.changed(envs=envs)._build(device)
+
+    def changed(self, *, envs: int | None = None, duration: float | None = None) -> "Experiment":
+        """Returns the experiment with another number of environments or duration [s].
+
+        Raises:
+            ExperimentError: If it then has problems.
+        """
+        changes = {key: v for key, v in (("envs", envs), ("duration", duration)) if v is not None}
+        if not changes:
+            return self
+        content = self._given.model_dump(exclude_none=True) | changes
+        if isinstance(envs, int):
+            shorter = truncated(self._given.variation, envs)
+            content["variation"] = {name: entry.model_dump(exclude_none=True) for name, entry in shorter.items()}
+        other = Experiment.__new__(Experiment)
+        other.folder, other.source, other._loaded = self.folder, self.source, self._loaded
+        other._check(content)
+        return other
+
+    def run(
+        self,
+        out: str | PathLike[str],
+        *,
+        envs: int | None = None,
+        device: str = "auto",
+        duration: float | None = None,
+        overwrite: bool = False,
+        progress: bool | None = None,
+        on_stage: Callable[[str], None] | None = None,
+    ) -> Run:
+        """Runs the experiment and writes the results into a folder.
+
+        The folder receives ``recording.zarr``, ``animation.usdc``, ``picture.png``, the complete
+        ``experiment.toml`` that repeats the run, and ``run.json`` with versions and times.
+
+        Args:
+            out: The folder; made if there is none.
+            envs: Number of environments; ``None``: that of the experiment.
+            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if there is one.
+            duration: Simulated time [s]; ``None``: that of the experiment.
+            overwrite: Whether the files of an earlier run in the folder may be replaced.
+            progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
+            on_stage: Called with a few words when a stage that may take long begins.
+
+        Raises:
+            ExperimentError: If the folder is not empty, there is no such device, or a value is out of range.
+        """
+        folder, experiment = Path(out), self.changed(envs=envs, duration=duration)
+        result.check_folder(folder, overwrite)
+        say = on_stage or (lambda stage: None)
+        settings = experiment.settings
+        say(f"building {settings.envs} environments")
+        model = experiment._build(device)
+        result.clear_folder(folder)
+        return experiment._run(model, folder, progress, say)
+
+    def _run(self, model: Model, folder: Path, progress: bool | None, say: Callable[[str], None]) -> Run:
+        settings = self.settings
+        files = {"experiment": folder / result.EXPERIMENT, "summary": folder / result.SUMMARY}
+        summary: dict[str, Any] = {
+            "state": "unfinished",
+            "name": settings.name,
+            "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "versions": {
+                "warpcontact": __version__,
+                "warp": wp.config.version,
+                "numpy": np.__version__,
+                "python": platform.python_version(),
+            },
+            "machine": platform.platform(),
+            "device": str(model.device) if model.device.is_cpu else f"{model.device} ({model.device.name})",
+            "precision": settings.precision,
+            "seed": settings.seed,
+            "envs": settings.envs,
+            "dt": settings.dt,
+        }
+        result.write_summary(files["summary"], summary)
+        comment = f"The experiment as warpcontact {__version__} ran it, with all defaults."
+        text = to_toml(result.moved(settings, self.folder, folder), comment)
+        files["experiment"].write_text(text, encoding="utf-8")
+
+        simulation = Simulation(model, dt=settings.dt)
+        say(f"compiling for {model.device}")
+        simulation.step()  # compiles what is not in the cache; the time of the run is then that of stepping
+        simulation.reset()
+        say("running")
+        start = time.perf_counter()
+        recording = simulation.run(
+            settings.duration, settings.record.readings or (), settings.record.every, progress=progress
+        )
+        wall_time = time.perf_counter() - start
+        result.add_parameters(recording, model, self._values)
+        recording.attrs |= {"name": settings.name, "seed": settings.seed}
+
+        say("writing")
+        self._write(recording, folder, files)
+        health = model.health()
+        summary |= {
+            "state": "finished",
+            "duration": simulation.time,
+            "steps": simulation.steps,
+            "wall_time": wall_time,
+            "env_steps_per_second": settings.envs * simulation.steps / wall_time,
+            "frozen_environments": health.frozen.tolist(),
+        }
+        result.write_summary(files["summary"], summary)
+        return Run(folder=folder, files=files, recording=recording, health=health, summary=summary)
+
+    def _write(self, recording: result.Recording, folder: Path, files: dict[str, Path]) -> None:
+        from warpcontact.experiment.picture import write_picture
+        from warpcontact.usd import export_usd
+
+        files["recording"] = folder / result.RECORDING
+        result.write_recording(recording, files["recording"])
+        usd_envs = min(self.settings.output.usd_envs, self.settings.envs)
+        if usd_envs:
+            files["animation"] = folder / result.ANIMATION
+            export_usd(recording, files["animation"], envs=range(usd_envs))
+        files["picture"] = folder / result.PICTURE
+        write_picture(files["picture"], recording, self.settings.name, list(self._values))
+
+    def _build(self, device: str) -> Model:
+        """Builds the environments on ``device``."""
+        try:
+            model = self.scene().build(self.settings.envs, device, self.settings.precision)
+        except ValueError as error:
+            raise ExperimentError(self.source, [str(error)]) from None
+        for name, values in self._values.items():
+            model[name] = values
+        return model
+
+    def _check(self, content: Mapping[str, Any]) -> None:
+        """Takes over ``content``, or raises ``ExperimentError`` with everything that is wrong with it."""
+        problems = Problems()
+        parts = read_settings(content, problems)
+        if not content.get("body"):
+            problems.add("body", "is missing: an experiment needs a [[body]]")
+            parts.unnamed.add("body")
+        scene = Assembler(parts, self.folder, self._loaded).scene(problems)
+        model = self._trial(scene, parts, problems)
+        if model is not None:
+            self._check_with(model, parts, problems)
+        problems.stop(self.source)
+
+    def _trial(self, scene: Scene, parts: Parts, problems: Problems) -> Model | None:
+        """Returns a model of one environment of what is sound, to look at; ``None`` if there is none."""
+        if not scene.bodies:
+            return None
+        try:
+            return scene.build(1, "cpu", parts.settings.precision if parts.settings else "float32")
+        except ValueError as error:
+            message = str(error)
+            paths = {entry.name: path for _, path, entry in parts}
+            name = message.partition(":")[0]
+            problems.add(paths.get(name, "scene"), f": {message.removeprefix(name + ': ')}")
+            return None
+
+    def _check_with(self, model: Model, parts: Parts, problems: Problems) -> None:
+        """Checks what needs to know parameters and readings, and fills in what follows from them."""
+        present = set(model.scene.element_names())
+
+        def unsound(name: str) -> bool:
+            """Whether ``name`` is, or may be, of an element that has problems of its own."""
+            element = name.partition(".")[0]
+            return element not in present and parts.may_name(element)
+
+        settings = parts.settings
+        seed = 0 if settings is None else settings.seed
+        self._values = Draw(parts.variation, model, parts.envs, seed, problems, unsound).values
+        if settings is None:
+            return
+        for i, name in enumerate(settings.record.readings or ()):
+            if name not in model.reading_names and not unsound(name):
+                hint = suggestion(name, model.reading_names)
+                problems.add(f"record.readings[{i}]", f"must be the name of a reading, got {name!r}{hint}")
+        every = self._interval(model, settings, problems)
+        self._given = settings
+        readings = settings.record.readings or default_readings(model)
+        record = settings.record.model_copy(update={"every": every, "readings": tuple(readings)})
+        self.settings: Settings = settings.model_copy(update={"record": record})
+
+    @staticmethod
+    def _interval(model: Model, settings: Settings, problems: Problems) -> float:
+        """Returns the time between frames [s]."""
+        every = settings.record.every
+        if every is None:
+            steps = max(1, round(settings.duration / settings.dt / FRAMES))
+            return float(f"{steps * settings.dt:.12g}")
+        if every > settings.duration:
+            problems.add("record.every", f"must be at most the duration, {settings.duration:g} s, got {every:g} s")
+            return every
+        try:
+            Simulation(model, settings.dt)._whole_steps("record.every", every, exact=True)
+        except ValueError as error:
+            problems.add("record.every", str(error).removeprefix("record.every "))
+        return every
+
+
+def default_readings(model: Model) -> list[str]:
+    """Returns the readings of an experiment that names none: gap and force of single points, and the energy."""
+    single = [contact.name for contact in model.scene.contacts if contact.points.single]
+    return [f"{name}.{key}" for name in single for key in ("gap", "normal_force")] + ["scene.kinetic_energy"]

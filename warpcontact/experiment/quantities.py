@@ -1,0 +1,187 @@
+"""Types of the values in an experiment file, checked by the functions and ranges that the Python API uses.
+
+The messages of ``warpcontact.checks`` begin with the name of what is checked. Here that name is empty, so that
+what is left continues the key of the file: ``body[0].color`` and ``[1] must be at most 1, got 2``.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from pydantic import PlainValidator
+
+from warpcontact import checks
+from warpcontact.checks import limits
+from warpcontact.experiment.errors import shown
+
+
+def plain(value: Any, what: str, advice: str = "") -> Any:
+    """Returns a number as float, and lists of them as tuples.
+
+    Args:
+        value: A number, or lists, tuples or arrays of numbers.
+        what: What it should be, for the message.
+        advice: What to do in place of infinity, added to the message.
+
+    Raises:
+        ValueError: If a boolean, a text or anything else is among them, or a number is not finite.
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return tuple(plain(entry, what, advice) for entry in value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"must be {what}, got {shown(value)}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError(f"must be finite, got {shown(value)}{advice}")
+    return number
+
+
+def numbers(
+    *shapes: tuple[int, ...],
+    allowed: Mapping[str, Any] = checks.FINITE,
+    what: str | None = None,
+    check: Callable[[str, Any], Any] | None = None,
+) -> PlainValidator:
+    """Returns the validator of a number (shape ``()``) or of nested lists of numbers.
+
+    Args:
+        shapes: Shapes that are allowed.
+        allowed: Range and unit, as from ``checks.limits``.
+        what: What it should be, for messages; made from the first shape and the unit if not given.
+        check: Raises ``ValueError`` for values in range that are not allowed all the same, as those of ``checks``.
+    """
+    unit = "" if allowed["unit"] == "-" else f" [{allowed['unit']}]"
+    advice = "; leave the key out for no limit" if allowed.get("may_be_infinite") else ""
+    what = what or f"{checks.describe_shape(shapes[0])}{unit}"
+
+    def validate(value: Any) -> Any:
+        entries = plain(value, what, advice)
+        try:
+            shape = np.shape(entries)
+        except ValueError:  # rows of different length
+            shape = (-1,)
+        if shape not in shapes:
+            raise ValueError(f"must be {what}, got {shown(value)}")
+        values = checks.numbers("", entries, shape, allowed)
+        if check is not None:
+            check("", values)
+        return entries
+
+    return PlainValidator(validate)
+
+
+def one_of(options: Sequence[str]) -> PlainValidator:
+    """Returns the validator of a word out of ``options``."""
+    return PlainValidator(lambda value: checks.choice("", value, options))
+
+
+def whole_numbers(count: int) -> PlainValidator:
+    """Returns the validator of a list of ``count`` whole numbers."""
+
+    def validate(value: Any) -> tuple[int, ...]:
+        entries = tuple(value) if isinstance(value, list | tuple) else ()
+        if len(entries) != count or not all(_is_whole(entry) for entry in entries):
+            raise ValueError(f"must be {count} whole numbers, got {shown(value)}")
+        return entries
+
+    return PlainValidator(validate)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _element_name(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"must be a text, got {shown(value)}")
+    try:
+        return checks.new_name("table", value, {})
+    except ValueError as error:
+        rule = str(error).partition(" must be ")[2]  # what precedes it is a name that the file does not have
+        raise ValueError(f"must be {rule}") from None
+
+
+def _inertia(name: str, values: Any) -> None:
+    checks.inertia_tensors(name, np.diag(values) if values.ndim == 1 else values)
+
+
+def _faces(value: Any) -> tuple[Any, ...]:
+    entries = tuple(value) if isinstance(value, list | tuple) else (None,)
+    masks = all(isinstance(entry, bool) for entry in entries)
+    if not masks and not all(_is_whole(entry) for entry in entries):
+        raise ValueError(f"must be a list of face numbers, or of true and false for each face, got {shown(value)}")
+    return entries
+
+
+def _title(value: Any) -> str:
+    if not isinstance(value, str) or not value.strip() or not value.isprintable():
+        raise ValueError(f"must be a text on one line, got {shown(value)}")
+    return value
+
+
+def _positions(value: Any) -> tuple[Any, ...]:
+    rows = plain(value, "a list of 3 numbers each [m]")
+    for i, row in enumerate(rows if isinstance(rows, tuple) else ()):
+        if not isinstance(row, tuple) or np.shape(row) != (3,):
+            raise ValueError(f"[{i}] must be 3 numbers [m], got {shown(row)}")
+    if not isinstance(rows, tuple) or not rows:
+        raise ValueError(f"must be a list of 3 numbers each [m], got {shown(value)}")
+    return rows
+
+
+def _rows(value: Any) -> tuple[Any, ...]:
+    what = "a list of one value per environment"
+    rows = plain(value, what)
+    if not isinstance(rows, tuple) or not rows:
+        raise ValueError(f"must be {what}, got {shown(value)}")
+    for i, row in enumerate(rows):
+        if np.shape(row) != np.shape(rows[0]):
+            raise ValueError(f"[{i}] must be of the same kind as the values before, got {shown(row)}")
+    return rows
+
+
+def _pair(rule: str, holds: Callable[[Any, Any], Any]) -> PlainValidator:
+    """Returns the validator of two numbers or vectors for which ``rule`` holds in each component."""
+    what = "two numbers, or two lists of numbers of the same length"
+
+    def validate(value: Any) -> tuple[Any, ...]:
+        pair = plain(value, what)
+        try:
+            first, second = np.array(pair)
+        except (ValueError, TypeError):  # another number of entries, or lists of different length
+            raise ValueError(f"must be {what}, got {shown(value)}") from None
+        if not np.all(holds(first, second)):
+            raise ValueError(f"must be {rule}, got {shown(value)}")
+        return pair
+
+    return PlainValidator(validate)
+
+
+def _number_or_name(value: Any) -> float | str:
+    return value if isinstance(value, str) else plain(value, "a number or the name of a parameter")
+
+
+element_name = PlainValidator(_element_name)
+position = numbers((3,), allowed=limits("m"))
+quaternion = numbers((4,), what="a unit quaternion (x, y, z, w)", check=checks.unit_quaternions)
+velocity = numbers((3,), allowed=limits("m/s"))
+angular_velocity = numbers((3,), allowed=limits("rad/s"))
+acceleration = numbers((3,), allowed=limits("m/s²"))
+time = numbers((), allowed=limits("s", above=0.0))
+inertia = numbers((3,), (3, 3), allowed=limits("kg·m²"), what="3 numbers or a 3×3 tensor [kg·m²]", check=_inertia)
+color = numbers((3,), what="red, green and blue from 0 to 1", check=checks.color)
+faces = PlainValidator(_faces)
+title = PlainValidator(_title)
+positions = PlainValidator(_positions)
+rows = PlainValidator(_rows)
+pair = _pair("", lambda first, second: True)
+interval = _pair("[low, high] with low ≤ high", lambda low, high: low <= high)
+positive_interval = _pair("[low, high] with 0 < low ≤ high", lambda low, high: (low > 0.0) & (low <= high))
+mean_and_deviation = _pair("[mean, deviation] with deviation ≥ 0", lambda mean, deviation: deviation >= 0.0)
+number_or_name = PlainValidator(_number_or_name)

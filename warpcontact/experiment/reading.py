@@ -1,0 +1,185 @@
+"""From a TOML file, or a dictionary of its form, to checked settings; every problem is found, not the first."""
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from warpcontact.experiment.catalogue import FILE, FRICTIONS, LAWS, MESHES, Section
+from warpcontact.experiment.errors import ExperimentError, Problems, key_path, shown, suggestion
+from warpcontact.experiment.schema import SECTIONS, Settings, VariationSettings, table_at
+
+# What a value must be, by the type of pydantic's error.
+_KINDS = {
+    "bool_type": "true or false",
+    "dict_type": "a table",
+    "float_type": "a number",
+    "int_from_float": "a whole number",
+    "int_type": "a whole number",
+    "list_type": "a list",
+    "model_attributes_type": "a table",
+    "model_type": "a table",
+    "string_type": "a text",
+    "tuple_type": "a list",
+}
+
+
+@dataclass
+class Parts:
+    """What can be read of an experiment, however much of the rest is wrong.
+
+    Attributes:
+        entries: The sound entries of each section, by their number.
+        names: Names of all entries of each section, sound or not: to refer to them is no mistake.
+        unnamed: Sections with an entry of unknown name, which any reference may mean.
+        variation: The sound variations.
+        settings: All settings. Of a damaged experiment those that are in no section, with defaults in place of
+            wrong ones; ``None`` if there is no sound time step or duration.
+        envs: Number of environments, ``None`` if that is wrong.
+    """
+
+    entries: dict[str, dict[int, Any]] = field(default_factory=lambda: {section: {} for section in SECTIONS})
+    names: dict[str, set[str]] = field(default_factory=lambda: {section: set() for section in SECTIONS})
+    unnamed: set[str] = field(default_factory=set)
+    variation: dict[str, VariationSettings] = field(default_factory=dict)
+    settings: Settings | None = None
+    envs: int | None = None
+
+    @classmethod
+    def of_settings(cls, settings: Settings) -> "Parts":
+        """All parts of a whole experiment."""
+        parts = cls(variation=dict(settings.variation), settings=settings, envs=settings.envs)
+        for section in SECTIONS:
+            parts.entries[section] = dict(enumerate(getattr(settings, section)))
+            parts.names[section] = {entry.name for entry in getattr(settings, section)}
+        return parts
+
+    @classmethod
+    def of_damaged(cls, raw: Mapping[str, Any], wrong: Set[Any]) -> "Parts":
+        """The sound parts of ``raw``; ``wrong`` are the keys of its first level with a problem."""
+        parts = cls()
+        for section, model in SECTIONS.items():
+            entries = raw.get(section, ())
+            if not isinstance(entries, list | tuple):
+                entries = [entries]
+            for i, entry in enumerate(entries):
+                name = entry.get("name") if isinstance(entry, dict) else None
+                if isinstance(name, str):
+                    parts.names[section].add(name)
+                else:
+                    parts.unnamed.add(section)
+                sound = _sound(model, entry)
+                if sound is not None:
+                    parts.entries[section][i] = sound
+        variation = raw.get("variation")
+        for name, entry in variation.items() if isinstance(variation, dict) else ():
+            sound = _sound(VariationSettings, entry)
+            if sound is not None:
+                parts.variation[name] = sound
+        left_out = {*SECTIONS, "variation", *wrong}
+        parts.settings = _sound(Settings, {key: value for key, value in raw.items() if key not in left_out})
+        if "envs" not in wrong:
+            parts.envs = raw.get("envs", 1)
+        return parts
+
+    def may_name(self, name: str) -> bool:
+        """Whether ``name`` is, or may be, that of an entry of any section."""
+        return bool(self.unnamed) or any(name in names for names in self.names.values())
+
+    def __iter__(self) -> Iterator[tuple[str, str, Any]]:
+        """Iterates over section, key and entry, in the order in which a scene is made of them."""
+        for section in SECTIONS:
+            for i, entry in self.entries[section].items():
+                yield section, f"{section}[{i}]", entry
+
+
+def _sound(model: type[Section], raw: Any) -> Any:
+    try:
+        return model.model_validate(raw)
+    except ValidationError:
+        return None
+
+
+def load_toml(path: Path) -> dict[str, Any]:
+    """Reads a TOML file.
+
+    Raises:
+        ExperimentError: If it cannot be read or is no TOML, with line and column.
+    """
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except FileNotFoundError:
+        problem = "there is no such file"
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror or error}"
+    except UnicodeDecodeError as error:
+        problem = f"byte {error.start} is not UTF-8 text"
+    except RecursionError:
+        problem = "lists or tables are nested too deeply"
+    except tomllib.TOMLDecodeError as error:
+        place = re.fullmatch(r"(.*) \(at (.*)\)", str(error), re.DOTALL)
+        what, where = place.groups() if place else (str(error), "not valid TOML")
+        problem = f"{where}: {what}"
+    raise ExperimentError(str(path), [problem])
+
+
+def read_settings(raw: Mapping[str, Any], problems: Problems) -> Parts:
+    """Checks the form and the ranges of everything in ``raw``, and returns what is sound.
+
+    Args:
+        raw: The content of an experiment file.
+        problems: Receives what is not.
+    """
+    try:
+        return Parts.of_settings(Settings.model_validate(dict(raw)))
+    except ValidationError as failure:
+        errors = failure.errors(include_url=False)
+    for error in errors:
+        _explain(error, problems)
+    return Parts.of_damaged(raw, {error["loc"][0] for error in errors})
+
+
+def _explain(error: Any, problems: Problems) -> None:
+    """Adds the sentence for an error of pydantic."""
+    kind, location, value = error["type"], error["loc"], error["input"]
+    # Parts in parentheses tell which of several tables was meant, see catalogue.
+    path = key_path(part for part in location if not str(part).startswith("("))
+    if kind == "missing":
+        meaning = table_at(location[:-1]).model_fields[location[-1]].description
+        problems.add(path, f"is missing{f': {meaning}' if meaning else ''}")
+    elif kind == "extra_forbidden":
+        keys = list(table_at(location[:-1]).model_fields)
+        problems.add(path, f"is not known{suggestion(location[-1], keys) or '; allowed: ' + ', '.join(keys)}")
+    elif kind.startswith("union_tag"):
+        _explain_choice(path, str(location[-1]), value, problems)
+    elif kind == "value_error":
+        problems.add(path, str(error["ctx"]["error"]))
+    elif kind == "greater_than_equal":
+        problems.add(path, f"must be at least {error['ctx']['ge']}, got {shown(value)}")
+    elif kind in _KINDS:
+        what = f"a list of tables, [[{path}]]" if path in SECTIONS else _KINDS[kind]
+        problems.add(path, f"must be {what}, got {shown(value)}")
+    else:
+        problems.add(path, f": {error['msg']}, got {shown(value)}")
+
+
+def _explain_choice(path: str, key: str, value: Any, problems: Problems) -> None:
+    """Adds the sentence for a law, friction or mesh that is not one of the catalogue."""
+    options = {"law": LAWS, "friction": FRICTIONS, "mesh": MESHES}[key]
+    names = [name for name in options if name != FILE]
+    choose = "shape" if key == "mesh" else "type"
+    listed = f"one of {', '.join(names)}"
+    if not isinstance(value, dict):
+        hint = f"; write {key} = {{ {choose} = {value!r}, … }}" if value in names else ""
+        problems.add(path, f"must be a table, got {shown(value)}{hint}")
+    elif choose not in value:
+        instead = ", or file: a mesh file" if key == "mesh" else ""
+        problems.add(f"{path}.{choose}", f"is missing: {listed}{instead}")
+    else:
+        problems.add(
+            f"{path}.{choose}", f"must be {listed}, got {shown(value[choose])}{suggestion(value[choose], names)}"
+        )

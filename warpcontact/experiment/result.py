@@ -1,0 +1,156 @@
+"""The folder that a run fills: which folders it may use, and what it writes into them."""
+
+import json
+import os
+import shutil
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpcontact._version import __version__
+from warpcontact.experiment.catalogue import FileMesh
+from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.schema import Settings
+from warpcontact.health import Health
+from warpcontact.model import Model
+from warpcontact.readings import AXES
+from warpcontact.recorder import Recording
+
+RECORDING = "recording.zarr"
+ANIMATION = "animation.usdc"
+PICTURE = "picture.png"
+EXPERIMENT = "experiment.toml"
+SUMMARY = "run.json"
+
+# Arrays are stored in pieces of about this size, each a range of environments [bytes].
+CHUNK = 16 * 2**20
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run left behind.
+
+    Attributes:
+        folder: Where the files are.
+        files: Path of each file by what it is: experiment, recording, animation, picture, summary.
+        recording: The readings (time, env, …), and the parameters that varied (env, …).
+        health: Which environments turned non-finite.
+        summary: Content of ``run.json``: versions, device, seed, times.
+    """
+
+    folder: Path
+    files: dict[str, Path]
+    recording: Recording
+    health: Health
+    summary: dict[str, Any]
+
+    def __str__(self) -> str:
+        s = self.summary
+        rate = f"{s['env_steps_per_second']:.3g} environment steps per second"
+        lines = [
+            f"{s['name']}: {s['envs']} environments × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s",
+            f"{s['wall_time']:.1f} s on {s['device']}, {rate}",
+            str(self.health),
+            *(f"  {kind:<11} {path}" for kind, path in sorted(self.files.items())),
+        ]
+        return "\n".join(lines)
+
+
+def check_folder(folder: Path, overwrite: bool) -> None:
+    """Raises ``ExperimentError`` unless results may go into ``folder``.
+
+    It may be new or empty; with ``overwrite`` it may hold an earlier run.
+    """
+    if not os.path.lexists(folder):
+        return
+    if not folder.is_dir():
+        raise ExperimentError(str(folder), ["is not a folder"])
+    if not any(folder.iterdir()):
+        return
+    if not _holds_run(folder):
+        raise ExperimentError(
+            str(folder), ["is not empty, and what is in it is no earlier run; choose a new folder"]
+        )
+    if not overwrite:
+        raise ExperimentError(
+            str(folder), ["holds an earlier run; choose another folder, or overwrite it (--overwrite)"]
+        )
+
+
+def _holds_run(folder: Path) -> bool:
+    try:
+        return str(json.loads((folder / SUMMARY).read_bytes())["program"]).startswith("warpcontact ")
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def clear_folder(folder: Path) -> None:
+    """Makes ``folder``, or removes the files of the earlier run in it; others stay."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in (RECORDING, ANIMATION, PICTURE, EXPERIMENT, SUMMARY):
+        path = folder / name
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def moved(settings: Settings, old: Path, new: Path) -> Settings:
+    """Returns ``settings`` with the names of mesh files made relative to folder ``new`` instead of ``old``."""
+    surfaces = []
+    for surface in settings.surface:
+        mesh = surface.mesh
+        if isinstance(mesh, FileMesh) and not Path(mesh.file).is_absolute():
+            target = (old / mesh.file).resolve()
+            try:
+                file = Path(os.path.relpath(target, new.resolve()))
+            except ValueError:  # on another drive
+                file = target
+            mesh = mesh.model_copy(update={"file": file.as_posix()})
+        surfaces.append(surface.model_copy(update={"mesh": mesh}))
+    return settings.model_copy(update={"surface": tuple(surfaces)})
+
+
+def add_parameters(recording: Recording, model: Model, varied: Iterable[str]) -> None:
+    """Adds to ``recording`` the parameters that varied, and the masses, inertias and radii in any case, (env, …).
+
+    A parameter that is also a reading, such as ``ball.position``, is its initial value: ``ball.position.initial``.
+    """
+    scene = model.scene
+    always = [f"{body.name}.{key}" for body in scene.bodies for key in ("mass", "inertia")]
+    always += [f"{contact.name}.radius" for contact in scene.contacts]
+    for name in dict.fromkeys((*varied, *always)):
+        parameter = model.parameters[name]
+        label = f"{name}.initial" if name in model.reading_names else name
+        notes = {"units": parameter.limits["unit"], "long_name": parameter.limits.get("meaning", name)}
+        dimensions: tuple[str, ...] = ("env",)
+        if not parameter.single:
+            shared = recording.sizes.get("item") == parameter.count
+            dimensions += ("item" if shared else f"{name.partition('.')[0]}.item",)
+        dimensions += {(): (), (3,): ("axis",), (4,): ("component",), (3, 3): ("axis", "column")}[parameter.tail]
+        recording[label] = (dimensions, model[name], notes)
+
+
+def write_recording(recording: Recording, path: Path) -> None:
+    """Writes ``recording`` as a Zarr v3 group, which ``xarray.open_zarr`` reads."""
+    stored = recording.copy()
+    for dim, labels in AXES.values():
+        if dim in stored.coords:
+            # NumPy's texts of fixed length have no place in the Zarr v3 specification; these have.
+            stored = stored.assign_coords({dim: (dim, np.array(labels, dtype=object))})
+    encoding = {}
+    for name, variable in stored.data_vars.items():
+        row = variable.nbytes // max(1, variable.sizes["env"])
+        envs = max(1, min(variable.sizes["env"], CHUNK // max(1, row)))
+        chunks = tuple(envs if dim == "env" else size for dim, size in variable.sizes.items())
+        encoding[name] = {"chunks": chunks}
+    stored.to_zarr(path, mode="w-", zarr_format=3, consolidated=False, encoding=encoding)
+
+
+def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
+    """Writes ``run.json``, by which a folder is known to hold a run."""
+    content = {"program": f"warpcontact {__version__}", **summary}
+    path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

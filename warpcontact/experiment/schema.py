@@ -1,0 +1,192 @@
+"""The experiment file: its sections, their keys, types and defaults, in the words of the Python API.
+
+Laws, frictions and meshes are in ``catalogue``.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, Any, TypeVar
+
+from pydantic import Field, model_validator
+
+from warpcontact import scene as limits_of
+from warpcontact.build import PRECISIONS
+from warpcontact.experiment import quantities as q
+from warpcontact.experiment.catalogue import (
+    FRICTIONS,
+    LAWS,
+    MESHES,
+    FrictionSettings,
+    LawSettings,
+    MeshSettings,
+    Section,
+)
+
+Row = TypeVar("Row")
+# TOML has lists only; tuples keep what is read as it is.
+Rows = Annotated[tuple[Row, ...], Field(strict=False)]
+Name = Annotated[str, q.element_name]
+Position = Annotated[tuple[float, ...], q.position]
+Quaternion = Annotated[tuple[float, ...], q.quaternion]
+Color = Annotated[tuple[float, ...], q.color]
+ORIGIN = (0.0, 0.0, 0.0)
+NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
+
+
+class SurfaceSettings(Section):
+    """``[[surface]]``: an oriented mesh on a body, or on the world."""
+
+    name: Name
+    mesh: MeshSettings
+    body: str | None = None
+    position: Position = ORIGIN
+    orientation: Quaternion = NO_ROTATION
+    flip: bool = False
+    active_faces: Annotated[tuple[int, ...] | None, q.faces] = None
+    color: Color | None = None
+    visible: bool = True
+
+
+class BodySettings(Section):
+    """``[[body]]``: a rigid body and its initial state."""
+
+    name: Name
+    mass: Annotated[float, q.numbers((), allowed=limits_of.MASS)] = Field(description="mass [kg]")
+    inertia: Annotated[Any, q.inertia] = Field(description="3 principal moments or a 3×3 tensor [kg·m²]")
+    position: Position = ORIGIN
+    orientation: Quaternion = NO_ROTATION
+    linear_velocity: Annotated[tuple[float, ...], q.velocity] = ORIGIN
+    angular_velocity: Annotated[tuple[float, ...], q.angular_velocity] = ORIGIN
+    color: Color | None = None
+
+
+class PointSettings(Section):
+    """``[[point]]``: a point of a body, or of the world."""
+
+    name: Name
+    body: str | None = None
+    position: Position = Field(description="3 numbers [m]")
+
+
+class PointsSettings(Section):
+    """``[[points]]``: a set of points of a body, or of the world."""
+
+    name: Name
+    body: str | None = None
+    positions: Annotated[tuple[tuple[float, ...], ...], q.positions] = Field(
+        description="a list of 3 numbers each [m]"
+    )
+
+
+class TemplateSettings(Section):
+    """``[[template]]``: a law and a friction that contacts share."""
+
+    name: Name
+    law: LawSettings = Field(description="{ type = …, and its parameters }")
+    friction: FrictionSettings = FRICTIONS["Frictionless"](type="Frictionless")
+
+
+class ContactSettings(Section):
+    """``[[contact]]``: points, or spheres about them, that touch a surface."""
+
+    name: Name
+    points: str = Field(description="the name of a point or of points")
+    surface: str = Field(description="the name of a surface")
+    template: str = Field(description="the name of a template")
+    radius: Annotated[float, q.numbers((), allowed=limits_of.RADIUS)] = 0.0
+    kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
+    search: Annotated[str, q.one_of(("whole", "active"))] = "whole"
+    entry: Annotated[str, q.one_of(("literal", "latched"))] = "literal"
+    max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
+    rim: Annotated[str, q.one_of(("off", "outer"))] = "off"
+    search_radius: Annotated[float | None, q.numbers((), allowed=limits_of.SEARCH_RADIUS)] = None
+    enabled: bool = True
+    color: Color | None = None
+    visible: bool = True
+
+
+class SolidSphere(Section):
+    """Inertia of a uniform solid sphere, (2/5) m r²."""
+
+    mass: Annotated[str | float, q.number_or_name] = Field(description="a parameter or a number [kg]")
+    radius: Annotated[str | float, q.number_or_name] = Field(description="a parameter or a number [m]")
+
+
+class VariationSettings(Section):
+    """An entry of ``[variation]``: how one parameter differs between the environments. One key of these."""
+
+    uniform: Annotated[tuple[Any, ...] | None, q.interval] = None
+    loguniform: Annotated[tuple[Any, ...] | None, q.positive_interval] = None
+    normal: Annotated[tuple[Any, ...] | None, q.mean_and_deviation] = None
+    linspace: Annotated[tuple[Any, ...] | None, q.pair] = None
+    values: Annotated[tuple[Any, ...] | None, q.rows] = None
+    solid_sphere: SolidSphere | None = None
+
+    @property
+    def kind(self) -> str:
+        """The key that is given."""
+        return next(iter(self.model_dump(exclude_none=True)))
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> "VariationSettings":
+        given = list(self.model_dump(exclude_none=True))
+        if len(given) != 1:
+            kinds = ", ".join(type(self).model_fields)
+            raise ValueError(f"must have exactly one of {kinds}; got {' and '.join(given) or 'none'}")
+        return self
+
+
+class RecordSettings(Section):
+    """``[record]``: what is recorded how often."""
+
+    every: Annotated[float | None, q.time] = None
+    readings: Rows[str] | None = None
+
+
+class OutputSettings(Section):
+    """``[output]``: what is written besides the recording."""
+
+    usd_envs: int = Field(default=16, ge=0)
+
+
+class Settings(Section):
+    """A whole experiment file."""
+
+    name: Annotated[str, q.title] = "experiment"
+    envs: int = Field(default=1, ge=1)
+    duration: Annotated[float, q.time] = Field(description="simulated time [s]")
+    dt: Annotated[float, q.time] = Field(description="time step [s]")
+    precision: Annotated[str, q.one_of(tuple(PRECISIONS))] = "float32"
+    seed: int = Field(default=0, ge=0)
+    gravity: Annotated[tuple[float, ...], q.acceleration] = (0.0, 0.0, -9.81)
+    surface: Rows[SurfaceSettings] = ()
+    body: Rows[BodySettings] = ()
+    point: Rows[PointSettings] = ()
+    points: Rows[PointsSettings] = ()
+    template: Rows[TemplateSettings] = ()
+    contact: Rows[ContactSettings] = ()
+    variation: dict[str, VariationSettings] = Field(default_factory=dict)
+    record: RecordSettings = Field(default_factory=RecordSettings)
+    output: OutputSettings = Field(default_factory=OutputSettings)
+
+
+#: The sections that are lists, in the order in which a scene is made of them.
+SECTIONS: dict[str, type[Section]] = {
+    "body": BodySettings,
+    "surface": SurfaceSettings,
+    "point": PointSettings,
+    "points": PointsSettings,
+    "template": TemplateSettings,
+    "contact": ContactSettings,
+}
+
+
+def table_at(location: Sequence[str | int]) -> type[Section]:
+    """Returns the type of the table at ``location``, a place in the file as pydantic gives it."""
+    parts = [part for part in location if isinstance(part, str)]
+    if not parts:
+        return Settings
+    if parts[0] == "variation":
+        return SolidSphere if len(parts) > 2 else VariationSettings
+    tables = {f"({name})": model for name, model in (LAWS | FRICTIONS | MESHES).items()}
+    tables |= SECTIONS | {"record": RecordSettings, "output": OutputSettings}
+    return tables[parts[-1]]

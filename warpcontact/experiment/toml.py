@@ -1,0 +1,53 @@
+"""Writes settings as the TOML file that they could have come from."""
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from warpcontact.experiment.errors import key_path
+from warpcontact.experiment.schema import SECTIONS, Settings
+
+
+def to_toml(settings: Settings, comment: str) -> str:
+    """Returns ``settings``, with all that was left to defaults, as TOML text that reads back as the same.
+
+    Args:
+        settings: What to write.
+        comment: First line.
+    """
+    content = settings.model_dump(exclude_none=True)
+    lines = [f"# {comment}"]
+    lines += [_line(key, value) for key, value in content.items() if not isinstance(value, dict | tuple | list)]
+    lines += [_line("gravity", content["gravity"])]
+    for section in SECTIONS:
+        for entry in content[section]:
+            lines += ["", f"[[{section}]]", *(_line(key, value) for key, value in entry.items())]
+    for table in ("variation", "record", "output"):
+        if content[table]:
+            lines += ["", f"[{table}]", *(_line(key, value) for key, value in content[table].items())]
+    return "\n".join(lines) + "\n"
+
+
+def _line(key: str, value: Any) -> str:
+    return f"{key_path([key])} = {_value(value)}"
+
+
+def _value(value: Any) -> str:
+    """Returns ``value`` in one line of TOML.
+
+    Raises:
+        ValueError: If it is infinite, NaN, or of a type that settings do not have.
+    """
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if (isinstance(value, float) and math.isfinite(value)) or isinstance(value, int):
+        return repr(value)
+    if isinstance(value, str):
+        # Both languages escape alike, except for the last character of ASCII.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(_line(key, entry) for key, entry in value.items()) + " }"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    raise ValueError(f"there is no TOML for {value!r}")
