@@ -32,6 +32,9 @@ BAD = [
     (lambda: scene_with(mass=0), "ball.mass must be greater than 0, got 0 kg"),
     (lambda: scene_with(mass=np.inf), "ball.mass must be greater than 0, got inf kg"),
     (lambda: scene_with(mass="heavy"), "ball.mass must be a number, got 'heavy'"),
+    (lambda: scene_with(mass="3"), "ball.mass must be a number, got '3'"),
+    (lambda: scene_with(mass=True), "ball.mass must be a number, got True"),
+    (lambda: scene_with(mass=10**400), "ball.mass must be a number, got 1000"),
     (lambda: scene_with(mass=[1, 2]), "ball.mass must be a number, got [1, 2]"),
     (lambda: scene_with(inertia=1.0), "ball.inertia must be 3 numbers or a 3×3 tensor"),
     (lambda: scene_with(inertia=(1, 1, 0)), "ball.inertia must be positive definite"),
@@ -131,6 +134,17 @@ def test_bad_parameter_values_are_refused_and_change_nothing(name, value, messag
     with pytest.raises(ValueError, match=re.escape(message)):
         model[name] = value
     np.testing.assert_array_equal(model[name], before)
+
+
+def test_an_inertia_that_could_mean_two_things_is_refused():
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e3), envs=3)
+    moments = np.array([(1.0, 2.0, 2.5), (1.0, 1.0, 1.0), (2.0, 2.0, 3.0)])
+    with pytest.raises(ValueError, match=r"of shape \(3, 3\) may be one value of shape \(3, 3\) or one per"):
+        model["ball.inertia"] = moments
+    model["ball.inertia"] = moments[:, :, None] * np.eye(3)
+    np.testing.assert_array_equal(model["ball.inertia"][0], np.diag(moments[0]))
+    model["ball.inertia"] = (1.0, 2.0, 2.5)
+    np.testing.assert_array_equal(model["ball.inertia"][2], np.diag(moments[0]))
 
 
 def test_unknown_names_suggest_the_nearest():

@@ -39,8 +39,11 @@ FINITE = limits("-")
 def numbers(name: str, value: ArrayLike, shape: tuple[int, ...], allowed: Mapping[str, Any] = FINITE) -> Array:
     """Returns ``value`` as float64 of exactly ``shape``, or raises ``ValueError``."""
     try:
-        values = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+        given = np.asarray(value)
+        if given.dtype.kind not in "iuf":  # not text that reads like a number, nor True for 1
+            raise TypeError
+        values = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be {describe_shape(shape)}, got {value!r}") from None
     if values.shape != shape:
         raise ValueError(f"{name} must be {describe_shape(shape)}, got {_brief(value, values)}")

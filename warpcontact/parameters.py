@@ -71,9 +71,13 @@ class Parameter:
             ValueError: If the shape fits neither one value nor one per environment, or a value is out of range.
         """
         try:
-            values = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
+            given = np.asarray(value)
+            if given.dtype.kind not in "biuf":
+                raise TypeError
+            values = given.astype(np.float64)
+        except (TypeError, ValueError, OverflowError):
             raise ValueError(f"{self.name} must be numeric, got {value!r}") from None
+        found = []
         for tail in self.given or (self.tail,):
             lead = values.shape[: values.ndim - len(tail)]
             if values.shape[len(lead) :] != tail:
@@ -86,8 +90,15 @@ class Parameter:
                 shaped = values
             else:
                 continue
+            found.append(shaped)
+        if len(found) > 1:
+            raise ValueError(
+                f"{self.name} of shape {values.shape} may be one value of shape {self.tail} or one per "
+                f"environment; repeat the value, {(envs, *self.tail)}, or give one per environment in full"
+            )
+        if found:
             check_values(self.name, values, self.limits)
-            return self.convert(self.name, shaped) if self.convert else shaped
+            return self.convert(self.name, found[0]) if self.convert else found[0]
         raise ValueError(
             f"{self.name} must have shape {' or '.join(str(s) for s in self._shapes(envs))}, got {values.shape}"
         )

@@ -125,8 +125,8 @@ class Simulation:
         """
         from tqdm import tqdm
 
-        steps = self._whole_steps("duration", duration, exact=False)
-        stride = 1 if every is None else self._whole_steps("every", every, exact=True)
+        steps = whole_steps("duration", duration, self.dt, exact=False)
+        stride = 1 if every is None else whole_steps("every", every, self.dt, exact=True)
         if isinstance(record, str):
             raise TypeError(f"record must be a list of readings, got the string {record!r}")
         recorder = Recorder(self.model, record, frames=steps // stride + 1, poses=poses)
@@ -158,25 +158,36 @@ class Simulation:
             }
         )
 
-    def _whole_steps(self, name: str, time: float, *, exact: bool) -> int:
-        """Returns the number of steps in ``time``, which must be a multiple of the step if ``exact``."""
-        value = float(checks.numbers(name, time, (), checks.limits("s", above=0.0)))
-        steps = value / self.dt
-        nearest = round(steps)
-        # Decimal fractions of a second are not exact; 1e-6 steps is far below what anyone means.
-        if abs(steps - nearest) <= 1.0e-6 * max(1.0, steps):
-            return max(nearest, 1)
-        if exact:
-            below, above = max(int(steps), 1), int(steps) + 1
-            raise ValueError(
-                f"{name} must be a multiple of dt = {self.dt:g} s, got {value:g} s; "
-                f"the nearest are {below * self.dt:g} s and {above * self.dt:g} s"
-            )
-        return int(steps) + 1
-
     def _copy_back(self) -> None:
         for attribute in self.model.types.State.vars:
             wp.copy(getattr(self.model.state, attribute), getattr(self._other, attribute))
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"
+
+
+def whole_steps(name: str, time: float, dt: float, *, exact: bool) -> int:
+    """Returns the number of steps in a time.
+
+    Args:
+        name: What to call it in a message.
+        time: The time [s], positive.
+        dt: The step [s].
+        exact: Whether the time must be a multiple of the step; if not, it is rounded up.
+
+    Raises:
+        ValueError: If ``time`` is not positive, or not a multiple of the step.
+    """
+    value = float(checks.numbers(name, time, (), checks.limits("s", above=0.0)))
+    steps = value / dt
+    nearest = round(steps)
+    # Decimal fractions of a second are not exact; a millionth of a step is far below what anyone means.
+    if nearest >= 1 and abs(steps - nearest) <= 1.0e-6:
+        return nearest
+    if exact:
+        below, above = max(int(steps), 1), int(steps) + 1
+        raise ValueError(
+            f"{name} must be a multiple of dt = {dt:g} s, got {value:g} s; "
+            f"the nearest are {below * dt:g} s and {above * dt:g} s"
+        )
+    return int(steps) + 1

@@ -23,7 +23,7 @@ from warpcontact.experiment.variation import Draw, truncated
 from warpcontact.meshes import Mesh
 from warpcontact.model import Model
 from warpcontact.scene import Scene
-from warpcontact.simulation import Simulation
+from warpcontact.simulation import Simulation, whole_steps
 
 # Frames of a recording for which nothing else is asked.
 FRAMES = 100
@@ -282,7 +282,7 @@ class Experiment:
             problems.add("record.every", f"must be at most the duration, {settings.duration:g} s, got {every:g} s")
             return every
         try:
-            Simulation(model, settings.dt)._whole_steps("record.every", every, exact=True)
+            whole_steps("record.every", every, settings.dt, exact=True)
         except ValueError as error:
             problems.add("record.every", str(error).removeprefix("record.every "))
         return every
