@@ -129,8 +129,8 @@ class Formula:
         """Returns the names of the coefficients that ``force`` sees."""
         return cls.device or tuple(field.name for field in dataclasses.fields(cls))
 
-    @staticmethod
-    def coefficients(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    @classmethod
+    def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Computes the device coefficients from the parameters, each of one broadcastable shape."""
         return values
 

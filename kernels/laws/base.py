@@ -1,6 +1,6 @@
 """The contract of a normal-force law."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import Formula
@@ -51,3 +51,13 @@ def power(x: wp.float64, exponent: wp.float64):  # noqa: F811  an overload
     if exponent == wp.float64(1.5):
         return x * wp.sqrt(x)
     return wp.pow(x, exponent)
+
+
+@wp.func
+def stepped_dashpot(damping: Any, mass: Any, dt: Any):
+    """Dashpot constant that acts in steps of ``dt`` like ``damping`` does in continuous time; see KelvinVoigt."""
+    # A step's velocity lags its position by half a step, v = v(t) + ½ dt N/m. Solved for N, the step acts
+    # with K and c both divided by 1 − c dt/(2m), and so with the damping ratio ξ/√(1 − c dt/(2m)). The
+    # dashpot c' = c (√(1 + y²) − y), y = c dt/(4m), has ξ again, and with it the restitution.
+    y = damping * dt / (type(dt)(4.0) * mass)
+    return damping * (wp.sqrt(type(dt)(1.0) + y * y) - y)

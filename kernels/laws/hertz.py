@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from scipy.optimize import elementwise
+from scipy.special import ellipe, ellipk
 from warpcontact.kernels.formula import check_values, parameter
 from warpcontact.kernels.laws.base import Law
 
@@ -44,6 +46,48 @@ def hertz_stiffness(
     return 4.0 / 3.0 / compliance / math.sqrt(curvature)
 
 
+def elliptic_stiffness(
+    E: float, nu: float, Rx: float, Ry: float, E2: float | None = None, nu2: float = 0.0
+) -> float:
+    """Stiffness K of F = K δ^1.5 for an elliptic contact, from complete elliptic integrals.
+
+    Args:
+        E: Young's modulus of the first body [Pa].
+        nu: Its Poisson's ratio [-].
+        Rx: Combined principal radius of both bodies in one direction, 1/Rx = 1/Rx1 + 1/Rx2 [m].
+        Ry: The same in the other direction [m].
+        E2: Young's modulus of the second body [Pa]; ``None``: rigid.
+        nu2: Its Poisson's ratio [-].
+
+    Returns:
+        K [N/m^1.5].
+
+    Raises:
+        ValueError: If a value is out of range, or one radius is more than 1e6 times the other.
+    """
+    short, long = sorted((Rx, Ry))
+    # Of a sphere on a plane, for the material and its checks: K = (4/3) E* √R.
+    effective = 0.75 * hertz_stiffness(E, nu, short, E2, nu2) / math.sqrt(short)
+    ratio = long / short
+    if not ratio <= 1.0e6:
+        raise ValueError(f"Rx and Ry must be positive and within a factor of 1e6, got {Rx:g} m and {Ry:g} m")
+    if ratio < 1.0 + 1.0e-9:
+        return 4.0 / 3.0 * effective * math.sqrt(short)
+
+    def excess(axis_ratio: np.ndarray) -> np.ndarray:
+        m = 1.0 - axis_ratio**-2
+        first, second = ellipk(m), ellipe(m)
+        return (axis_ratio**2 * second - first) / (first - second) - ratio
+
+    # The ratio of the axes lies between the root and the first power of that of the radii.
+    axes = elementwise.find_root(excess, (1.0 + 1.0e-9, 2.0 * ratio))
+    m = 1.0 - float(axes.x) ** -2
+    combined = 1.0 / (1.0 / short + 1.0 / long)
+    # δ = K(m) [9/(2 E(m) R) (F/(2 π k E*))²]^(1/3)
+    per_force = ellipk(m) * (9.0 / (2.0 * ellipe(m) * combined)) ** (1.0 / 3.0)
+    return float(2.0 * math.pi * axes.x * effective * per_force**-1.5)
+
+
 class Hertz(Law):
     """Elastic contact of smooth bodies: a sphere on a plane, or two spheres.
 
@@ -68,6 +112,13 @@ class Hertz(Law):
     ) -> "Hertz":
         """Returns the law for materials and radii; see ``hertz_stiffness``. Without ``E2`` the second is rigid."""
         return cls(stiffness=hertz_stiffness(E, nu, R, E2, nu2, R2))
+
+    @classmethod
+    def elliptic(
+        cls, E: float, nu: float, Rx: float, Ry: float, E2: float | None = None, nu2: float = 0.0
+    ) -> "Hertz":
+        """Returns the law of an elliptic contact of two principal radii; see ``elliptic_stiffness``."""
+        return cls(stiffness=elliptic_stiffness(E, nu, Rx, Ry, E2, nu2))
 
     @wp.func
     def force(p: Any, c: Any):

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from scipy.optimize import elementwise
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.laws.base import Law
+from warpcontact.kernels.laws.base import Law, stepped_dashpot
 
 
 def restitution_of_damping_ratio(ratio: np.ndarray) -> np.ndarray:
@@ -43,7 +43,7 @@ class KelvinVoigt(Law):
 
     With ``restitution`` the dashpot is c = 2ξ√(K m), m the effective mass of the contact and ξ the damping ratio
     whose clamped impact has exactly that restitution; with ``damping`` it is the constant c. The force jumps to
-    c δ̇ at first touch.  In a step the dashpot is a little weaker, so that the damping ratio of the stepped
+    c δ̇ at first touch. In a step the dashpot is a little weaker, so that the damping ratio of the stepped
     motion is ξ to second order in dt.
     """
 
@@ -69,9 +69,4 @@ class KelvinVoigt(Law):
     @wp.func
     def force(p: Any, c: Any):
         dashpot = p.damping + type(c.delta)(2.0) * p.ratio * wp.sqrt(p.stiffness * c.mass)
-        # A step's velocity lags its position by half a step, v = v(t) + ½ dt N/m. Solved for N, the step acts
-        # with K and c both divided by 1 − c dt/(2m), and so with the damping ratio ξ/√(1 − c dt/(2m)). The
-        # dashpot c' = c (√(1 + y²) − y), y = c dt/(4m), has ξ again, and with it the restitution.
-        y = dashpot * c.dt / (type(c.delta)(4.0) * c.mass)
-        dashpot = dashpot * (wp.sqrt(type(c.delta)(1.0) + y * y) - y)
-        return p.stiffness * c.delta + dashpot * c.delta_dot
+        return p.stiffness * c.delta + stepped_dashpot(dashpot, c.mass, c.dt) * c.delta_dot

@@ -1,0 +1,29 @@
+"""Repulsion within a range of the surface."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.laws.base import Law, stepped_dashpot
+
+
+class ContactRange(Law):
+    """Spring and dashpot per area on the surface offset by a range: keeps bodies apart before they touch.
+
+    The range d₀ is the ``radius`` of the contact, so δ = d₀ − d for a point at the distance d. A body of weight W
+    hovers at d₀ − W/(Σ a k₁).
+    """
+
+    formula = "N = a max(0, k₁ (d₀ − d) − k₂ ḋ),  d₀ = radius of the contact"
+    reference = "Simcenter STAR-CCM+ manual, contact coupling"
+    validity = "for d < d₀; the damping jumps at d₀"
+    needs_mass = True
+
+    k1: float = parameter("N/m³", "elastic coefficient k₁", above=0.0)
+    k2: float = parameter("N·s/m³", "damping coefficient k₂", default=0.0, at_least=0.0)
+    area: float = parameter("m²", "area a of the point", above=0.0)
+
+    @wp.func
+    def force(p: Any, c: Any):
+        dashpot = stepped_dashpot(p.area * p.k2, c.mass, c.dt)
+        return p.area * p.k1 * c.delta + dashpot * c.delta_dot

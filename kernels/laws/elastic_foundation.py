@@ -1,0 +1,39 @@
+"""Area-weighted elastic foundation."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.laws.base import Law
+
+
+class ElasticFoundation(Law):
+    """Bed of independent springs, one behind each point of a set, with the area that the point stands for.
+
+    Set the areas per point: ``model["hull.law.area"] = areas[None]``. The pressure does not depend on how fine
+    the set is. For an elastic layer of thickness h on a rigid base k = (1−ν)E/((1+ν)(1−2ν)h).
+    """
+
+    formula = "N = max(0, k a δ (1 + χ δ̇))"
+    reference = "elastic foundation model of Simbody (ElasticFoundationForce)"
+    validity = "layers much thinner than the contact is wide"
+
+    stiffness: float = parameter("Pa/m", "foundation modulus k", above=0.0)
+    area: float = parameter("m²", "area a of the point", above=0.0)
+    damping: float = parameter("s/m", "damping χ", default=0.0, at_least=0.0)
+
+    @classmethod
+    def from_layer(
+        cls, *, E: float, nu: float, thickness: float, area: float, damping: float = 0.0
+    ) -> "ElasticFoundation":
+        """Returns the law of an elastic layer: Young's modulus [Pa], Poisson's ratio < 0.5, thickness [m]."""
+        if not (E > 0.0 and -1.0 < nu < 0.5 and thickness > 0.0):
+            raise ValueError(
+                f"E and thickness must be positive and nu between -1 and 0.5, got {E:g}, {thickness:g} and {nu:g}"
+            )
+        modulus = (1.0 - nu) * E / ((1.0 + nu) * (1.0 - 2.0 * nu) * thickness)
+        return cls(stiffness=modulus, area=area, damping=damping)
+
+    @wp.func
+    def force(p: Any, c: Any):
+        return p.stiffness * p.area * c.delta * (type(c.delta)(1.0) + p.damping * c.delta_dot)

