@@ -31,9 +31,12 @@ from warpcontact.kernels.types import (
 
 # A point counts as beside an open border when it is farther sideways than this fraction of the border edge.
 BORDER_TOLERANCE = 1.0e-4
-# Rounding of a difference of coordinates, in units of the largest coordinate times epsilon. Below it a direction
-# between two points means nothing, and two distances are equal.
+# Rounding of a difference of coordinates, in units of the largest coordinate times epsilon: below ROUNDING a
+# direction between two points means nothing, below TIE two distances are equal. A tie must not be wider: the
+# distances to a face and to its neighbour's edge differ in second order only, and the pseudonormal of an edge
+# tells the side of a point only if the edge is nearest.
 ROUNDING = 16.0
+TIE = 3.0
 
 
 @functools.cache
@@ -45,6 +48,7 @@ def kernel(real: type) -> wp.Kernel:
     frame = frames.functions(real)
     point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
+    tie_epsilon = wp.constant(real(t.epsilon * TIE))
     # The mesh that the query searches is stored in float32, whatever the precision of the simulation.
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
     border_tolerance = wp.constant(real(BORDER_TOLERANCE))
@@ -57,28 +61,54 @@ def kernel(real: type) -> wp.Kernel:
         row: wp.int32  # of the face tables
         feature: wp.int32
         distance: real  # |P − S|
+        inner: wp.bool  # P is on the inner side
+        hidden: wp.bool  # S is not on the active part
 
     @wp.func
     def foot_on(model: Model, row: int, p: vec3):
         hit = closest_on_triangle(
-            p, model.face_corner[row, 0], model.face_corner[row, 1], model.face_corner[row, 2]
+            p,
+            model.face_corner[row, 0],
+            model.face_corner[row, 1],
+            model.face_corner[row, 2],
+            model.face_normal[row, 0],
         )
         foot = Foot()
         foot.point = hit.point
         foot.row = row
         foot.feature = hit.feature
         foot.distance = wp.length(p - hit.point)
+        foot.inner = wp.dot(p - hit.point, model.face_normal[row, hit.feature]) < real(0.0)
+        foot.hidden = (wp.int32(model.face_flags[row, hit.feature]) & FEATURE_ACTIVE) == 0
         return foot
 
     @wp.func
-    def lowest_nearest(model: Model, mesh: wp.uint64, start: int, p: vec3, scale: real, first: Foot):
-        """Looks again at all faces about as near as ``first``; of equally near ones the lowest index wins.
+    def before(a: Foot, b: Foot, tie: real):
+        """Whether ``a`` is taken of two feet at the same distance.
+
+        One on the active part if they are one point; else a face before an edge before a corner, the outer side
+        before the inner, and the lower face.
+        """
+        if a.hidden != b.hidden and wp.length(a.point - b.point) <= tie:
+            return not a.hidden
+        rank_a = wp.where(a.feature > 3, 2, wp.where(a.feature > 0, 1, 0))
+        rank_b = wp.where(b.feature > 3, 2, wp.where(b.feature > 0, 1, 0))
+        if rank_a != rank_b:
+            return rank_a < rank_b
+        if a.inner != b.inner:
+            return not a.inner
+        return a.row < b.row
+
+    @wp.func
+    def nearest_of_all(model: Model, mesh: wp.uint64, start: int, p: vec3, scale: real, first: Foot):
+        """Looks again at all faces about as near as ``first``, in the precision of the simulation.
 
         Makes the choice on edges and medial axes independent of the traversal, and exact in float64.
         """
         best = first
+        nearest = first.distance
         margin = query_epsilon * (scale + first.distance)
-        tie = epsilon * (scale + first.distance)
+        tie = tie_epsilon * (scale + first.distance)
         reach = wp.float32(first.distance + margin)
         centre = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
         around = wp.vec3f(reach, reach, reach)
@@ -86,10 +116,10 @@ def kernel(real: type) -> wp.Kernel:
         face = wp.int32(0)
         while wp.mesh_query_aabb_next(query, face):
             other = foot_on(model, start + face, p)
-            nearer = other.distance < best.distance - tie
-            level = other.distance <= best.distance + tie
-            if nearer or (level and other.row < best.row):
+            level = other.distance <= nearest + tie
+            if other.distance < nearest - tie or (level and before(other, best, tie)):
                 best = other
+            nearest = wp.min(nearest, other.distance)
         return best
 
     @wp.func
@@ -150,7 +180,7 @@ def kernel(real: type) -> wp.Kernel:
             wp.float32(geometry.search_radius),
         )
         if not query.result:
-            contacts.gap[env, contact] = geometry.search_radius - radius
+            contacts.gap[env, contact] = wp.max(geometry.search_radius - radius, real(0.0))
             contacts.status[env, contact] = FAR
             contacts.armed[env, contact] = history.armed[env, contact]
             return
@@ -158,10 +188,9 @@ def kernel(real: type) -> wp.Kernel:
         start = model.patch_face_start[patch]
         scale = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
         foot = foot_on(model, start + query.face, p_S)
+        if foot.inner or foot.distance < radius + model.patch_slack[patch]:
+            foot = nearest_of_all(model, mesh, start, p_S, scale, foot)
         n_S = model.face_normal[foot.row, foot.feature]
-        if foot.distance < radius or wp.dot(p_S - foot.point, n_S) < real(0.0):
-            foot = lowest_nearest(model, mesh, start, p_S, scale, foot)
-            n_S = model.face_normal[foot.row, foot.feature]
         flags = wp.int32(model.face_flags[foot.row, foot.feature])
         contacts.face[env, contact] = foot.row - start
 

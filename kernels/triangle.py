@@ -1,7 +1,6 @@
 """Closest point of a triangle, and which feature of it is hit: the face, an edge or a corner.
 
-Voronoi regions as in C. Ericson, Real-Time Collision Detection, 5.1.5, with the feature kept: the pseudonormal
-of the feature, not of the face that a query happened to return, decides sign and direction.
+The pseudonormal of the feature, not of the face that a query happened to return, decides sign and direction.
 """
 
 import functools
@@ -16,6 +15,7 @@ def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3 = t.vec3
+    level = wp.constant(real(1.0 + 8.0 * t.epsilon))
 
     @wp.struct
     class Hit:
@@ -23,50 +23,65 @@ def functions(real: type) -> SimpleNamespace:
         feature: wp.int32  # column of the feature tables: 0 face, 1–3 edges, 4–6 corners
 
     @wp.func
-    def closest_on_triangle(p: vec3, a: vec3, b: vec3, c: vec3):
-        """Returns the point of triangle ``abc`` closest to ``p`` and its feature."""
+    def along(p: vec3, u: vec3, e: vec3):
+        """Where on the edge from ``u`` along ``e`` the point nearest to ``p`` lies, 0 to 1."""
+        return wp.clamp(wp.dot(p - u, e) / wp.dot(e, e), real(0.0), real(1.0))
+
+    @wp.func
+    def closest_on_triangle(p: vec3, a: vec3, b: vec3, c: vec3, n: vec3):
+        """Returns the point of triangle ``abc`` with unit normal ``n`` closest to ``p`` and its feature.
+
+        The usual test by barycentric areas subtracts products of lengths and loses all digits in thin triangles;
+        each comparison here is one of lengths, so they cost no more than rounding.
+        """
         hit = Hit()
         ab = b - a
-        ac = c - a
+        bc = c - b
+        ca = a - c
         ap = p - a
-        d1 = wp.dot(ab, ap)
-        d2 = wp.dot(ac, ap)
-        if d1 <= real(0.0) and d2 <= real(0.0):
-            hit.point = a
-            hit.feature = 4
+        if (
+            wp.dot(wp.cross(n, ab), ap) > real(0.0)
+            and wp.dot(wp.cross(n, bc), p - b) > real(0.0)
+            and wp.dot(wp.cross(n, ca), p - c) > real(0.0)
+        ):
+            hit.point = p - wp.dot(ap, n) * n
+            hit.feature = 0
             return hit
-        bp = p - b
-        d3 = wp.dot(ab, bp)
-        d4 = wp.dot(ac, bp)
-        if d3 >= real(0.0) and d4 <= d3:
+        # The nearest edge; of equally near points, one inside an edge rather than a corner.
+        t = along(p, a, ab)
+        hit.point = a + t * ab
+        hit.feature = 1
+        if t == real(0.0):
+            hit.feature = 4
+        elif t == real(1.0):
             hit.point = b
             hit.feature = 5
-            return hit
-        vc = d1 * d4 - d3 * d2
-        if vc <= real(0.0) and d1 >= real(0.0) and d3 <= real(0.0):
-            hit.point = a + (d1 / (d1 - d3)) * ab
-            hit.feature = 1
-            return hit
-        cp = p - c
-        d5 = wp.dot(ab, cp)
-        d6 = wp.dot(ac, cp)
-        if d6 >= real(0.0) and d5 <= d6:
-            hit.point = c
-            hit.feature = 6
-            return hit
-        vb = d5 * d2 - d1 * d6
-        if vb <= real(0.0) and d2 >= real(0.0) and d6 <= real(0.0):
-            hit.point = a + (d2 / (d2 - d6)) * ac
-            hit.feature = 3
-            return hit
-        va = d3 * d6 - d5 * d4
-        if va <= real(0.0) and d4 - d3 >= real(0.0) and d5 - d6 >= real(0.0):
-            hit.point = b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b)
-            hit.feature = 2
-            return hit
-        inverse = real(1.0) / (va + vb + vc)
-        hit.point = a + (vb * inverse) * ab + (vc * inverse) * ac
-        hit.feature = 0
+        best = wp.length_sq(p - hit.point)
+        t = along(p, b, bc)
+        q = b + t * bc
+        feature = wp.int32(2)
+        if t == real(0.0):
+            feature = 5
+        elif t == real(1.0):
+            q = c
+            feature = 6
+        d = wp.length_sq(p - q)
+        if d < best or (feature < 4 and hit.feature > 3 and d <= best * level):
+            best = d
+            hit.point = q
+            hit.feature = feature
+        t = along(p, c, ca)
+        q = c + t * ca
+        feature = 3
+        if t == real(0.0):
+            feature = 6
+        elif t == real(1.0):
+            q = a
+            feature = 4
+        d = wp.length_sq(p - q)
+        if d < best or (feature < 4 and hit.feature > 3 and d <= best * level):
+            hit.point = q
+            hit.feature = feature
         return hit
 
     return SimpleNamespace(Hit=Hit, closest_on_triangle=closest_on_triangle)

@@ -16,8 +16,8 @@ from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_CO
 from warpcontact.meshes import Mesh
 from warpcontact.scene import Contact
 
-# Warp skips slimmer triangles, |cross|/Σ edge², in its queries.
-SLIVER = 1.0e-6
+# Warp skips triangles slimmer than 1e-6, |cross|/Σ edge², in its queries, and computes that in float32.
+SLIVER = 1.2e-6
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,7 @@ def upload_patches(
     model.patch_mesh = send([mesh.id for mesh in meshes], wp.uint64, np.uint64)
     model.patch_surface = send(surfaces, wp.int32, np.int32)
     model.patch_face_start = send(starts[: len(patches)], wp.int32, np.int32)
+    model.patch_slack = send([_slack(patch) for patch in patches], t.real, real)
     if patches:
         model.face_corner = send(np.concatenate([patch.corner for patch in patches]), t.vec3, real)
         model.face_normal = send(np.concatenate([patch.normal for patch in patches]), t.vec3, real)
@@ -125,9 +126,10 @@ def _search_mesh(name: str, patch: Patch, device: wp.Device) -> wp.Mesh:
     lost = np.union1d(lost, np.flatnonzero(area == 0.0))
     if len(lost):
         raise ValueError(
-            f"{name}: face {lost[0]} is too small for its distance from the origin of the mesh, "
-            f"{np.abs(corner[lost[0]]).max():g} m: its corners {patch.corner[lost[0]].tolist()} coincide in "
-            f"float32 ({len(lost)} such faces); move the mesh to its origin and place it with position"
+            f"{name}: face {lost[0]} with corners {patch.corner[lost[0]].tolist()} has no area left in float32, "
+            f"in which surfaces are searched ({len(lost)} such faces): it is too slim, or too small for its "
+            f"distance of {np.abs(corner[lost[0]]).max():g} m from the origin of the mesh. Remove it, or move the "
+            "mesh to its origin and place it with position"
         )
     return wp.Mesh(
         points=wp.array(corner.reshape(-1, 3), dtype=wp.vec3f, device=device),
@@ -146,3 +148,14 @@ def _sum_over(index: NDArray[np.integer[Any]], values: NDArray[np.float64], coun
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _slack(patch: Patch) -> float:
+    """How far the float32 query may be off: rounding, and its loss in thin triangles up to their height."""
+    corner = patch.corner
+    edges = np.roll(corner, -1, axis=1) - corner
+    longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1)
+    height = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / longest
+    eps = float(np.finfo(np.float32).eps)
+    lost = np.minimum(height, eps * longest * (longest / height) ** 2)
+    return float((lost + 16.0 * eps * (np.abs(corner).max() + longest)).max())
