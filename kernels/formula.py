@@ -88,6 +88,12 @@ class Formula:
         super().__init_subclass__(**keywords)
         # A subclass without a docstring would get the signature for one; keep what the author wrote.
         dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+        for field in dataclasses.fields(cls):
+            if "unit" not in field.metadata:
+                raise TypeError(
+                    f"{cls.__name__}.{field.name} must be declared with wc.parameter: "
+                    f"{field.name}: float = wc.parameter(unit, meaning, default=…)"
+                )
 
     def __post_init__(self) -> None:
         if not isinstance(getattr(type(self), "force", None), wp.Function):

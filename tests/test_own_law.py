@@ -36,6 +36,15 @@ def test_a_law_may_say_that_it_pulls(device):
     np.testing.assert_allclose(model.reading("ball.force")[0], (0, 0, -10), rtol=1e-4, atol=1e-6)
 
 
+def test_a_parameter_without_a_unit_is_refused():
+    with pytest.raises(TypeError, match=r"Bare\.k must be declared with wc\.parameter"):
+
+        class Bare(wc.Law):
+            """A plain default."""
+
+            k: float = 3.0
+
+
 def test_a_class_that_is_no_law_is_refused():
     class Empty(wc.Law):
         """Has no force."""

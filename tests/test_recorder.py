@@ -53,6 +53,18 @@ def test_poses_and_radii_are_recorded_for_replays(device):
     assert set(sim.run(0.01, ["touch.gap"], poses=False).data_vars) == {"touch.gap"}
 
 
+def test_what_sets_environments_apart_is_recorded(device):
+    model = dropped_sphere(wc.laws.HuntCrossley(stiffness=1e4, restitution=0.5), envs=3, device=device)
+    model["touch.law.restitution"] = [0.2, 0.4, 0.6]
+    model["ball.position"] = [(0, 0, 1), (0, 0, 2), (0, 0, 3)]
+    recording = wc.Simulation(model, dt=1e-3).run(0.01)
+    assert recording["touch.law.restitution"].dims == ("env",)
+    np.testing.assert_allclose(recording["touch.law.restitution"], [0.2, 0.4, 0.6])
+    assert recording["ball.position.initial"].dims == ("env", "axis")
+    np.testing.assert_allclose(recording["ball.position.initial"].sel(axis="z"), [1, 2, 3])
+    assert "touch.law.stiffness" not in recording
+
+
 def test_sets_have_an_item_axis(device):
     scene = wc.Scene()
     ground = scene.add_surface(square())

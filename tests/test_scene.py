@@ -153,8 +153,11 @@ def test_unknown_names_suggest_the_nearest():
         model["ball.masss"] = 1.0
     with pytest.raises(KeyError, match=r"no reading 'touch.gapp'; did you mean 'touch.gap'\?"):
         model.reading("touch.gapp")
-    with pytest.raises(KeyError, match=r"no parameter 'touch\.law\.restitution'"):
-        model["touch.law.restitution"] = 0.5
+    with pytest.raises(KeyError, match=r"'touch\.gap' is a reading, not a parameter; use model\.reading"):
+        model["touch.gap"] = 0.5
+    law = wc.laws.HuntCrossley(stiffness=1e3, restitution=0.5)
+    with pytest.raises(KeyError, match="the HuntCrossley of 'touch' was made without damping; it has stiffness"):
+        dropped_sphere(law)["touch.law.damping"] = 0.5
 
 
 def test_parameters_of_every_kind_take_one_value_or_one_per_environment():
@@ -245,5 +248,5 @@ def test_a_mesh_whose_faces_vanish_in_float32_is_refused():
     mesh = wc.Mesh([(far, 0, 0), (far + 1e-3, 0, 0), (far, 1e-3, 0)], [(0, 1, 2)])
     surface = scene.add_surface(mesh, name="ground")
     scene.add_contact(scene.add_point(scene.bodies[0], (0, 0, 0)), surface, HOOKE)
-    with pytest.raises(ValueError, match="ground: face 0 with corners .* has no area left in float32"):
+    with pytest.raises(ValueError, match=r"ground: face 0 with corners .* has no area left in float32"):
         scene.build()

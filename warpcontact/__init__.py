@@ -12,6 +12,7 @@ from warpcontact._version import __version__
 
 if TYPE_CHECKING:
     from warpcontact import integrators, meshes
+    from warpcontact.advice import ContactWarning
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
     from warpcontact.kernels import frictions, laws
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 _HOME = {
     "Body": "warpcontact.scene",
     "Contact": "warpcontact.scene",
+    "ContactWarning": "warpcontact.advice",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
     "Friction": "warpcontact.kernels.frictions.base",
@@ -58,6 +60,7 @@ _HOME = {
 __all__ = [
     "Body",
     "Contact",
+    "ContactWarning",
     "Experiment",
     "ExperimentError",
     "Friction",

@@ -59,10 +59,16 @@ def _compiled(law: type[Formula], friction: type[Formula], device: wp.Device, re
     try:
         kernel.module.load(device)
     except Exception as error:
+        hint = ""
+        if "types must be the same" in str(error):
+            hint = (
+                "\nConstants take the precision of the simulation when written as type(c.delta)(1.5) in a law, "
+                "type(s.speed)(1.5) in a friction."
+            )
         raise TypeError(
-            f"law {law.__name__} with friction {friction.__name__} does not compile in {real.__name__}: "
-            f"{error}\nConstants take the precision of the simulation when written as "
-            "type(c.delta)(1.5) in a law, type(s.speed)(1.5) in a friction."
+            f"law {law.__name__} with friction {friction.__name__} does not compile in {real.__name__}: {error}\n"
+            f"p has {', '.join(law.device_names())} in the law, "
+            f"{', '.join(friction.device_names()) or 'nothing'} in the friction.{hint}"
         ) from error
     return kernel
 

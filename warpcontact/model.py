@@ -196,6 +196,19 @@ class Model:
         return Health.of_status(self.arrays.status.numpy())
 
     def _parameter(self, name: str) -> Parameter:
+        if name in self.parameters:
+            return self.parameters[name]
+        if name in self._readings:
+            raise KeyError(f"{name!r} is a reading, not a parameter; use model.reading({name!r})")
+        element, _, quantity = name.rpartition(".")
+        for contact in self.scene.contacts:
+            for part in ("law", "friction"):
+                formula = getattr(contact.template, part)
+                if element == f"{contact.name}.{part}" and quantity in formula.__dataclass_fields__:
+                    raise KeyError(
+                        f"no parameter {name!r}: the {type(formula).__name__} of {contact.name!r} was made "
+                        f"without {quantity}; it has {', '.join(formula.parameters())}"
+                    )
         return _look_up("parameter", name, self.parameters)
 
     def __repr__(self) -> str:

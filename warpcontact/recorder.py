@@ -9,6 +9,7 @@ import xarray as xr
 
 from warpcontact._version import __version__
 from warpcontact.model import Model
+from warpcontact.parameters import Parameter
 from warpcontact.readings import AXES, Reading, status_attributes
 from warpcontact.scene import Scene
 
@@ -60,7 +61,7 @@ class Recorder:
         model: The model.
         names: Readings to take.
         frames: Number of frames to come.
-        poses: Whether to take the pose of every body as well.
+        poses: Whether to take the pose of every body as well, and the parameters that differ.
     """
 
     def __init__(self, model: Model, names: Iterable[str], frames: int, poses: bool) -> None:
@@ -90,10 +91,22 @@ class Recorder:
         self.times[self.taken] = time
         self.taken += 1
 
-    def _item_dimension(self, contact: str) -> str:
-        """Returns the name of the item axis of a contact: sets of different size cannot share one."""
-        sizes = {c.count for c in self.model.scene.contacts if not c.points.single}
-        return "item" if len(sizes) == 1 else f"{contact}.item"
+    def _item_dimension(self, element: str) -> str:
+        """Returns the name of the item axis of a set: sets of different size cannot share one."""
+        sizes = {len(points.positions) for points in self.model.scene.points if not points.single}
+        return "item" if len(sizes) == 1 else f"{element}.item"
+
+    def _parameter_variable(self, parameter: Parameter) -> dict[str, Any]:
+        """Returns a parameter as a variable (env, …); that of an initial state has a name of its own."""
+        name = parameter.name
+        dims = ["env"] + ([] if parameter.single else [self._item_dimension(name.partition(".")[0])])
+        if parameter.tail == (3, 3):
+            dims += ["row", "column"]
+        elif parameter.tail:
+            dims.append(AXES[parameter.tail[0]][0])
+        label = f"{name}.initial" if name in self.model.reading_names else name
+        notes = {"units": parameter.limits["unit"], "long_name": f"parameter {name}"}
+        return {label: (dims, self.model[name].copy(), notes)}
 
     def finish(self, attributes: Mapping[str, Any]) -> Recording:
         """Returns the frames taken as one data set."""
@@ -112,24 +125,18 @@ class Recorder:
                 notes |= status_attributes()
             variables[reading.name] = (dims, values, notes)
         if self.poses:
-            # What a replay needs beside the poses: bodies and spheres may differ between environments.
-            for body in model.scene.bodies:
-                name = f"{body.name}.mass"
-                variables[name] = (["env"], model[name].copy(), {"units": "kg", "long_name": "mass"})
-                name = f"{body.name}.inertia"
-                notes = {"units": "kg·m²", "long_name": "inertia about the centre of mass, body axes"}
-                variables[name] = (["env", "row", "column"], model[name].copy(), notes)
-            for contact in model.scene.contacts:
-                name = f"{contact.name}.radius"
-                items = [] if contact.points.single else [self._item_dimension(contact.name)]
-                notes = {"units": "m", "long_name": "radius of the sphere about the point"}
-                variables[name] = (["env", *items], model[name].copy(), notes)
+            # What a replay needs beside the poses, and whatever sets the environments apart.
+            needed = (".mass", ".inertia", ".radius")
+            for name, parameter in model.parameters.items():
+                if len(parameter.field.values) > 1 or name.endswith(needed):
+                    variables |= self._parameter_variable(parameter)
         used = {dim for dims, _, _ in variables.values() for dim in dims}
         coordinates: dict[str, Any] = {
             "time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"}),
             "env": ("env", np.arange(model.envs), {"long_name": "environment"}),
         }
-        coordinates |= {dim: (dim, labels) for dim, labels in AXES.values() if dim in used}
+        # As objects: texts of fixed length have no place in some files, the Zarr v3 specification among them.
+        coordinates |= {dim: (dim, np.array(labels, object)) for dim, labels in AXES.values() if dim in used}
         recording = Recording(
             variables,
             coords=coordinates,

@@ -9,6 +9,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warpcontact import checks
+from warpcontact.advice import ContactWarning, advice
 from warpcontact.build import allocate
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.model import Model
@@ -44,6 +45,7 @@ class Simulation:
         self.integrator = integrator
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
         self.steps = 0
+        self._advised = False
         self._dt_memory = wp.full((1, 1), self.dt, dtype=model.types.real, device=model.device)
         self._dt = broadcast(self._dt_memory, model.envs)
         # Steps go from one buffer to the other and back; between calls the state is always in the model's.
@@ -77,6 +79,10 @@ class Simulation:
         if count == 0:
             return
         model = self.model
+        if model.at_start and not self._advised:
+            self._advised = True
+            for sentence in advice(model, self.dt):
+                warnings.warn(sentence, ContactWarning, stacklevel=2)
         model.at_start = False
         if self._stages[0] != model.revision:
             there = step_stages(model, self.integrator, self._dt, model.state, self._other)
@@ -111,8 +117,8 @@ class Simulation:
             duration: Simulated time [s]; rounded up to whole steps.
             record: Names of readings, see ``model.reading_names``.
             every: Time between records [s], a multiple of the step; ``None``: every step.
-            poses: Whether to record the position and orientation of every body as well, so that the
-                recording can be replayed and exported.
+            poses: Whether to record the position and orientation of every body as well, and the parameters
+                that differ between environments, so that the recording can be replayed and exported.
             progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
 
         Returns:

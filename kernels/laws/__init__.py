@@ -26,6 +26,12 @@ from warpcontact.kernels.laws.pereira_cylinder import PereiraCylinder, PereiraCy
 from warpcontact.kernels.laws.power_law import PowerLaw
 from warpcontact.kernels.laws.tsuji import Tsuji
 from warpcontact.kernels.laws.two_stiffness import TwoStiffness
+from warpcontact.kernels.laws.undamped import (
+    contact_time,
+    greatest_force,
+    greatest_penetration,
+    recommended_dt,
+)
 from warpcontact.kernels.laws.zhiying_qishao import ZhiyingQishao
 
 #: Every law that comes with the library, in the order of the catalogue: elastic, exact, others.
@@ -88,4 +94,8 @@ __all__ = [
     "Tsuji",
     "TwoStiffness",
     "ZhiyingQishao",
+    "contact_time",
+    "greatest_force",
+    "greatest_penetration",
+    "recommended_dt",
 ]

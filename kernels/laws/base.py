@@ -2,6 +2,7 @@
 
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import Formula
 
@@ -31,6 +32,16 @@ class Law(Formula):
     needs_mass: ClassVar[bool] = False
     #: Whether the law may pull; the force of all others is cut at zero.
     pulls: ClassVar[bool] = False
+    #: Exponent of the elastic part if it is fixed; laws with a parameter ``exponent`` leave it out.
+    power: ClassVar[float | None] = None
+
+    @classmethod
+    def elastic(cls, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
+        """Returns K [N/mⁿ] and n of the elastic part K δⁿ, for estimates of time and depth; ``None``: unknown."""
+        exponent = values.get("exponent", cls.power)
+        if "stiffness" not in values or exponent is None:
+            return None
+        return values["stiffness"], np.asarray(exponent, dtype=np.float64)
 
 
 @wp.func

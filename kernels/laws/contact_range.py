@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.laws.base import Law, stepped_dashpot
@@ -22,6 +23,10 @@ class ContactRange(Law):
     k1: float = parameter("N/m³", "elastic coefficient k₁", above=0.0)
     k2: float = parameter("N·s/m³", "damping coefficient k₂", default=0.0, at_least=0.0)
     area: float = parameter("m²", "area a of the point", above=0.0)
+
+    @classmethod
+    def elastic(cls, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
+        return values["k1"] * values["area"], np.asarray(1.0)
 
     @wp.func
     def force(p: Any, c: Any):

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.laws.base import Law
@@ -33,6 +34,10 @@ class ElasticFoundation(Law):
             )
         modulus = (1.0 - nu) * E / ((1.0 + nu) * (1.0 - 2.0 * nu) * thickness)
         return cls(stiffness=modulus, area=area, damping=damping)
+
+    @classmethod
+    def elastic(cls, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
+        return values["stiffness"] * values["area"], np.asarray(1.0)
 
     @wp.func
     def force(p: Any, c: Any):

@@ -13,6 +13,7 @@ class Hooke(Law):
     formula = "N = K δ"
     reference = "elementary"
     validity = "any stiffness"
+    power = 1.0
 
     stiffness: float = parameter("N/m", "stiffness K", above=0.0)
 

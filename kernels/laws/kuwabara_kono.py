@@ -33,6 +33,7 @@ class KuwabaraKono(Law):
         "e of A: Müller & Pöschel, Phys. Rev. E 84 (2011) 021302"
     )
     validity = "as Hertz, with viscous loss small in the bulk"
+    power = 1.5
 
     stiffness: float = parameter("N/m^1.5", "stiffness K", above=0.0)
     viscosity: float = parameter("s", "dissipative constant A", at_least=0.0)

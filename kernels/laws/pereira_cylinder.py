@@ -32,6 +32,11 @@ class PereiraCylinder(Law):
         exponent = np.where(gap < 0.34954, narrow, 0.0151 * gap + 1.151) * gap**-0.005
         return _si((0.965 * gap + 0.0965) / gap, exponent, values)
 
+    @classmethod
+    def elastic(cls, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
+        made = cls.coefficients(values)
+        return made["stiffness"], made["exponent"]
+
     @wp.func
     def force(p: Any, c: Any):
         return p.stiffness * power(c.delta, p.exponent)

@@ -1,0 +1,49 @@
+"""Undamped impact on N = K δⁿ: depth, duration and force; what a time step and a stiffness are chosen by."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gamma
+
+
+def greatest_penetration(
+    stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
+) -> NDArray[np.float64]:
+    """Greatest depth [m] of an impact: ½ m v² = K δⁿ⁺¹/(n+1). Damping makes it smaller.
+
+    Args:
+        stiffness: K [N/mⁿ].
+        exponent: n [-].
+        mass: Effective mass m, m₁m₂/(m₁+m₂) of two bodies [kg].
+        speed: Approach speed v [m/s].
+    """
+    n = np.asarray(exponent, dtype=np.float64)
+    return np.asarray(
+        ((n + 1) * np.asarray(mass) * np.square(speed) / (2 * np.asarray(stiffness))) ** (1 / (n + 1))
+    )
+
+
+def contact_time(
+    stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
+) -> NDArray[np.float64]:
+    """Duration [s] of an impact, arguments as for ``greatest_penetration``: π √(m/K) for n = 1."""
+    n = np.asarray(exponent, dtype=np.float64)
+    factor = 2.0 * np.sqrt(np.pi) * gamma(1.0 + 1.0 / (n + 1.0)) / gamma(0.5 + 1.0 / (n + 1.0))
+    return np.asarray(factor * greatest_penetration(stiffness, n, mass, speed) / np.asarray(speed))
+
+
+def greatest_force(
+    stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
+) -> NDArray[np.float64]:
+    """Greatest force [N] of an impact, arguments as for ``greatest_penetration``."""
+    depth = greatest_penetration(stiffness, exponent, mass, speed)
+    return np.asarray(np.asarray(stiffness) * depth ** np.asarray(exponent))
+
+
+def recommended_dt(
+    stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike, steps: float = 20.0
+) -> NDArray[np.float64]:
+    """Time step [s] with ``steps`` per contact time; 20 keep a restitution to 1e-3, arguments as before.
+
+    Take the smallest mass, the largest stiffness and the highest speed that will occur.
+    """
+    return np.asarray(contact_time(stiffness, exponent, mass, speed) / steps)
