@@ -1,15 +1,47 @@
 """Friction models. A model is one file; a line here puts it into the catalogue and under every friction test."""
 
+from warpcontact.kernels.frictions.ambrosio import Ambrosio
 from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.frictions.bengisu_akay import BengisuAkay
+from warpcontact.kernels.frictions.brown_mcphee import BrownMcPhee
+from warpcontact.kernels.frictions.coulomb_threshold import CoulombThreshold
 from warpcontact.kernels.frictions.frictionless import Frictionless
+from warpcontact.kernels.frictions.hollars import Hollars
 from warpcontact.kernels.frictions.regularized_coulomb import RegularizedCoulomb
+from warpcontact.kernels.frictions.smooth_stribeck import SmoothStribeck
+from warpcontact.kernels.frictions.step_friction import StepFriction
+from warpcontact.kernels.frictions.stribeck import Stribeck
 from warpcontact.kernels.frictions.tanh import Tanh
+from warpcontact.kernels.frictions.threlfall import Threlfall
 
-#: Every friction model that comes with the library, in the order of the catalogue.
+#: Every friction model that comes with the library: one coefficient, then static and dynamic ones.
 CATALOGUE: tuple[type[Friction], ...] = (
     Frictionless,
     Tanh,
     RegularizedCoulomb,
+    CoulombThreshold,
+    Threlfall,
+    Ambrosio,
+    StepFriction,
+    BengisuAkay,
+    Stribeck,
+    BrownMcPhee,
+    Hollars,
+    SmoothStribeck,
 )
 
-__all__ = ["CATALOGUE", "Frictionless", "RegularizedCoulomb", "Tanh"]
+__all__ = [
+    "CATALOGUE",
+    "Ambrosio",
+    "BengisuAkay",
+    "BrownMcPhee",
+    "CoulombThreshold",
+    "Frictionless",
+    "Hollars",
+    "RegularizedCoulomb",
+    "SmoothStribeck",
+    "StepFriction",
+    "Stribeck",
+    "Tanh",
+    "Threlfall",
+]

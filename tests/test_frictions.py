@@ -1,0 +1,142 @@
+"""Friction models through the whole engine: cone, opposition, curves, creep."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scenes import dropped_sphere, square
+
+import warpcontact as wc
+
+F = wc.frictions
+PAIR = {"mu_static": 0.5, "mu_dynamic": 0.3}
+SCALE = 0.01
+
+# model, largest coefficient, what it is at a slip speed s by an independent formula
+SAMPLES = [
+    (F.Frictionless(), 0.0, lambda s: 0 * s),
+    (F.Tanh(mu=0.4, velocity_scale=SCALE), 0.4, lambda s: 0.4 * np.tanh(s / SCALE)),
+    (F.RegularizedCoulomb(mu=0.4, velocity_scale=SCALE), 0.4, lambda s: 0.4 * np.clip(s / SCALE, 0, 1)),
+    (F.CoulombThreshold(mu=0.4, threshold=SCALE), 0.4, lambda s: np.where(s > SCALE, 0.4, 0.0)),
+    (F.Threlfall(mu=0.4, velocity_scale=SCALE), 0.4, lambda s: 0.4 * np.minimum(1 - np.exp(-3 * s / SCALE), 0.95)),
+    (
+        F.Ambrosio(mu=0.4, speed_first=0.001, speed_full=SCALE),
+        0.4,
+        lambda s: 0.4 * np.clip((s - 0.001) / (SCALE - 0.001), 0, 1),
+    ),
+    (
+        F.StepFriction(**PAIR, speed_static=SCALE, speed_dynamic=3 * SCALE),
+        0.5,
+        lambda s: np.where(s < SCALE, 0.5 * (1.5 * s / SCALE - 0.5 * (s / SCALE) ** 3), 0.5 - 0.2 * smooth(s)),
+    ),
+    (
+        F.BengisuAkay(**PAIR, velocity_scale=SCALE, decay=50.0),
+        0.5,
+        lambda s: np.where(
+            s < SCALE, 0.5 * (1 - (s - SCALE) ** 2 / SCALE**2), 0.3 + 0.2 * np.exp(-50 * (s - SCALE))
+        ),
+    ),
+    (
+        F.Stribeck(**PAIR, stribeck_speed=0.1, velocity_scale=SCALE),
+        0.5,
+        lambda s: (0.3 + 0.2 * np.exp(-((s / 0.1) ** 2))) * np.tanh(s / SCALE),
+    ),
+    (
+        F.BrownMcPhee(**PAIR, transition_speed=SCALE),
+        0.5,
+        lambda s: 0.3 * np.tanh(4 * s / SCALE) + 0.2 * (s / SCALE) / (0.25 * (s / SCALE) ** 2 + 0.75) ** 2,
+    ),
+    (
+        F.Hollars(**PAIR, transition_speed=SCALE),
+        0.5,
+        lambda s: np.minimum(s / SCALE, 1) * (0.3 + 0.4 / (1 + (s / SCALE) ** 2)),
+    ),
+    (
+        F.SmoothStribeck(**PAIR, breakaway_speed=SCALE),
+        0.5,
+        lambda s: (
+            np.sqrt(2 * np.e) * 0.2 * np.exp(-(s**2) / (2 * SCALE**2)) * s / (np.sqrt(2) * SCALE)
+            + 0.3 * np.tanh(10 * s / SCALE)
+        ),
+    ),
+]
+
+
+def smooth(s):
+    y = np.clip((s - SCALE) / (2 * SCALE), 0, 1)
+    return y * y * (3 - 2 * y)
+
+
+def name_of(sample):
+    return type(sample[0]).__name__
+
+
+def sliding(friction, velocity, device, precision="float32"):
+    """Friction force and normal force of a sphere pressed into a plate, one environment per velocity (n, 2)."""
+    envs = len(velocity)
+    law = wc.laws.Hooke(stiffness=1e4)
+    model = dropped_sphere(law, friction=friction, height=-1e-3, envs=envs, device=device, precision=precision)
+    model["ball.linear_velocity"] = np.column_stack([velocity, np.zeros(envs)])
+    return model.reading("touch.friction_force"), model.reading("touch.normal_force")
+
+
+def test_samples_cover_the_catalogue():
+    assert [type(friction) for friction, _, _ in SAMPLES] == list(F.CATALOGUE)
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
+def test_friction_follows_its_formula_within_its_cone_against_slip(sample, device):
+    friction, largest, coefficient = sample
+    rng = np.random.default_rng(5)
+    velocity = rng.normal(size=(200, 2)) * np.logspace(-6, 1, 200)[:, None]
+    velocity[0] = 0.0
+    force, normal = sliding(friction, velocity, device, "float64")
+    size, speed = np.linalg.norm(force, axis=1), np.linalg.norm(velocity, axis=1)
+    assert np.isfinite(force).all()
+    assert (np.einsum("ij,ij->i", force[:, :2], velocity) <= 0).all()
+    # Brown and McPhee's peak lies a little beside v_t: 0.2 % above μ_s.
+    assert (size <= largest * normal * 1.005).all()
+    # tanh(x) ≈ x below 1e-3: 3e-7 of the force.
+    np.testing.assert_allclose(size / normal, coefficient(speed), rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
+def test_friction_in_float32_is_that_of_float64(sample, device):
+    velocity = np.column_stack([np.logspace(-5, 1, 50) * 1.01, np.zeros(50)])
+    one, normal = sliding(sample[0], velocity, device)
+    other, _ = sliding(sample[0], velocity, device, "float64")
+    # N from a depth of 1e-3 at a height of 0.1: 7e-6; exponents of large numbers lose digits more.
+    np.testing.assert_allclose(one, other, rtol=5e-5, atol=1e-5 * normal.max())
+
+
+CREEP = [
+    (F.Tanh(mu=0.3, velocity_scale=0.01), 6.742317056e-3),
+    (F.RegularizedCoulomb(mu=0.3, velocity_scale=0.01), 5.877566024e-3),
+    (F.StepFriction(mu_static=0.3, mu_dynamic=0.3, speed_static=0.01, speed_dynamic=0.02), 4.158002890e-3),
+]
+
+
+@pytest.mark.parametrize(("friction", "speed"), CREEP, ids=lambda value: type(value).__name__)
+def test_regularised_friction_creeps_at_its_known_speed(friction, speed, device):
+    # A block on a slope of 10° with μ = 0.3.
+    slope = np.radians(10.0)
+    scene = wc.Scene(gravity=(9.81 * np.sin(slope), 0, -9.81 * np.cos(slope)))
+    ground = scene.add_surface(square(5.0))
+    block = scene.add_body(1.0, (0.01, 0.01, 0.02), position=(0, 0, 0.02), name="block")
+    feet = scene.add_points(block, [(x, y, -0.02) for x in (-0.2, 0.2) for y in (-0.2, 0.2)])
+    law = wc.laws.KelvinVoigt(stiffness=1e5, damping=200.0)
+    scene.add_contact(feet, ground, wc.Template(law=law, friction=friction))
+    model = scene.build(device=device, precision="float64")
+    wc.Simulation(model, dt=2e-4).step(5000)
+    # The feet share the load unevenly, by height/width of the block: second order in 0.1.
+    np.testing.assert_allclose(model.reading("block.linear_velocity")[0, 0], speed, rtol=2e-3)
+
+
+@pytest.mark.parametrize("friction", F.CATALOGUE, ids=lambda friction: friction.__name__)
+def test_every_friction_documents_itself(friction):
+    assert friction.__doc__
+    assert friction.formula
+    assert friction.reference
+    assert friction.validity
+    assert all(friction.limits(field.name)["meaning"] for field in dataclasses.fields(friction))
+    assert friction.__name__ in F.__all__
