@@ -31,8 +31,8 @@ from warpcontact.kernels.types import (
 
 # A point counts as beside an open border when it is farther sideways than this fraction of the border edge.
 BORDER_TOLERANCE = 1.0e-4
-# Rounding of a difference of coordinates, in units of the largest coordinate times epsilon: below ROUNDING a
-# direction between two points means nothing, below TIE two distances are equal. A tie must not be wider: the
+# Rounding, in units of epsilon times the size of the differences: below ROUNDING a direction between two points
+# means nothing, below TIE two distances are equal. A tie must not be wider: the
 # distances to a face and to its neighbour's edge differ in second order only, and the pseudonormal of an edge
 # tells the side of a point only if the edge is nearest.
 ROUNDING = 16.0
@@ -44,7 +44,7 @@ def kernel(real: type) -> wp.Kernel:
     """Returns the kernel that fills ``contacts`` from ``state``. Launch with dim (env, contact)."""
     t = structs(real)
     vec3, Model, State, History, Contacts = t.vec3, t.Model, t.State, t.History, t.Contacts
-    closest_on_triangle = triangle.functions(real).closest_on_triangle
+    closest_to_origin = triangle.functions(real).closest_to_origin
     frame = frames.functions(real)
     point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
@@ -55,30 +55,29 @@ def kernel(real: type) -> wp.Kernel:
 
     @wp.struct
     class Foot:
-        """The nearest point S of a patch."""
+        """The nearest point S of a face, seen from P: differences of coordinates carry less rounding."""
 
-        point: vec3  # S, in the mesh's frame
+        to_point: vec3  # P − S, in the mesh's frame
         row: wp.int32  # of the face tables
         feature: wp.int32
         distance: real  # |P − S|
+        span: real  # size of the differences that went into it
         inner: wp.bool  # P is on the inner side
         hidden: wp.bool  # S is not on the active part
 
     @wp.func
     def foot_on(model: Model, row: int, p: vec3):
-        hit = closest_on_triangle(
-            p,
-            model.face_corner[row, 0],
-            model.face_corner[row, 1],
-            model.face_corner[row, 2],
-            model.face_normal[row, 0],
-        )
+        a = model.face_corner[row, 0] - p
+        b = model.face_corner[row, 1] - p
+        c = model.face_corner[row, 2] - p
+        hit = closest_to_origin(a, b, c, model.face_normal[row, 0])
         foot = Foot()
-        foot.point = hit.point
+        foot.to_point = -hit.point
         foot.row = row
         foot.feature = hit.feature
-        foot.distance = wp.length(p - hit.point)
-        foot.inner = wp.dot(p - hit.point, model.face_normal[row, hit.feature]) < real(0.0)
+        foot.distance = wp.length(hit.point)
+        foot.span = wp.max(wp.length(a), wp.length(b))
+        foot.inner = wp.dot(foot.to_point, model.face_normal[row, hit.feature]) < real(0.0)
         foot.hidden = (wp.int32(model.face_flags[row, hit.feature]) & FEATURE_ACTIVE) == 0
         return foot
 
@@ -89,7 +88,7 @@ def kernel(real: type) -> wp.Kernel:
         One on the active part if they are one point; else a face before an edge before a corner, the outer side
         before the inner, and the lower face.
         """
-        if a.hidden != b.hidden and wp.length(a.point - b.point) <= tie:
+        if a.hidden != b.hidden and wp.length(a.to_point - b.to_point) <= tie:
             return not a.hidden
         rank_a = wp.where(a.feature > 3, 2, wp.where(a.feature > 0, 1, 0))
         rank_b = wp.where(b.feature > 3, 2, wp.where(b.feature > 0, 1, 0))
@@ -100,26 +99,38 @@ def kernel(real: type) -> wp.Kernel:
         return a.row < b.row
 
     @wp.func
-    def nearest_of_all(model: Model, mesh: wp.uint64, start: int, p: vec3, scale: real, first: Foot):
+    def nearer(best: Foot, other: Foot):
+        """Returns the nearer foot; ``distance`` of the result is the smallest seen, so that ties do not drift."""
+        tie = tie_epsilon * wp.max(best.span, other.span)
+        nearest = wp.min(best.distance, other.distance)
+        level = other.distance <= best.distance + tie
+        if other.distance < best.distance - tie or (level and before(other, best, tie)):
+            best = other
+        best.distance = nearest
+        return best
+
+    @wp.func
+    def nearest_of_all(model: Model, patch: int, p: vec3, first: Foot, margin: real):
         """Looks again at all faces about as near as ``first``, in the precision of the simulation.
 
         Makes the choice on edges and medial axes independent of the traversal, and exact in float64.
         """
+        mesh = model.patch_mesh[patch]
+        start = model.patch_face_start[patch]
         best = first
-        nearest = first.distance
-        margin = query_epsilon * (scale + first.distance)
-        tie = tie_epsilon * (scale + first.distance)
         reach = wp.float32(first.distance + margin)
         centre = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-        around = wp.vec3f(reach, reach, reach)
-        query = wp.mesh_query_aabb(mesh, centre - around, centre + around)
         face = wp.int32(0)
-        while wp.mesh_query_aabb_next(query, face):
-            other = foot_on(model, start + face, p)
-            level = other.distance <= nearest + tie
-            if other.distance < nearest - tie or (level and before(other, best, tie)):
-                best = other
-            nearest = wp.min(nearest, other.distance)
+        if model.patch_thin[patch]:
+            around = wp.vec3f(reach, reach, reach)
+            boxes = wp.mesh_query_aabb(mesh, centre - around, centre + around)
+            while wp.mesh_query_aabb_next(boxes, face):
+                best = nearer(best, foot_on(model, start + face, p))
+        else:
+            faces = wp.mesh_query_sphere(mesh, centre, reach)
+            while wp.mesh_query_next(faces, face):
+                best = nearer(best, foot_on(model, start + face, p))
+        best.distance = wp.length(best.to_point)
         return best
 
     @wp.func
@@ -177,44 +188,41 @@ def kernel(real: type) -> wp.Kernel:
         query = wp.mesh_query_point_no_sign(
             mesh,
             wp.vec3f(wp.float32(p_S[0]), wp.float32(p_S[1]), wp.float32(p_S[2])),
-            wp.float32(geometry.search_radius),
+            wp.float32(wp.max(geometry.search_radius, radius)),
         )
         if not query.result:
+            # A sphere sees at least what it overlaps.
             contacts.gap[env, contact] = wp.max(geometry.search_radius - radius, real(0.0))
             contacts.status[env, contact] = FAR
             contacts.armed[env, contact] = history.armed[env, contact]
             return
 
+        # Within the query's own rounding, and wherever it matters, its choice is looked at again.
         start = model.patch_face_start[patch]
-        scale = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
         foot = foot_on(model, start + query.face, p_S)
-        if foot.inner or foot.distance < radius + model.patch_slack[patch]:
-            foot = nearest_of_all(model, mesh, start, p_S, scale, foot)
+        scale = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
+        margin = model.patch_slack[patch] + query_epsilon * (scale + foot.distance)
+        if foot.inner or foot.distance < radius + margin:
+            foot = nearest_of_all(model, patch, p_S, foot, margin)
         n_S = model.face_normal[foot.row, foot.feature]
         flags = wp.int32(model.face_flags[foot.row, foot.feature])
         contacts.face[env, contact] = foot.row - start
 
         # Signed distance s, direction n, and whether P lies beside an open border.
-        to_point = p_S - foot.point
-        side = wp.dot(to_point, n_S)
-        distance = foot.distance
+        side = wp.dot(foot.to_point, n_S)
         s = side
-        beside = False
-        if foot.feature == 0:
-            # Measured from a corner: the foot of a shallow point carries more rounding than its depth.
-            s = wp.dot(p_S - model.face_corner[foot.row, 0], n_S)
-            distance = wp.abs(s)
-        else:
+        beside = wp.bool(False)
+        if foot.feature != 0:
             sign = real(1.0)
             if side < real(0.0):
                 sign = real(-1.0)
             if (flags & FEATURE_BORDER) != 0:
-                sideways = wp.length(to_point - side * n_S)
+                sideways = wp.length(foot.to_point - side * n_S)
                 beside = sideways > border_tolerance * edge_length(model, foot.row, foot.feature)
             if beside or (flags & FEATURE_BORDER) == 0:
-                s = sign * distance
-                if distance > epsilon * (scale + distance):
-                    n_S = (sign / distance) * to_point
+                s = sign * foot.distance
+                if foot.distance > epsilon * foot.span:
+                    n_S = (sign / foot.distance) * foot.to_point
 
         option = model.contact_options[contact]
         hidden = (flags & FEATURE_ACTIVE) == 0
@@ -223,7 +231,7 @@ def kernel(real: type) -> wp.Kernel:
 
         latch = LATCH_KEEP
         if hidden or missed:
-            contacts.gap[env, contact] = wp.max(distance - radius, real(0.0))
+            contacts.gap[env, contact] = wp.max(foot.distance - radius, real(0.0))
             if s < real(0.0):
                 latch = LATCH_DISARM
             elif s >= radius:
@@ -252,13 +260,13 @@ def kernel(real: type) -> wp.Kernel:
         if touching == CONTACT:
             contacts.penetration[env, contact] = radius - s
 
-        # K = S + κ (D − S) with D = P − RC n, the deepest point; on a face S is P − s n to the last digit.
-        foot_S = foot.point
+        # K = S + κ (D − S) with D = P − RC n, the deepest point; seen from P.
+        to_surface = -foot.to_point
         if foot.feature == 0:
-            foot_S = p_S - s * n_S
-        deepest_S = p_S - radius * n_S
-        k_S = foot_S + geometry.kappa * (deepest_S - foot_S)
+            to_surface = -s * n_S
+        to_deepest = -radius * n_S
+        to_contact = to_surface + geometry.kappa * (to_deepest - to_surface)
         contacts.normal[env, contact] = wp.quat_rotate(q_WS, n_S)
-        contacts.point[env, contact] = o_W + wp.quat_rotate(q_WS, k_S)
+        contacts.point[env, contact] = p_W + wp.quat_rotate(q_WS, to_contact)
 
     return closest_point

@@ -1,4 +1,4 @@
-"""Closest point of a triangle, and which feature of it is hit: the face, an edge or a corner.
+"""Point of a triangle closest to the origin, and which feature of it is hit: the face, an edge or a corner.
 
 The pseudonormal of the feature, not of the face that a query happened to return, decides sign and direction.
 """
@@ -23,13 +23,13 @@ def functions(real: type) -> SimpleNamespace:
         feature: wp.int32  # column of the feature tables: 0 face, 1–3 edges, 4–6 corners
 
     @wp.func
-    def along(p: vec3, u: vec3, e: vec3):
-        """Where on the edge from ``u`` along ``e`` the point nearest to ``p`` lies, 0 to 1."""
-        return wp.clamp(wp.dot(p - u, e) / wp.dot(e, e), real(0.0), real(1.0))
+    def along(u: vec3, e: vec3):
+        """Where on the edge from ``u`` along ``e`` the point nearest to the origin lies, 0 to 1."""
+        return wp.clamp(-wp.dot(u, e) / wp.dot(e, e), real(0.0), real(1.0))
 
     @wp.func
-    def closest_on_triangle(p: vec3, a: vec3, b: vec3, c: vec3, n: vec3):
-        """Returns the point of triangle ``abc`` with unit normal ``n`` closest to ``p`` and its feature.
+    def closest_to_origin(a: vec3, b: vec3, c: vec3, n: vec3):
+        """Returns the point of triangle ``abc`` with unit normal ``n`` closest to the origin, and its feature.
 
         The usual test by barycentric areas subtracts products of lengths and loses all digits in thin triangles;
         each comparison here is one of lengths, so they cost no more than rounding.
@@ -38,17 +38,16 @@ def functions(real: type) -> SimpleNamespace:
         ab = b - a
         bc = c - b
         ca = a - c
-        ap = p - a
         if (
-            wp.dot(wp.cross(n, ab), ap) > real(0.0)
-            and wp.dot(wp.cross(n, bc), p - b) > real(0.0)
-            and wp.dot(wp.cross(n, ca), p - c) > real(0.0)
+            wp.dot(wp.cross(n, ab), a) < real(0.0)
+            and wp.dot(wp.cross(n, bc), b) < real(0.0)
+            and wp.dot(wp.cross(n, ca), c) < real(0.0)
         ):
-            hit.point = p - wp.dot(ap, n) * n
+            hit.point = wp.dot(a, n) * n
             hit.feature = 0
             return hit
         # The nearest edge; of equally near points, one inside an edge rather than a corner.
-        t = along(p, a, ab)
+        t = along(a, ab)
         hit.point = a + t * ab
         hit.feature = 1
         if t == real(0.0):
@@ -56,8 +55,8 @@ def functions(real: type) -> SimpleNamespace:
         elif t == real(1.0):
             hit.point = b
             hit.feature = 5
-        best = wp.length_sq(p - hit.point)
-        t = along(p, b, bc)
+        best = wp.length_sq(hit.point)
+        t = along(b, bc)
         q = b + t * bc
         feature = wp.int32(2)
         if t == real(0.0):
@@ -65,12 +64,12 @@ def functions(real: type) -> SimpleNamespace:
         elif t == real(1.0):
             q = c
             feature = 6
-        d = wp.length_sq(p - q)
+        d = wp.length_sq(q)
         if d < best or (feature < 4 and hit.feature > 3 and d <= best * level):
             best = d
             hit.point = q
             hit.feature = feature
-        t = along(p, c, ca)
+        t = along(c, ca)
         q = c + t * ca
         feature = 3
         if t == real(0.0):
@@ -78,10 +77,10 @@ def functions(real: type) -> SimpleNamespace:
         elif t == real(1.0):
             q = a
             feature = 4
-        d = wp.length_sq(p - q)
+        d = wp.length_sq(q)
         if d < best or (feature < 4 and hit.feature > 3 and d <= best * level):
             hit.point = q
             hit.feature = feature
         return hit
 
-    return SimpleNamespace(Hit=Hit, closest_on_triangle=closest_on_triangle)
+    return SimpleNamespace(Hit=Hit, closest_to_origin=closest_to_origin)

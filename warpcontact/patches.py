@@ -108,7 +108,9 @@ def upload_patches(
     model.patch_mesh = send([mesh.id for mesh in meshes], wp.uint64, np.uint64)
     model.patch_surface = send(surfaces, wp.int32, np.int32)
     model.patch_face_start = send(starts[: len(patches)], wp.int32, np.int32)
-    model.patch_slack = send([_slack(patch) for patch in patches], t.real, real)
+    trust = [_query_error(patch) for patch in patches]
+    model.patch_slack = send([slack for slack, _ in trust], t.real, real)
+    model.patch_thin = send([thin for _, thin in trust], wp.bool, bool)
     if patches:
         model.face_corner = send(np.concatenate([patch.corner for patch in patches]), t.vec3, real)
         model.face_normal = send(np.concatenate([patch.normal for patch in patches]), t.vec3, real)
@@ -150,12 +152,17 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _slack(patch: Patch) -> float:
-    """How far the float32 query may be off: rounding, and its loss in thin triangles up to their height."""
+def _query_error(patch: Patch) -> tuple[float, bool]:
+    """Returns how far the float32 query may be off [m], and whether some triangles are too thin for its distances.
+
+    The query's areas lose ε (length/height)² of the length along a triangle, and at most its height in distance:
+    where that limit is reached, about length/height = 200, the distance it sees to that triangle is arbitrary.
+    """
     corner = patch.corner
     edges = np.roll(corner, -1, axis=1) - corner
     longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1)
     height = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / longest
-    eps = float(np.finfo(np.float32).eps)
-    lost = np.minimum(height, eps * longest * (longest / height) ** 2)
-    return float((lost + 16.0 * eps * (np.abs(corner).max() + longest)).max())
+    epsilon = float(np.finfo(np.float32).eps)
+    lost = epsilon * longest * (longest / height) ** 2
+    rounding = 16.0 * epsilon * (np.abs(corner).max() + longest)
+    return float((np.minimum(lost, height) + rounding).max()), bool((lost > height).any())
