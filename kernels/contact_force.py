@@ -5,6 +5,7 @@ coefficients are data. A pure function of model, state and history: nothing here
 """
 
 import functools
+import math
 
 import warp as wp
 from warpcontact.kernels import frames
@@ -21,7 +22,8 @@ def kernel(law: type, friction: type, real: type) -> wp.Kernel:
     LawCoefficients = coefficient_struct(law, real)
     FrictionCoefficients = coefficient_struct(friction, real)
     law_force, friction_force = law.force, friction.force
-    needs_mass, pulls = law.needs_mass, law.pulls
+    needs_mass = law.needs_mass
+    lowest = wp.constant(real(-math.inf if law.pulls else 0.0))
     velocity_at = frames.functions(real).velocity_at
 
     @wp.func
@@ -36,10 +38,10 @@ def kernel(law: type, friction: type, real: type) -> wp.Kernel:
 
     @wp.func
     def cut(force: real):
-        """A law that does not pull is cut at zero."""
-        if wp.static(pulls):
-            return force
-        return wp.max(force, real(0.0))
+        """A law that does not pull is cut at zero. Not by max, which turns a NaN into 0 and hides it."""
+        if force < lowest:
+            return lowest
+        return force
 
     @wp.func
     def add_wrench(wrenches: Wrenches, state: State, env: int, body: int, p_W: vec3, force_W: vec3):
@@ -85,7 +87,7 @@ def kernel(law: type, friction: type, real: type) -> wp.Kernel:
         touch.delta_dot = approach
         # A contact that begins here has no entry speed yet; one that reloads faster than it began takes the
         # faster speed. The same rule advances the history, so a trial state sees the same force.
-        touch.entry_speed = wp.max(history.entry_speed[env, contact], approach)
+        touch.entry_speed = wp.max(wp.max(history.entry_speed[env, contact], approach), real(0.0))
         if wp.static(needs_mass):
             touch.mass = real(1.0) / (
                 mobility(model, state, env, body_1, k_W, n_W) + mobility(model, state, env, body_2, k_W, n_W)
@@ -106,7 +108,9 @@ def kernel(law: type, friction: type, real: type) -> wp.Kernel:
         slip = Slip()
         slip.velocity = approach * n_W - v_W
         slip.speed = wp.length(slip.velocity)
-        slip.normal_force = wp.max(normal_force, real(0.0))
+        slip.normal_force = normal_force
+        if normal_force < real(0.0):
+            slip.normal_force = real(0.0)
         friction_W = friction_force(friction_coefficients[env, member], slip)
 
         contacts.approach_speed[env, contact] = approach

@@ -88,3 +88,21 @@ def hold_failed(real: type) -> wp.Kernel:
         status[env] = ENV_FROZEN
 
     return hold_failed
+
+
+@functools.cache
+def adopt(real: type) -> wp.Kernel:
+    """Returns the kernel that copies the active environments of a state. Launch with dim (env, body)."""
+    State = structs(real).State
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def adopt(status: wp.array(dtype=wp.int32), source: State, target: State):
+        env, body = wp.tid()
+        if status[env] != ENV_ACTIVE:
+            return
+        target.body_position[env, body] = source.body_position[env, body]
+        target.body_orientation[env, body] = source.body_orientation[env, body]
+        target.body_linear_velocity[env, body] = source.body_linear_velocity[env, body]
+        target.body_angular_velocity[env, body] = source.body_angular_velocity[env, body]
+
+    return adopt

@@ -27,6 +27,17 @@ class Careless(wc.Law):
         return 2.0 * p.stiffness * c.delta
 
 
+class Broken(wc.Law):
+    """Not a number beyond a depth."""
+
+    stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
+    depth: float = wc.parameter("m", "depth of the failure", above=0.0)
+
+    @wp.func
+    def force(p: Any, c: Any):
+        return p.stiffness * c.delta * wp.sqrt(p.depth - c.delta) / wp.sqrt(p.depth)
+
+
 class Adhesive(wc.Law):
     """A spring that pulls below a depth."""
 

@@ -139,7 +139,7 @@ def test_bad_parameter_values_are_refused_and_change_nothing(name, value, messag
 def test_an_inertia_that_could_mean_two_things_is_refused():
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e3), envs=3)
     moments = np.array([(1.0, 2.0, 2.5), (1.0, 1.0, 1.0), (2.0, 2.0, 3.0)])
-    with pytest.raises(ValueError, match=r"of shape \(3, 3\) may be one value of shape \(3, 3\) or one per"):
+    with pytest.raises(ValueError, match=r"of shape \(3, 3\) may be meant for all environments or one row"):
         model["ball.inertia"] = moments
     model["ball.inertia"] = moments[:, :, None] * np.eye(3)
     np.testing.assert_array_equal(model["ball.inertia"][0], np.diag(moments[0]))

@@ -202,6 +202,7 @@ def _add_contacts(
                 allowed,
                 [upload],
                 single=contact.points.single,
+                convert=checks.switches if key == "enabled" else None,
             )
 
 

@@ -81,6 +81,14 @@ def unit_quaternions(name: str, value: Array) -> Array:
     return value / length[..., None]
 
 
+def switches(name: str, value: Array) -> Array:
+    """Returns ``value`` if it is 0 or 1 throughout, or raises ``ValueError``."""
+    bad = np.argwhere((value != 0.0) & (value != 1.0))
+    if len(bad):
+        raise ValueError(f"{name}{list(map(int, bad[0]))} must be 0 or 1, got {value[tuple(bad[0])]:g}")
+    return value
+
+
 def inertia_tensors(name: str, value: Array) -> Array:
     """Returns inertia tensors (…, 3, 3), checked to be those of some rigid body.
 

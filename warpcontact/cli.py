@@ -4,7 +4,9 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from warpcontact import __version__
@@ -94,29 +96,53 @@ def _run(arguments: argparse.Namespace) -> int:
 
     wp.config.log_level = wp.LOG_ERROR
     from warpcontact.experiment import Experiment, ExperimentError
+    from warpcontact.experiment.result import INTERRUPTED as INTERRUPTED_RUN
+    from warpcontact.experiment.result import read_summary
 
     def say(stage: str) -> None:
         print(f"{stage} …", file=sys.stderr, flush=True)
 
+    def warn(text: str) -> None:
+        print(f"warning: {text}", file=sys.stderr, flush=True)
+
+    folder: Path | None = None
     try:
         say(f"reading {arguments.file}")
         experiment = Experiment.from_toml(arguments.file)
-        folder = re.sub(r"[^\w.-]+", "_", experiment.settings.name).strip("._") or "experiment"
-        with warnings.catch_warnings():
+        for option in ("envs", "duration"):
+            value = getattr(arguments, option)
+            with _blaming(f"--{option} {value}", experiment.source):
+                experiment = experiment.changed(**{option: value})
+        name = re.sub(r"[^\w.-]+", "_", experiment.settings.name).strip("._") or "experiment"
+        folder = Path(arguments.out or f"results/{name}")
+        with warnings.catch_warnings(), _blaming(f"--device {arguments.device}", experiment.source):
             # The summary says it.
             warnings.filterwarnings("ignore", message=".* non-finite and are frozen", category=RuntimeWarning)
             result = experiment.run(
-                arguments.out or f"results/{folder}",
-                envs=arguments.envs,
-                duration=arguments.duration,
-                device=arguments.device,
-                overwrite=arguments.overwrite,
-                on_stage=say,
+                folder, device=arguments.device, overwrite=arguments.overwrite, on_stage=say, on_warning=warn
             )
     except ExperimentError as error:
         return _fail(str(error))
+    except KeyboardInterrupt:
+        if folder is None or (read_summary(folder) or {}).get("state") != INTERRUPTED_RUN:
+            raise
+        print(f"\nwarpcontact: interrupted; nothing was kept in {folder}", file=sys.stderr)
+        return INTERRUPTED
     print(result)
     return 0
+
+
+@contextmanager
+def _blaming(option: str, source: str) -> Iterator[None]:
+    """Names ``option`` in place of the file: what is wrong was right before it."""
+    from warpcontact.experiment import ExperimentError
+
+    try:
+        yield
+    except ExperimentError as error:
+        if error.source != source:
+            raise
+        raise ExperimentError(option, error.problems) from None
 
 
 def _inspect(arguments: argparse.Namespace) -> int:
@@ -126,6 +152,10 @@ def _inspect(arguments: argparse.Namespace) -> int:
         report = examine_file(arguments.mesh, scale=arguments.scale)
     except (MeshError, ValueError) as error:
         return _fail(str(error))
+    if not report.vertex_count and not report.face_count:  # nothing could be read
+        for problem in report.errors:
+            print(f"warpcontact: {arguments.mesh}: {problem}", file=sys.stderr)
+        return FAILED
     print(report.to_text())
     return 0 if report.usable else FAILED
 
@@ -150,21 +180,20 @@ def _entry(formula: Any) -> Iterable[str]:
     import dataclasses
     import textwrap
 
-    def wrapped(label: str, text: str) -> list[str]:
-        indent = " " * 12
-        return (
-            textwrap.wrap(text, WIDTH, initial_indent=f"    {label:<8}", subsequent_indent=indent) if text else []
-        )
+    def wrapped(begin: str, text: str) -> list[str]:
+        return textwrap.wrap(text, WIDTH, initial_indent=begin, subsequent_indent=" " * len(begin))
 
-    lines = [f"  {formula.__name__:<20}{formula.formula}"]
+    lines = [f"  {formula.__name__}", *wrapped("    formula ", formula.formula)]
     for field in dataclasses.fields(formula):
         limits = formula.limits(field.name)
         optional = field.default is dataclasses.MISSING or field.default is None
         given = "" if optional else f"default {field.default:g}"
-        lines.append(f"    {field.name:<16}{limits['unit']:<8}{_range(limits):<12}{given:<16}{limits['meaning']}")
-    if formula.exactly_one_of:
-        lines += wrapped("give", f"exactly one of {' and '.join(formula.exactly_one_of)}")
-    return lines + wrapped("valid", formula.validity) + wrapped("source", formula.reference)
+        columns = f"    {field.name:<17} {limits['unit']:<8}{_range(limits):<14}{given:<14}"
+        lines += wrapped(columns, limits["meaning"])
+    one_of = f"exactly one of {' and '.join(formula.exactly_one_of)}" if formula.exactly_one_of else ""
+    for label, text in (("give", one_of), ("valid", formula.validity), ("source", formula.reference)):
+        lines += wrapped(f"    {label:<8}", text) if text else []
+    return lines
 
 
 def _range(limits: Any) -> str:

@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,6 +19,25 @@ from warpcontact.scene import Scene
 from warpcontact.schedule import force_stages
 
 
+@dataclass(frozen=True)
+class State:
+    """State of all bodies: Warp arrays (envs, bodies) that keep their memory for the life of the model.
+
+    Write into them (``state.body_position.assign(values)``), do not replace them.
+
+    Attributes:
+        body_position: Centre of mass, world [m].
+        body_orientation: Rotation body → world, quaternion (x, y, z, w).
+        body_linear_velocity: Velocity of the centre of mass, world [m/s].
+        body_angular_velocity: Angular velocity, world axes [rad/s].
+    """
+
+    body_position: wp.array
+    body_orientation: wp.array
+    body_linear_velocity: wp.array
+    body_angular_velocity: wp.array
+
+
 class Model:
     """Many environments of one scene on a device. Made by ``Scene.build``.
 
@@ -29,9 +49,8 @@ class Model:
         envs: Number of environments.
         device: Warp device.
         precision: ``"float32"`` or ``"float64"``.
-        state: The current state; its arrays ``body_position``, ``body_orientation``, ``body_linear_velocity``
-            and ``body_angular_velocity`` have shape (envs, bodies), keep their memory for the life of the
-            model, and can be shared with NumPy, PyTorch or JAX without a copy.
+        state: The current state, arrays to share with NumPy, PyTorch or JAX without a copy.
+        time: Simulated time since the last complete reset [s].
     """
 
     def __init__(
@@ -60,6 +79,8 @@ class Model:
         self.contact_count = sum(contact.count for contact in scene.contacts)
         # Goes up when a device array moves: whoever prepared launches prepares them again.
         self.revision = 0
+        # Simulated time since the last complete reset [s].
+        self.time = 0.0
         # Whether the state is still the initial one, which then follows its parameters.
         self.at_start = True
         self._meshes = meshes  # kept alive: a kernel only holds their ids
@@ -67,26 +88,39 @@ class Model:
         self._instant = wp.zeros((1, 1), dtype=types.real, device=device)
         self._no_step = broadcast(self._instant, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
-        for upload in uploads:
-            upload.send()
+        self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
+        self._send(uploads)
+        self._state = State(**{name: getattr(arrays.state, name) for name in types.State.vars})
         self.reset()
 
     @property
-    def state(self) -> Any:
-        """The current state, a Warp struct of arrays (envs, bodies)."""
-        return self.arrays.state
+    def state(self) -> State:
+        """The current state: arrays (envs, bodies)."""
+        return self._state
 
     def __getitem__(self, name: str) -> Array:
-        """Returns parameter ``name``, (envs, …), read-only."""
-        return self._parameter(name).read(self.envs)
+        """Returns a copy of parameter ``name``, (envs, …). That of a state is the initial one."""
+        return np.array(self._parameter(name).read(self.envs))
 
     def __setitem__(self, name: str, value: ArrayLike) -> None:
-        """Sets parameter ``name`` from one value or one per environment."""
+        """Sets parameter ``name`` from one value or one per environment.
+
+        A parameter of the state is the initial one; before the first step it sets the current one, too.
+
+        Raises:
+            KeyError: If there is no such parameter.
+            ValueError: If the value is not allowed; nothing is changed then.
+        """
         parameter = self._parameter(name)
-        parameter.field.assign(parameter.items, parameter.parse(value, self.envs), self.envs)
-        moved = [upload.send() for upload in parameter.uploads]
-        if any(moved):
-            self.revision += 1
+        values = parameter.parse(value, self.envs)
+        before = parameter.field.values.copy()
+        try:
+            parameter.field.assign(parameter.items, values, self.envs)
+            self._send(parameter.uploads)
+        except Exception:
+            parameter.field.values = before
+            self._send(parameter.uploads)
+            raise
         if self.at_start and any(upload.struct is self.arrays.initial for upload in parameter.uploads):
             self.reset()
 
@@ -130,6 +164,7 @@ class Model:
         )
         if mask.all():
             self.at_start = True
+            self.time = 0.0
 
     def evaluate(self) -> None:
         """Computes contacts and wrenches of the current state; changes neither state nor history."""
@@ -194,6 +229,11 @@ class Model:
     def health(self) -> Health:
         """Returns which environments are frozen."""
         return Health.of_status(self.arrays.status.numpy())
+
+    def _send(self, uploads: list[Upload]) -> None:
+        for upload in uploads:
+            if upload.send():
+                self.revision += 1
 
     def _parameter(self, name: str) -> Parameter:
         if name in self.parameters:

@@ -86,6 +86,9 @@ class Parameter:
                 shaped = values[None, None]
             elif lead == (envs,):
                 shaped = values[:, None]
+                if not self.single and envs == self.count > 1:
+                    # One value per point, the same everywhere, has this shape, too.
+                    found.append(values[None])
             elif not self.single and lead in ((1, self.count), (envs, self.count), (envs, 1)):
                 shaped = values
             else:
@@ -93,8 +96,8 @@ class Parameter:
             found.append(shaped)
         if len(found) > 1:
             raise ValueError(
-                f"{self.name} of shape {values.shape} may be one value of shape {self.tail} or one per "
-                f"environment; repeat the value, {(envs, *self.tail)}, or give one per environment in full"
+                f"{self.name} of shape {values.shape} may be meant for all environments or one row for each; "
+                f"give it in full, {(envs, *self.tail) if self.single else (envs, self.count, *self.tail)}"
             )
         if found:
             check_values(self.name, values, self.limits)
@@ -110,7 +113,7 @@ class Parameter:
         return [lead + tail for tail in (self.given or (self.tail,)) for lead in leads]
 
     def read(self, envs: int) -> Array:
-        """Returns a read-only view (envs, *tail), or (envs, items, *tail) for a set."""
+        """Returns a view (envs, *tail), or (envs, items, *tail) for a set."""
         values = self.field.values[:, self.items]
         values = np.broadcast_to(values, (envs, *values.shape[1:]))
         return values[:, 0] if self.single else values
@@ -194,7 +197,7 @@ class Parameters:
 
         def content() -> NDArray[Any]:
             values = compute()
-            return values if values.dtype.names else values.astype(self.real)
+            return values if values.dtype.names else rounded(attribute, values, self.real)
 
         upload = Upload(struct, attribute, dtype, content, self.envs, self.device)
         self.uploads.append(upload)
@@ -219,5 +222,19 @@ def pack(struct: Any, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
     items = max(column.shape[1] for column in columns.values())
     packed = np.zeros((envs, items), dtype=struct.numpy_dtype())
     for name, column in columns.items():
-        packed[name] = column
+        packed[name] = rounded(name, column, packed.dtype[name])
     return packed
+
+
+def rounded(name: str, values: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """Returns ``values`` in the precision of the device.
+
+    Raises:
+        ValueError: If a finite value becomes infinite there, or a positive one zero.
+    """
+    with np.errstate(over="ignore", under="ignore"):
+        result = values.astype(dtype)
+    lost = (np.isfinite(values) & ~np.isfinite(result)) | ((values != 0) & (result == 0))
+    if lost.any():
+        raise ValueError(f"{name}: {values[lost].flat[0]:g} does not fit into {np.dtype(dtype).name}")
+    return result

@@ -12,8 +12,9 @@ from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
 from warpcontact.build import allocate
 from warpcontact.integrators import Integrator, SemiImplicitEuler
+from warpcontact.kernels import integrate
 from warpcontact.model import Model
-from warpcontact.parameters import broadcast
+from warpcontact.parameters import broadcast, rounded
 from warpcontact.recorder import Recorder, Recording
 from warpcontact.schedule import step_stages
 
@@ -29,8 +30,6 @@ class Simulation:
         dt: Time step [s].
         integrator: Scheme, semi-implicit Euler if not given.
 
-    Attributes:
-        steps: Steps taken since the last complete reset.
     """
 
     def __init__(self, model: Model, dt: float, integrator: Integrator | None = None) -> None:
@@ -44,7 +43,7 @@ class Simulation:
         self.model = model
         self.integrator = integrator
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
-        self.steps = 0
+        rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.types.real))
         self._advised = False
         self._dt_memory = wp.full((1, 1), self.dt, dtype=model.types.real, device=model.device)
         self._dt = broadcast(self._dt_memory, model.envs)
@@ -59,8 +58,13 @@ class Simulation:
 
     @property
     def time(self) -> float:
-        """Simulated time since the last complete reset [s]."""
-        return self.steps * self.dt
+        """Simulated time since the last complete reset of the model [s]."""
+        return self.model.time
+
+    @property
+    def steps(self) -> int:
+        """That time in steps of this simulation."""
+        return round(self.model.time / self.dt)
 
     def reset(self, env_mask: ArrayLike | None = None) -> None:
         """Puts environments back to their initial state, with empty history.
@@ -69,8 +73,6 @@ class Simulation:
             env_mask: Booleans (envs,) of the environments to reset; ``None``: all, and the clock too.
         """
         self.model.reset(env_mask)
-        if self.model.at_start:
-            self.steps = 0
 
     def step(self, count: int = 1) -> None:
         """Takes ``count`` steps without recording."""
@@ -85,22 +87,23 @@ class Simulation:
                 warnings.warn(sentence, ContactWarning, stacklevel=2)
         model.at_start = False
         if self._stages[0] != model.revision:
-            there = step_stages(model, self.integrator, self._dt, model.state, self._other)
-            back = step_stages(model, self.integrator, self._dt, self._other, model.state)
+            own = model.arrays.state
+            there = step_stages(model, self.integrator, self._dt, own, self._other)
+            back = step_stages(model, self.integrator, self._dt, self._other, own)
             self._stages = (model.revision, there, back)
         _, there, back = self._stages
-        # A frozen environment is skipped, so both buffers must hold it: they do since it was frozen, unless
-        # somebody wrote to the state in between.
-        for _ in range(count // 2):
-            for launch in there:
-                launch.launch()
-            for launch in back:
-                launch.launch()
-        if count % 2:
-            for launch in there:
-                launch.launch()
-            self._copy_back()
-        self.steps += int(count)
+        done = 0
+        try:
+            while done < count:
+                forward = done % 2 == 0
+                for launch in there if forward else back:
+                    launch.launch()
+                done += 1
+        finally:
+            # Also after an interruption: the state is in the model's buffer, and the clock tells its time.
+            if done % 2:
+                self._adopt()
+            self.model.time += done * self.dt
 
     def run(
         self,
@@ -136,7 +139,8 @@ class Simulation:
         if isinstance(record, str):
             raise TypeError(f"record must be a list of readings, got the string {record!r}")
         recorder = Recorder(self.model, record, frames=steps // stride + 1, poses=poses)
-        recorder.take(self.time)
+        start = self.time
+        recorder.take(start)
         frozen = len(self.model.health().frozen)
         done = 0
         with tqdm(
@@ -152,7 +156,7 @@ class Simulation:
                 done += ahead
                 bar.update(ahead)
                 if done % stride == 0:
-                    recorder.take(self.time)
+                    recorder.take(start + done * self.dt)
         health = self.model.health()
         if len(health.frozen) > frozen:
             warnings.warn(str(health), RuntimeWarning, stacklevel=2)
@@ -164,9 +168,15 @@ class Simulation:
             }
         )
 
-    def _copy_back(self) -> None:
-        for attribute in self.model.types.State.vars:
-            wp.copy(getattr(self.model.state, attribute), getattr(self._other, attribute))
+    def _adopt(self) -> None:
+        """Takes the state of the active environments from the other buffer; a frozen one is left as it is."""
+        a = self.model.arrays
+        wp.launch(
+            integrate.adopt(self.model.types.real),
+            dim=(self.model.envs, self.model.body_count),
+            inputs=[a.status, self._other, a.state],
+            device=self.model.device,
+        )
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"
