@@ -1,6 +1,7 @@
 """The command line: what it prints, where it prints it, and its exit codes."""
 
 import dataclasses
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -71,10 +72,20 @@ def test_frozen_environments_are_said_without_a_warning(tmp_path, capsys):
     [
         (["run", "none.toml"], "none.toml: there is no such file"),
         (["run", "bad.toml"], "bad.toml: line 1, column 6: "),
-        (["run", "wrong.toml"], "  - body[0].mass must be greater than 0, got -1 kg\n"),
-        (["run", str(EXAMPLE), "--device", "cuda:99"], "device must be 'auto' or one of"),
-        (["run", str(EXAMPLE), "--envs", "0"], "envs must be at least 1, got 0"),
-        (["run", str(EXAMPLE), "--duration", "nan"], "duration must be finite, got nan"),
+        (["run", "wrong.toml"], "  - body[0] ('b').mass must be greater than 0, got -1 kg\n"),
+        (
+            ["run", str(EXAMPLE), "--device", "cuda:99"],
+            "warpcontact: --device cuda:99: device must be 'auto' or one of",
+        ),
+        (["run", str(EXAMPLE), "--envs", "0"], "warpcontact: --envs 0: envs must be at least 1, got 0"),
+        (
+            ["run", str(EXAMPLE), "--duration", "nan"],
+            "warpcontact: --duration nan: duration must be finite, got nan",
+        ),
+        (
+            ["run", str(EXAMPLE), "--duration", "0.01"],
+            "warpcontact: --duration 0.01: record.every must be at most",
+        ),
         (["run", str(EXAMPLE), "--out", "."], "is not empty"),
         (["run", str(EXAMPLE), "--out", "bad.toml/x", "--envs", "1", "--duration", "0.02"], "bad.toml"),
         (["inspect", "none.stl"], "mesh file 'none.stl' does not exist"),
@@ -113,6 +124,43 @@ def test_interrupt_is_no_traceback(monkeypatch, capsys):
     assert "interrupted" in capsys.readouterr().err
 
 
+def test_interrupted_run_keeps_nothing_and_says_so(tmp_path, capsys, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    words = ["run", str(EXAMPLE), "--envs", "2", "--duration", "0.02", "--device", "cpu", "--out", str(tmp_path)]
+    with monkeypatch.context() as patch:
+        patch.setattr(wc.Simulation, "run", interrupted)
+        assert main(words) == 130
+    assert f"interrupted; nothing was kept in {tmp_path}\n" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+    assert main(words) == 0
+    monkeypatch.setattr(wc.Simulation, "run", interrupted)
+    assert main(words) == 2
+    # Before anything is touched there is nothing to say about the folder.
+    monkeypatch.setattr(wc.Scene, "build", interrupted)
+    assert main([*words, "--overwrite"]) == 130
+    assert "nothing was kept" not in capsys.readouterr().err
+    assert (tmp_path / "recording.zarr").exists()
+
+
+def test_warnings_are_printed_once_and_kept(tmp_path, capsys):
+    far = "v 0 0 0\nv 1000 0 0\nv 0 1000 0\nf 1 2 3\n"
+    (tmp_path / "ground.obj").write_text(far)
+    path = tmp_path / "study.toml"
+    path.write_text(
+        "duration = 0.01\ndt = 1e-3\n"
+        '[[surface]]\nname = "s"\nmesh = { file = "ground.obj" }\n'
+        '[[body]]\nname = "b"\nmass = 1\ninertia = [1, 1, 1]\n'
+    )
+    out = tmp_path / "out"
+    assert main(["run", str(path), "--out", str(out), "--device", "cpu"]) == 0
+    err = capsys.readouterr().err
+    assert err.count("warning: mesh file 'ground.obj': the largest dimension is 1e+03 m") == 1
+    warned = [line.removeprefix("warning: ") for line in err.splitlines() if line.startswith("warning: ")]
+    assert json.loads((out / "run.json").read_text())["warnings"] == warned
+
+
 def test_inspect_prints_the_report_and_says_whether_it_is_usable(tmp_path, capsys):
     mesh = tmp_path / "mesh.obj"
     mesh.write_text(TRIANGLE)
@@ -123,6 +171,12 @@ def test_inspect_prints_the_report_and_says_whether_it_is_usable(tmp_path, capsy
     mesh.write_text(TRIANGLE.replace("f 1 2 3", "f 1 2 9"))
     assert main(["inspect", str(mesh)]) == 1
     assert "out of index range" in capsys.readouterr().out
+    broken = tmp_path / "broken.stl"
+    broken.write_bytes(b"solid nothing")
+    assert main(["inspect", str(broken)]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"warpcontact: {broken}: ")
 
 
 def test_laws_lists_the_whole_catalogue(capsys):

@@ -3,7 +3,7 @@
 import difflib
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 # More than this helps nobody: they then have one cause.
@@ -11,6 +11,7 @@ PROBLEMS_SHOWN = 40
 # A bad value is quoted up to this many characters.
 VALUE_LENGTH = 60
 
+_ELEMENT = re.compile(r"\w+\[\d+\]")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -19,27 +20,42 @@ class ExperimentError(ValueError):
 
     Attributes:
         source: The file, or what stands in its place.
-        problems: One sentence each, beginning with the key, such as ``body[0].mass must be …``.
+        problems: One sentence each, beginning with the key, such as ``body[0].mass must be …``. The message has
+            the name of the element as well: ``body[0] ('ball').mass must be …``.
     """
 
-    def __init__(self, source: str, problems: Iterable[str]) -> None:
+    def __init__(self, source: str, problems: Iterable[str], names: Mapping[str, str] | None = None) -> None:
         self.source = source
         self.problems = tuple(problems)
+        shown = [_named(problem, names or {}) for problem in self.problems[:PROBLEMS_SHOWN]]
         if len(self.problems) == 1:
-            super().__init__(f"{source}: {self.problems[0]}")
+            super().__init__(f"{source}: {shown[0]}")
             return
-        shown = self.problems[:PROBLEMS_SHOWN]
         lines = [f"{source} has {len(self.problems)} problems:", *(f"  - {problem}" for problem in shown)]
         if len(self.problems) > len(shown):
             lines.append(f"  … and {len(self.problems) - len(shown)} more")
         super().__init__("\n".join(lines))
 
 
+def _named(problem: str, names: Mapping[str, str]) -> str:
+    """Returns ``problem`` with the name of the element after its number."""
+    place = _ELEMENT.match(problem)
+    if place is None or place[0] not in names or problem.startswith(f"{place[0]}.name"):
+        return problem
+    return f"{place[0]} ({shown(names[place[0]])}){problem[place.end() :]}"
+
+
 class Problems:
-    """Collects problems on the way through an experiment."""
+    """Collects problems on the way through an experiment.
+
+    Attributes:
+        lines: The problems.
+        names: Names of the elements by their key, such as ``body[0]``.
+    """
 
     def __init__(self) -> None:
         self.lines: list[str] = []
+        self.names: dict[str, str] = {}
 
     def __bool__(self) -> bool:
         return bool(self.lines)
@@ -59,7 +75,7 @@ class Problems:
     def stop(self, source: str) -> None:
         """Raises ``ExperimentError`` if there is any problem."""
         if self.lines:
-            raise ExperimentError(source, dict.fromkeys(self.lines))
+            raise ExperimentError(source, dict.fromkeys(self.lines), self.names)
 
 
 def key_path(location: Iterable[str | int]) -> str:

@@ -1,29 +1,25 @@
 """Experiments: a scene, what varies between its environments, how long, and what is recorded."""
 
-import datetime
-import platform
-import time
+import warnings
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import warp as wp
-
-from warpcontact._version import __version__
 from warpcontact.experiment import result
 from warpcontact.experiment.assemble import Assembler
+from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
+from warpcontact.experiment.execute import execute
+from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.result import Run
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.toml import to_toml
 from warpcontact.experiment.variation import Draw, truncated
 from warpcontact.meshes import Mesh
 from warpcontact.model import Model
 from warpcontact.scene import Scene
-from warpcontact.simulation import Simulation, whole_steps
+from warpcontact.simulation import whole_steps
 
 # Frames of a recording for which nothing else is asked.
 FRAMES = 100
@@ -101,6 +97,8 @@ class Experiment:
         if not changes:
             return self
         content = self._given.model_dump(exclude_none=True) | changes
+        if duration is not None and self._given.record.every == default_interval(self._given):
+            content["record"].pop("every")  # a copy of an experiment has it written out
         if isinstance(envs, int):
             shorter = truncated(self._given.variation, envs)
             content["variation"] = {name: entry.model_dump(exclude_none=True) for name, entry in shorter.items()}
@@ -119,6 +117,7 @@ class Experiment:
         overwrite: bool = False,
         progress: bool | None = None,
         on_stage: Callable[[str], None] | None = None,
+        on_warning: Callable[[str], None] | None = None,
     ) -> Run:
         """Runs the experiment and writes the results into a folder.
 
@@ -133,83 +132,29 @@ class Experiment:
             overwrite: Whether the files of an earlier run in the folder may be replaced.
             progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
             on_stage: Called with a few words when a stage that may take long begins.
+            on_warning: Called with the text of each warning of a mesh file or of the simulation, in place of
+                Python's way; they are in ``run.json`` in any case.
 
         Raises:
-            ExperimentError: If the folder is not empty, there is no such device, or a value is out of range.
+            ExperimentError: If the folder holds a finished run or something else, there is no such device, or a
+                value is out of range.
         """
         folder, experiment = Path(out), self.changed(envs=envs, duration=duration)
         result.check_folder(folder, overwrite)
         say = on_stage or (lambda stage: None)
-        settings = experiment.settings
-        say(f"building {settings.envs} environments")
-        model = experiment._build(device)
-        result.clear_folder(folder)
-        return experiment._run(model, folder, progress, say)
+        notices = Notices(on_warning)
+        with notices.listening():
+            return experiment._run(folder, device, progress, say, notices)
 
-    def _run(self, model: Model, folder: Path, progress: bool | None, say: Callable[[str], None]) -> Run:
-        settings = self.settings
-        files = {"experiment": folder / result.EXPERIMENT, "summary": folder / result.SUMMARY}
-        summary: dict[str, Any] = {
-            "state": "unfinished",
-            "name": settings.name,
-            "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            "versions": {
-                "warpcontact": __version__,
-                "warp": wp.config.version,
-                "numpy": np.__version__,
-                "python": platform.python_version(),
-            },
-            "machine": platform.platform(),
-            "device": str(model.device) if model.device.is_cpu else f"{model.device} ({model.device.name})",
-            "precision": settings.precision,
-            "seed": settings.seed,
-            "envs": settings.envs,
-            "dt": settings.dt,
-        }
-        result.write_summary(files["summary"], summary)
-        comment = f"The experiment as warpcontact {__version__} ran it, with all defaults."
-        text = to_toml(result.moved(settings, self.folder, folder), comment)
-        files["experiment"].write_text(text, encoding="utf-8")
-
-        simulation = Simulation(model, dt=settings.dt)
-        say(f"compiling for {model.device}")
-        simulation.step()  # compiles what is not in the cache; the time of the run is then that of stepping
-        simulation.reset()
-        say("running")
-        start = time.perf_counter()
-        recording = simulation.run(
-            settings.duration, settings.record.readings or (), settings.record.every, progress=progress
-        )
-        wall_time = time.perf_counter() - start
-        result.add_parameters(recording, model, self._values)
-        recording.attrs |= {"name": settings.name, "seed": settings.seed}
-
-        say("writing")
-        self._write(recording, folder, files)
-        health = model.health()
-        summary |= {
-            "state": "finished",
-            "duration": simulation.time,
-            "steps": simulation.steps,
-            "wall_time": wall_time,
-            "env_steps_per_second": settings.envs * simulation.steps / wall_time,
-            "frozen_environments": health.frozen.tolist(),
-        }
-        result.write_summary(files["summary"], summary)
-        return Run(folder=folder, files=files, recording=recording, health=health, summary=summary)
-
-    def _write(self, recording: result.Recording, folder: Path, files: dict[str, Path]) -> None:
-        from warpcontact.experiment.picture import write_picture
-        from warpcontact.usd import export_usd
-
-        files["recording"] = folder / result.RECORDING
-        result.write_recording(recording, files["recording"])
-        usd_envs = min(self.settings.output.usd_envs, self.settings.envs)
-        if usd_envs:
-            files["animation"] = folder / result.ANIMATION
-            export_usd(recording, files["animation"], envs=range(usd_envs))
-        files["picture"] = folder / result.PICTURE
-        write_picture(files["picture"], recording, self.settings.name, list(self._values))
+    def _run(
+        self, folder: Path, device: str, progress: bool | None, say: Callable[[str], None], notices: Notices
+    ) -> Run:
+        for i, surface in enumerate(self.settings.surface):
+            if isinstance(surface.mesh, FileMesh):
+                notices.add_mesh(surface.mesh.file, self._loaded[f"surface[{i}]"].report)
+        say(f"building {self.settings.envs} environments")
+        model = self._build(device)
+        return execute(model, self.settings, self._values, self.folder, folder, progress, say, notices)
 
     def _build(self, device: str) -> Model:
         """Builds the environments on ``device``."""
@@ -239,7 +184,9 @@ class Experiment:
         if not scene.bodies:
             return None
         try:
-            return scene.build(1, "cpu", parts.settings.precision if parts.settings else "float32")
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the model that runs warns again
+                return scene.build(1, "cpu", parts.settings.precision if parts.settings else "float32")
         except ValueError as error:
             message = str(error)
             paths = {entry.name: path for _, path, entry in parts}
@@ -276,8 +223,7 @@ class Experiment:
         """Returns the time between frames [s]."""
         every = settings.record.every
         if every is None:
-            steps = max(1, round(settings.duration / settings.dt / FRAMES))
-            return float(f"{steps * settings.dt:.12g}")
+            return default_interval(settings)
         if every > settings.duration:
             problems.add("record.every", f"must be at most the duration, {settings.duration:g} s, got {every:g} s")
             return every
@@ -286,6 +232,12 @@ class Experiment:
         except ValueError as error:
             problems.add("record.every", str(error).removeprefix("record.every "))
         return every
+
+
+def default_interval(settings: Settings) -> float:
+    """Returns the time between frames of an experiment that says nothing about it [s]."""
+    steps = max(1, round(settings.duration / settings.dt / FRAMES))
+    return float(f"{steps * settings.dt:.12g}")
 
 
 def default_readings(model: Model) -> list[str]:

@@ -1,4 +1,6 @@
-"""One picture of what happened: tracks over the ground from above, and two readings over time.
+"""One picture of what happened: tracks of the bodies over the ground, and two readings over time.
+
+Tracks are seen from above, or from the side if they run in the plane of x and z.
 
 The picture is made of what the recording has. Without a display, and without matplotlib's global state.
 """
@@ -27,6 +29,12 @@ COLORS = "plasma"
 LIGHT = np.array([-0.5, 0.5, 0.7]) / np.linalg.norm([-0.5, 0.5, 0.7])
 # Values that span more than this factor are coloured on a logarithmic scale.
 LOGARITHMIC = 30.0
+# Tracks with a smaller extent along y, as part of the largest, are seen from the side.
+FLAT = 0.02
+# Where what is shown is wider than this times its height, it gets the whole width.
+WIDE = 1.8
+# The shorter side is at least this part of the longer.
+NARROWEST = 0.3
 
 
 def write_picture(path: Path, recording: Recording, title: str, varied: list[str]) -> None:
@@ -39,59 +47,95 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
         varied: Names of the parameters that varied; the first that is one number colours the tracks.
     """
     envs, times = recording.sizes["env"], recording["time"].values
-    figure = Figure(figsize=(13.0, 6.8), dpi=120, layout="constrained")
+    tracks = [recording[f"{body.name}.position"].values for body in recording.scene.bodies]
+    plane = _plane(tracks)
+    window = _window(recording.scene, [track[..., plane] for track in tracks], plane)
+    width, height = window[1] - window[0]
+    wide = bool(width > WIDE * height)
+    size = (13.0, 4.0 + 10.8 * height / width) if wide else (13.0, 6.8)
+    figure = Figure(figsize=size, dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(f"{title}: {envs} environments, {times[-1]:g} s, {recording.attrs['precision']}")
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
-    _draw_tracks(figure, figure.add_subplot(grid[:, 0]), recording, varied)
-    above, below = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-    first, second = _chosen_readings(recording)
-    _draw_quantiles(above, times, *first)
-    _draw_quantiles(below, times, *second)
-    above.sharex(below)
-    above.tick_params(labelbottom=False)
-    below.set_xlabel("time [s]")
-    above.legend(loc="upper right", fontsize="small")
+    if wide:
+        grid = figure.add_gridspec(2, 2, height_ratios=(size[1] - 3.7, 2.9))
+        places = grid[0, :], grid[1, 0], grid[1, 1]
+    else:
+        grid = figure.add_gridspec(2, 2, width_ratios=(float(np.clip(width / height, 0.6, 1.15)), 1.0))
+        places = grid[:, 0], grid[0, 1], grid[1, 1]
+    above, first, second = (figure.add_subplot(place) for place in places)
+    _draw_tracks(figure, above, recording, varied, plane, window, wide)
+    for axes, (values, label) in zip((first, second), _chosen_readings(recording), strict=True):
+        _draw_quantiles(axes, times, values, label)
+        axes.set_xlabel("time [s]")
+    if not wide:
+        first.sharex(second)
+        first.tick_params(labelbottom=False)
+        first.set_xlabel("")
+    first.legend(loc="best", fontsize="small")
     figure.savefig(path)
 
 
-def _draw_tracks(figure: Figure, axes: Any, recording: Recording, varied: list[str]) -> None:
+def _plane(tracks: list[NDArray[Any]]) -> list[int]:
+    """Returns the two axes of the plane in which the tracks are shown."""
+    points = np.concatenate([track.reshape(-1, 3) for track in tracks])
+    extent = np.ptp(points, axis=0)
+    return [0, 2] if extent[1] < FLAT * extent.max() else [0, 1]
+
+
+def _draw_tracks(
+    figure: Figure,
+    axes: Any,
+    recording: Recording,
+    varied: list[str],
+    plane: list[int],
+    window: tuple[NDArray[Any], NDArray[Any]],
+    wide: bool,
+) -> None:
     scene = recording.scene
     envs = recording.sizes["env"]
     chosen = np.unique(np.linspace(0, envs - 1, min(envs, TRACKS)).astype(int))
     tracks = [recording[f"{body.name}.position"].isel(env=chosen).values for body in scene.bodies]
-    lower, upper = _window(scene, tracks)
+    lower, upper = window
     for surface in scene.surfaces:
         if surface.body is None and surface.visible:
-            _draw_ground(axes, surface, lower, upper)
+            if plane == [0, 2]:
+                _draw_section(axes, surface, float(np.mean([track[..., 1].mean() for track in tracks])))
+            else:
+                _draw_ground(axes, surface, lower, upper)
     values, label = _color_values(recording, varied)
     norm = _norm(values)
     for track in tracks:
         lines = LineCollection(
-            list(track[:, :, :2].swapaxes(0, 1)), linewidths=1.0, alpha=0.85, cmap=COLORS, norm=norm
+            list(track[:, :, plane].swapaxes(0, 1)), linewidths=1.0, alpha=0.85, cmap=COLORS, norm=norm
         )
         lines.set_array(values[chosen])
         axes.add_collection(lines)
-        ends = track[-1, :, :2].T
+        ends = track[-1][:, plane].T
         axes.scatter(*ends, c=values[chosen], cmap=COLORS, norm=norm, s=22, edgecolors="black", lw=0.6, zorder=3)
-    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), aspect="equal")
+    axes.set(xlabel="x [m]", ylabel=f"{'xyz'[plane[1]]} [m]")
+    view = "from above" if plane == [0, 1] else "from the side"
     which = f"{len(chosen)} of {envs} environments" if len(chosen) < envs else "all environments"
-    axes.set_title(f"tracks from above, {which}; dots: the end", fontsize="medium")
+    axes.set_title(f"tracks {view}, {which}; dots: the end", fontsize="medium")
     if envs > 1:
-        figure.colorbar(
-            ScalarMappable(norm, COLORS), ax=axes, label=label, location="bottom", shrink=0.7, pad=0.01, aspect=40
+        # Beside the tracks if they are wide, otherwise below.
+        bar: dict[str, Any] = (
+            {"location": "right", "aspect": 25} if wide else {"location": "bottom", "shrink": 0.7, "aspect": 40}
         )
+        figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, label=label, pad=0.01, **bar)
 
 
-def _window(scene: Scene, tracks: list[NDArray[Any]]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _window(scene: Scene, tracks: list[NDArray[Any]], plane: list[int]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Returns the lower left and upper right corner of what is shown: the tracks with some room around them."""
-    points = np.concatenate([track[..., :2].reshape(-1, 2) for track in tracks])
+    points = np.concatenate([track.reshape(-1, 2) for track in tracks])
+    points = points[np.isfinite(points).all(axis=1)]
     lower, upper = points.min(axis=0), points.max(axis=0)
     radius = max((float(contact.radius) for contact in scene.contacts), default=0.0)
-    spans = [np.ptp(_vertices(s)[:, :2], axis=0).max() for s in scene.surfaces if s.body is None]
+    spans = [np.ptp(_vertices(s)[:, plane], axis=0).max() for s in scene.surfaces if s.body is None]
     # A drop straight down still needs some ground to be seen on.
     least = max(10.0 * radius, 0.05 * max(spans, default=0.0), 1.0e-3)
-    half = 0.5 * np.maximum(1.12 * (upper - lower), max(least, 0.5 * (upper - lower).max()))
+    half = 0.5 * np.maximum(1.12 * (upper - lower), least)
+    half = np.maximum(half, NARROWEST * half.max())
     centre = 0.5 * (lower + upper)
     return centre - half, centre + half
 
@@ -128,11 +172,34 @@ def _draw_ground(axes: Any, surface: Surface, lower: NDArray[Any], upper: NDArra
     axes.add_collection(polygons)
 
 
+def _draw_section(axes: Any, surface: Surface, y: float) -> None:
+    """Draws where the plane of the tracks, at ``y``, cuts the surface."""
+    corners = _vertices(surface)[surface.mesh.faces]
+    # Not through vertices and along edges.
+    y += 1.0e-6 * float(np.ptp(corners[..., 1]) or 1.0)
+    side = corners[..., 1] > y
+    cut = side.any(axis=1) & ~side.all(axis=1)
+    corners, side = corners[cut], side[cut]
+    if not len(corners):
+        return
+    ends = np.roll(corners, -1, axis=1)
+    crossing = side != np.roll(side, -1, axis=1)  # two of the three edges
+    start, end = corners[crossing], ends[crossing]
+    part = (y - start[:, 1]) / (end[:, 1] - start[:, 1])
+    points = (start + part[:, None] * (end - start))[:, [0, 2]]
+    axes.add_collection(LineCollection(list(points.reshape(-1, 2, 2)), colors="0.45", linewidths=2.0, zorder=0))
+
+
 def _color_values(recording: Recording, varied: list[str]) -> tuple[NDArray[Any], str]:
     """Returns one number per environment and what it is."""
     for name in varied:
-        if name in recording and recording[name].dims == ("env",):
-            return recording[name].values, _label(name, recording[name])
+        # What was set alike for all items of a set is one number as well.
+        array = recording.get(name)
+        if array is None or array.dims[0] != "env" or not set(array.dims).isdisjoint(("axis", "component", "row")):
+            continue
+        values = array.values.reshape(array.sizes["env"], -1)
+        if (values == values[:, :1]).all():
+            return values[:, 0], _label(name, array)
     return recording["env"].values, "environment"
 
 

@@ -1,8 +1,9 @@
 """From a TOML file, or a dictionary of its form, to checked settings; every problem is found, not the first."""
 
+import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,9 @@ _KINDS = {
     "string_type": "a text",
     "tuple_type": "a list",
 }
+
+_SEVERAL = "; a list of positions belongs into [[points]], as positions"
+_VALUES = "; write { values = [...] }"
 
 
 @dataclass
@@ -134,12 +138,20 @@ def read_settings(raw: Mapping[str, Any], problems: Problems) -> Parts:
         raw: The content of an experiment file.
         problems: Receives what is not.
     """
+    for section in SECTIONS:
+        entries = raw.get(section, ())
+        for i, entry in enumerate(entries if isinstance(entries, list | tuple) else ()):
+            if isinstance(entry, dict) and isinstance(entry.get("name"), str):
+                problems.names[f"{section}[{i}]"] = entry["name"]
     try:
         return Parts.of_settings(Settings.model_validate(dict(raw)))
     except ValidationError as failure:
         errors = failure.errors(include_url=False)
+    places = {error["loc"] for error in errors}
     for error in errors:
-        _explain(error, problems)
+        # A list of positions is missing nothing but the right section.
+        if error["type"] != "missing" or (*error["loc"][:-1], "positions") not in places:
+            _explain(error, problems)
     return Parts.of_damaged(raw, {error["loc"][0] for error in errors})
 
 
@@ -151,20 +163,40 @@ def _explain(error: Any, problems: Problems) -> None:
     if kind == "missing":
         meaning = table_at(location[:-1]).model_fields[location[-1]].description
         problems.add(path, f"is missing{f': {meaning}' if meaning else ''}")
+    elif kind == "extra_forbidden" and location[0] == "variation" and isinstance(value, dict):
+        name = ".".join(_nested_name(location[1:], value))
+        problems.add(path, f'must be one name in quotes: "{name}" = {{ … }}')
+    elif kind == "extra_forbidden" and location[0] == "point" and location[-1] == "positions":
+        problems.add(path, f"is not known{_SEVERAL}")
     elif kind == "extra_forbidden":
         keys = list(table_at(location[:-1]).model_fields)
         problems.add(path, f"is not known{suggestion(location[-1], keys) or '; allowed: ' + ', '.join(keys)}")
     elif kind.startswith("union_tag"):
         _explain_choice(path, str(location[-1]), value, problems)
     elif kind == "value_error":
-        problems.add(path, str(error["ctx"]["error"]))
+        several = location[0] == "point" and location[-1] == "position" and _is_list_of_lists(value)
+        problems.add(path, f"{error['ctx']['error']}{_SEVERAL if several else ''}")
     elif kind == "greater_than_equal":
         problems.add(path, f"must be at least {error['ctx']['ge']}, got {shown(value)}")
     elif kind in _KINDS:
         what = f"a list of tables, [[{path}]]" if path in SECTIONS else _KINDS[kind]
-        problems.add(path, f"must be {what}, got {shown(value)}")
+        listed = location[0] == "variation" and isinstance(value, list | tuple)
+        problems.add(path, f"must be {what}, got {shown(value)}{_VALUES if listed else ''}")
     else:
         problems.add(path, f": {error['msg']}, got {shown(value)}")
+
+
+def _is_list_of_lists(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) > 0 and isinstance(value[0], list | tuple)
+
+
+def _nested_name(location: Sequence[str | int], value: Any) -> list[str]:
+    """Returns the parts of the name of a parameter that TOML took for tables within tables."""
+    names = [str(part) for part in location]
+    while isinstance(value, dict) and value and not set(value) & set(VariationSettings.model_fields):
+        key, value = next(iter(value.items()))
+        names.append(key)
+    return names
 
 
 def _explain_choice(path: str, key: str, value: Any, problems: Problems) -> None:
@@ -175,6 +207,8 @@ def _explain_choice(path: str, key: str, value: Any, problems: Problems) -> None
     listed = f"one of {', '.join(names)}"
     if not isinstance(value, dict):
         hint = f"; write {key} = {{ {choose} = {value!r}, … }}" if value in names else ""
+        if key == "mesh" and isinstance(value, str) and not hint:
+            hint = f"; write mesh = {{ file = {json.dumps(value, ensure_ascii=False)} }}"
         problems.add(path, f"must be a table, got {shown(value)}{hint}")
     elif choose not in value:
         instead = ", or file: a mesh file" if key == "mesh" else ""

@@ -2,7 +2,9 @@
 
 import json
 import os
+import platform
 import shutil
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +26,11 @@ ANIMATION = "animation.usdc"
 PICTURE = "picture.png"
 EXPERIMENT = "experiment.toml"
 SUMMARY = "run.json"
+
+# What ``state`` in run.json may be. A run that was killed stays unfinished.
+FINISHED = "finished"
+UNFINISHED = "unfinished"
+INTERRUPTED = "interrupted"
 
 # Arrays are stored in pieces of about this size, each a range of environments [bytes].
 CHUNK = 16 * 2**20
@@ -62,7 +69,7 @@ class Run:
 def check_folder(folder: Path, overwrite: bool) -> None:
     """Raises ``ExperimentError`` unless results may go into ``folder``.
 
-    It may be new or empty; with ``overwrite`` it may hold an earlier run.
+    It may be new or empty, or hold a run that did not finish; with ``overwrite`` it may hold any earlier run.
     """
     if not os.path.lexists(folder):
         return
@@ -70,28 +77,51 @@ def check_folder(folder: Path, overwrite: bool) -> None:
         raise ExperimentError(str(folder), ["is not a folder"])
     if not any(folder.iterdir()):
         return
-    if not _holds_run(folder):
+    summary = read_summary(folder)
+    if summary is None:
         raise ExperimentError(
             str(folder), ["is not empty, and what is in it is no earlier run; choose a new folder"]
         )
-    if not overwrite:
+    if _is_running(summary):
+        raise ExperimentError(str(folder), [f"process {summary['process']} is running and writes there"])
+    if not overwrite and summary.get("state") not in (UNFINISHED, INTERRUPTED):
         raise ExperimentError(
             str(folder), ["holds an earlier run; choose another folder, or overwrite it (--overwrite)"]
         )
 
 
-def _holds_run(folder: Path) -> bool:
+def read_summary(folder: Path) -> dict[str, Any] | None:
+    """Returns the content of ``run.json``, or ``None`` if ``folder`` holds no run."""
     try:
-        return str(json.loads((folder / SUMMARY).read_bytes())["program"]).startswith("warpcontact ")
+        summary = json.loads((folder / SUMMARY).read_bytes())
+        return summary if str(summary["program"]).startswith("warpcontact ") else None
     except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _is_running(summary: Mapping[str, Any]) -> bool:
+    """Whether another process of this machine is, as far as one can tell, at work on the run."""
+    process = summary.get("process")
+    if summary.get("state") != UNFINISHED or summary.get("host") != platform.node() or os.name != "posix":
         return False
+    if not isinstance(process, int) or process <= 0 or process == os.getpid():
+        return False
+    try:
+        os.kill(process, 0)  # sends nothing
+    except PermissionError:
+        return True
+    except (OSError, OverflowError):
+        return False
+    return True
 
 
-def clear_folder(folder: Path) -> None:
-    """Makes ``folder``, or removes the files of the earlier run in it; others stay."""
+def clear_folder(folder: Path, keep: str = "") -> None:
+    """Makes ``folder``, or removes the files of the earlier run in it, except ``keep``; others stay."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in (RECORDING, ANIMATION, PICTURE, EXPERIMENT, SUMMARY):
         path = folder / name
+        if name == keep:
+            continue
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
@@ -130,7 +160,7 @@ def add_parameters(recording: Recording, model: Model, varied: Iterable[str]) ->
         if not parameter.single:
             shared = recording.sizes.get("item") == parameter.count
             dimensions += ("item" if shared else f"{name.partition('.')[0]}.item",)
-        dimensions += {(): (), (3,): ("axis",), (4,): ("component",), (3, 3): ("axis", "column")}[parameter.tail]
+        dimensions += {(): (), (3,): ("axis",), (4,): ("component",), (3, 3): ("row", "column")}[parameter.tail]
         recording[label] = (dimensions, model[name], notes)
 
 
@@ -147,7 +177,10 @@ def write_recording(recording: Recording, path: Path) -> None:
         envs = max(1, min(variable.sizes["env"], CHUNK // max(1, row)))
         chunks = tuple(envs if dim == "env" else size for dim, size in variable.sizes.items())
         encoding[name] = {"chunks": chunks}
-    stored.to_zarr(path, mode="w-", zarr_format=3, consolidated=False, encoding=encoding)
+    with warnings.catch_warnings():
+        # All metadata in one place as well, where xarray looks for it first; others may pass over it.
+        warnings.filterwarnings("ignore", message="Consolidated metadata", category=UserWarning)
+        stored.to_zarr(path, mode="w-", zarr_format=3, consolidated=True, encoding=encoding)
 
 
 def write_summary(path: Path, summary: Mapping[str, Any]) -> None:

@@ -151,7 +151,11 @@ class Draw:
         return True
 
     def _hint(self, name: str) -> str:
-        near = suggestion(name, self.model.parameters)
-        element = name.partition(".")[0]
-        own = [known for known in self.model.parameters if known.startswith(f"{element}.")]
-        return near or f"; there are: {', '.join(own or self.model.parameters)}"
+        known = list(self.model.parameters)
+        element, last = name.partition(".")[0], name.rpartition(".")[2]
+        # The part in between is what one forgets: feet.mu for feet.friction.mu.
+        alike = [other for other in known if other.startswith(f"{element}.") and other.endswith(f".{last}")]
+        if len(alike) == 1:
+            return f"; did you mean {alike[0]!r}?"
+        own = [other for other in known if other.startswith(f"{element}.")]
+        return suggestion(name, known) or f"; there are: {', '.join(own or known)}"
