@@ -100,7 +100,7 @@ class Model:
 
     def __getitem__(self, name: str) -> Array:
         """Returns a copy of parameter ``name``, (envs, …). That of a state is the initial one."""
-        return np.array(self._parameter(name).read(self.envs))
+        return np.array(self.find_parameter(name).read(self.envs))
 
     def __setitem__(self, name: str, value: ArrayLike) -> None:
         """Sets parameter ``name`` from one value or one per environment.
@@ -111,7 +111,7 @@ class Model:
             KeyError: If there is no such parameter.
             ValueError: If the value is not allowed; nothing is changed then.
         """
-        parameter = self._parameter(name)
+        parameter = self.find_parameter(name)
         values = parameter.parse(value, self.envs)
         before = parameter.field.values.copy()
         try:
@@ -235,7 +235,12 @@ class Model:
             if upload.send():
                 self.revision += 1
 
-    def _parameter(self, name: str) -> Parameter:
+    def find_parameter(self, name: str) -> Parameter:
+        """Returns parameter ``name``.
+
+        Raises:
+            KeyError: If there is none; the message says what may have been meant.
+        """
         if name in self.parameters:
             return self.parameters[name]
         if name in self._readings:

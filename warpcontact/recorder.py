@@ -61,12 +61,23 @@ class Recorder:
         model: The model.
         names: Readings to take.
         frames: Number of frames to come.
-        poses: Whether to take the pose of every body as well, and the parameters that differ.
+        poses: Whether to take the pose of every body as well, and keep the parameters that differ.
+        parameters: Names of further parameters to keep.
     """
 
-    def __init__(self, model: Model, names: Iterable[str], frames: int, poses: bool) -> None:
+    def __init__(
+        self, model: Model, names: Iterable[str], frames: int, poses: bool, parameters: Iterable[str] = ()
+    ) -> None:
         self.model = model
-        self.poses = poses
+        self.kept = [model.find_parameter(name) for name in parameters]
+        if poses:
+            # What a replay needs beside the poses, and whatever sets the environments apart.
+            needed = (".mass", ".inertia", ".radius")
+            self.kept += [
+                parameter
+                for name, parameter in model.parameters.items()
+                if len(parameter.field.values) > 1 or name.endswith(needed)
+            ]
         wanted = list(dict.fromkeys(names))
         if poses:
             both = ("position", "orientation")
@@ -124,12 +135,8 @@ class Recorder:
             if reading.name.endswith(".status"):
                 notes |= status_attributes()
             variables[reading.name] = (dims, values, notes)
-        if self.poses:
-            # What a replay needs beside the poses, and whatever sets the environments apart.
-            needed = (".mass", ".inertia", ".radius")
-            for name, parameter in model.parameters.items():
-                if len(parameter.field.values) > 1 or name.endswith(needed):
-                    variables |= self._parameter_variable(parameter)
+        for parameter in self.kept:
+            variables |= self._parameter_variable(parameter)
         used = {dim for dims, _, _ in variables.values() for dim in dims}
         coordinates: dict[str, Any] = {
             "time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"}),

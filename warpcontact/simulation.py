@@ -112,6 +112,7 @@ class Simulation:
         every: float | None = None,
         *,
         poses: bool = True,
+        parameters: Sequence[str] = (),
         progress: bool | None = None,
     ) -> Recording:
         """Simulates for ``duration`` and returns what was recorded, the state at the start included.
@@ -122,6 +123,7 @@ class Simulation:
             every: Time between records [s], a multiple of the step; ``None``: every step.
             poses: Whether to record the position and orientation of every body as well, and the parameters
                 that differ between environments, so that the recording can be replayed and exported.
+            parameters: Names of further parameters to keep with the recording, whether or not they differ.
             progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
 
         Returns:
@@ -138,7 +140,7 @@ class Simulation:
         stride = 1 if every is None else whole_steps("every", every, self.dt, exact=True)
         if isinstance(record, str):
             raise TypeError(f"record must be a list of readings, got the string {record!r}")
-        recorder = Recorder(self.model, record, frames=steps // stride + 1, poses=poses)
+        recorder = Recorder(self.model, record, frames=steps // stride + 1, poses=poses, parameters=parameters)
         start = self.time
         recorder.take(start)
         frozen = len(self.model.health().frozen)

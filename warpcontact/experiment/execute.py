@@ -100,10 +100,13 @@ def _execute(
     say("running")
     start = time.perf_counter()
     recording = simulation.run(
-        settings.duration, settings.record.readings or (), settings.record.every, progress=progress
+        settings.duration,
+        settings.record.readings or (),
+        settings.record.every,
+        parameters=list(varied),
+        progress=progress,
     )
     wall_time = time.perf_counter() - start
-    result.add_parameters(recording, model, varied)
     recording.attrs |= {"name": settings.name, "seed": settings.seed}
 
     say("writing")

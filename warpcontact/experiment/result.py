@@ -5,20 +5,16 @@ import os
 import platform
 import shutil
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from warpcontact._version import __version__
 from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.schema import Settings
 from warpcontact.health import Health
-from warpcontact.model import Model
-from warpcontact.readings import AXES
 from warpcontact.recorder import Recording
 
 RECORDING = "recording.zarr"
@@ -144,35 +140,10 @@ def moved(settings: Settings, old: Path, new: Path) -> Settings:
     return settings.model_copy(update={"surface": tuple(surfaces)})
 
 
-def add_parameters(recording: Recording, model: Model, varied: Iterable[str]) -> None:
-    """Adds to ``recording`` the parameters that varied, and the masses, inertias and radii in any case, (env, …).
-
-    A parameter that is also a reading, such as ``ball.position``, is its initial value: ``ball.position.initial``.
-    """
-    scene = model.scene
-    always = [f"{body.name}.{key}" for body in scene.bodies for key in ("mass", "inertia")]
-    always += [f"{contact.name}.radius" for contact in scene.contacts]
-    for name in dict.fromkeys((*varied, *always)):
-        parameter = model.parameters[name]
-        label = f"{name}.initial" if name in model.reading_names else name
-        notes = {"units": parameter.limits["unit"], "long_name": parameter.limits.get("meaning", name)}
-        dimensions: tuple[str, ...] = ("env",)
-        if not parameter.single:
-            shared = recording.sizes.get("item") == parameter.count
-            dimensions += ("item" if shared else f"{name.partition('.')[0]}.item",)
-        dimensions += {(): (), (3,): ("axis",), (4,): ("component",), (3, 3): ("row", "column")}[parameter.tail]
-        recording[label] = (dimensions, model[name], notes)
-
-
 def write_recording(recording: Recording, path: Path) -> None:
     """Writes ``recording`` as a Zarr v3 group, which ``xarray.open_zarr`` reads."""
-    stored = recording.copy()
-    for dim, labels in AXES.values():
-        if dim in stored.coords:
-            # NumPy's texts of fixed length have no place in the Zarr v3 specification; these have.
-            stored = stored.assign_coords({dim: (dim, np.array(labels, dtype=object))})
     encoding = {}
-    for name, variable in stored.data_vars.items():
+    for name, variable in recording.data_vars.items():
         row = variable.nbytes // max(1, variable.sizes["env"])
         envs = max(1, min(variable.sizes["env"], CHUNK // max(1, row)))
         chunks = tuple(envs if dim == "env" else size for dim, size in variable.sizes.items())
@@ -180,7 +151,7 @@ def write_recording(recording: Recording, path: Path) -> None:
     with warnings.catch_warnings():
         # All metadata in one place as well, where xarray looks for it first; others may pass over it.
         warnings.filterwarnings("ignore", message="Consolidated metadata", category=UserWarning)
-        stored.to_zarr(path, mode="w-", zarr_format=3, consolidated=True, encoding=encoding)
+        recording.to_zarr(path, mode="w-", zarr_format=3, consolidated=True, encoding=encoding)
 
 
 def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
