@@ -268,3 +268,39 @@ def test_no_law_pulls_unless_it_says_so(law, device):
 def test_bad_laws_are_refused(make, message):
     with pytest.raises((ValueError, TypeError), match=message):
         make()
+
+
+@pytest.mark.parametrize("law", sample_laws(), ids=repr)
+def test_no_law_gives_energy_along_a_closed_path(law, device):
+    """Random smooth paths δ(t) from touch to touch, with reloading: the work on the contact is never negative.
+
+    Elastic laws give all of it back. History advances by steps too short to move anything.
+    """
+    paths, frames, duration, depth = 32, 400, 0.05, 2e-3
+    rng = np.random.default_rng(10)
+    time = (np.arange(frames) + 0.5) / frames * duration
+    phase = 2 * np.pi * time[:, None] / duration
+    wave = sum(rng.uniform(-0.3, 0.3, paths) * np.sin(order * phase) for order in (1, 2, 3))
+    slope = np.gradient(wave, duration / frames, axis=0)
+    hump, hump_slope = np.sin(phase / 2) ** 2, np.pi / duration * np.sin(phase)
+    delta = depth * hump * (1 + wave)
+    delta_dot = depth * (hump_slope * (1 + wave) + hump * slope)
+    model = dropped_sphere(law, envs=paths, device=device, precision="float64")
+    sim = wc.Simulation(model, dt=1e-12)
+    place, velocity = np.zeros((paths, 1, 3)), np.zeros((paths, 1, 3))
+    work, stored = np.zeros(paths), np.zeros(paths)
+    for k in range(frames):
+        place[:, 0, 2], velocity[:, 0, 2] = 0.1 - delta[k], -delta_dot[k]
+        sim.state.body_position.assign(place)
+        sim.state.body_linear_velocity.assign(velocity)
+        power = model.reading("touch.normal_force") * delta_dot[k]
+        work += power * duration / frames
+        stored += np.abs(power) * duration / frames
+        sim.step()
+    # The sum over 400 frames of a path with three waves is good to 1e-3 of the energy that went in and out.
+    assert (work >= -1e-3 * stored).all()
+    elastic = ("Hooke", "Hertz", "PowerLaw", "JohnsonCylinder", "PereiraCylinder", "PereiraCylinderExternal")
+    if type(law).__name__ in elastic:
+        np.testing.assert_allclose(work, 0.0, atol=1e-3 * stored.max())
+    else:
+        assert (work > 1e-3 * stored).all()
