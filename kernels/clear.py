@@ -3,6 +3,8 @@
 import functools
 
 import warp as wp
+from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.types import ENV_ACTIVE, structs
 
 
@@ -53,3 +55,17 @@ def reset(real: type) -> wp.Kernel:
             history.armed[env, contact] = 0
 
     return reset_environments
+
+
+@functools.cache
+def reset_memory(formula: type[Formula], real: type) -> wp.Kernel:
+    """Returns the kernel that empties the memory of ``formula``. Launch with dim (env, contact of the group)."""
+    Struct = memory_struct(formula, real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def reset_memory(mask: wp.array(dtype=wp.bool), memory: wp.array2d(dtype=Struct)):
+        env, member = wp.tid()
+        if mask[env]:
+            memory[env, member] = Struct()
+
+    return reset_memory

@@ -1,30 +1,72 @@
-"""Contact force of one group of contacts: law and friction to the wrenches of both bodies.
+"""Contact force of one group of contacts: from law, friction, rolling and torsion to the wrenches of both bodies.
 
-A factory compiles the law and the friction into the kernel, once per (law, friction, precision); their
-coefficients are data. A pure function of model, state and history: nothing here changes them.
+A factory compiles these four parts into the kernel, once per combination and precision; their coefficients are
+data. A pure function of model, state and history: nothing here changes them.
 """
 
 import functools
 import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import warp as wp
-from warpcontact.kernels import frames
-from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, structs
+from warpcontact.kernels import frames, memory
+from warpcontact.kernels.formula import Formula, coefficient_struct, named_struct
+from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, structs
+
+
+class Parts(NamedTuple):
+    """The formulas of a contact, as classes: what the kernel is compiled from."""
+
+    law: type[Formula]
+    friction: type[Formula] = Frictionless
+    rolling: type[Formula] = Frictionless
+    torsion: type[Formula] = Frictionless
+
+
+def group_structs(parts: Parts, real: type) -> tuple[Any, Any]:
+    """Returns the structs of arrays [env, contact of the group]: coefficients and memory of every part."""
+
+    def struct(name: str, dtype_of: Callable[[type[Formula], type], Any]) -> Any:
+        elements = [(part, dtype_of(formula, real)) for part, formula in parts._asdict().items()]
+        return arrays_of(name, tuple(elements))
+
+    return struct("Coefficients", coefficient_struct), struct("Memory", memory.memory_struct)
 
 
 @functools.cache
-def kernel(law: type, friction: type, real: type) -> wp.Kernel:
-    """Returns the kernel for a law and a friction class. Launch with dim (env, contact of the group)."""
+def arrays_of(name: str, elements: tuple[tuple[str, Any], ...]) -> Any:
+    """Returns the struct of arrays [env, item] of these elements (name, Warp type)."""
+    return named_struct(name, tuple((part, wp.array2d(dtype=dtype)) for part, dtype in elements))
+
+
+@functools.cache
+def kernel(parts: Parts, real: type) -> wp.Kernel:
+    """Returns the kernel for the classes of ``parts``. Launch with dim (env, contact of the group)."""
     t = structs(real)
-    vec3, Model, State, History = t.vec3, t.Model, t.State, t.History
+    vec3, quat, Model, State, History = t.vec3, t.quat, t.Model, t.State, t.History
     Contacts, Wrenches, Touch, Slip = t.Contacts, t.Wrenches, t.Touch, t.Slip
-    LawCoefficients = coefficient_struct(law, real)
-    FrictionCoefficients = coefficient_struct(friction, real)
-    law_force, friction_force = law.force, friction.force
-    needs_mass = law.needs_mass
-    lowest = wp.constant(real(-math.inf if law.pulls else 0.0))
+    Coefficients, Memory = group_structs(parts, real)
+    law = memory.functions(parts.law, real)
+    friction = memory.functions(parts.friction, real)
+    rolling = memory.functions(parts.rolling, real)
+    torsion = memory.functions(parts.torsion, real, along_normal=True)
+    law_recall, law_respond, law_keep, law_forget = law
+    friction_recall, friction_respond, friction_keep, friction_forget = friction
+    rolling_recall, rolling_respond, rolling_keep, rolling_forget = rolling
+    torsion_recall, torsion_respond, torsion_keep, torsion_forget = torsion
+    LawMemory = memory.memory_struct(parts.law, real)
+    needs_mass = parts.law.needs_mass
+    rolls = parts.rolling is not Frictionless
+    twists = parts.torsion is not Frictionless
+    directional = parts.friction.directional or parts.rolling.directional
+    oriented = directional or any(part.memories for part in parts)
+    lowest = wp.constant(real(-math.inf if parts.law.pulls else 0.0))
+    # Mean arm of friction under the pressure of Hertz: (3π/16) a.
+    hertz_arm = wp.constant(real(3.0 * math.pi / 16.0))
     velocity_at = frames.functions(real).velocity_at
+    orientation_to_world = frames.functions(real).orientation_to_world
 
     @wp.func
     def mobility(model: Model, state: State, env: int, body: int, p_W: vec3, n_W: vec3):
@@ -37,6 +79,12 @@ def kernel(law: type, friction: type, real: type) -> wp.Kernel:
         return real(1.0) / model.body_mass[env, body] + turning
 
     @wp.func
+    def angular_velocity(state: State, env: int, body: int):
+        if body < 0:
+            return vec3()
+        return state.body_angular_velocity[env, body]
+
+    @wp.func
     def cut(force: real):
         """A law that does not pull is cut at zero. Not by max, which turns a NaN into 0 and hides it."""
         if force < lowest:
@@ -44,10 +92,29 @@ def kernel(law: type, friction: type, real: type) -> wp.Kernel:
         return force
 
     @wp.func
-    def add_wrench(wrenches: Wrenches, state: State, env: int, body: int, p_W: vec3, force_W: vec3):
+    def surface_axis(q_WS: quat, n_W: vec3):
+        """The x axis of the surface, laid into the tangent plane; where it is normal to that, the y axis."""
+        x_W = wp.quat_rotate(q_WS, vec3(real(1.0), real(0.0), real(0.0)))
+        flat = x_W - wp.dot(x_W, n_W) * n_W
+        if wp.length_sq(flat) < real(1.0e-6):
+            y_W = wp.quat_rotate(q_WS, vec3(real(0.0), real(1.0), real(0.0)))
+            flat = y_W - wp.dot(y_W, n_W) * n_W
+        return wp.normalize(flat)
+
+    @wp.func
+    def moving(slip: Slip, velocity: vec3):
+        slip.velocity = velocity
+        slip.speed = wp.length(velocity)
+        return slip
+
+    @wp.func
+    def add_wrench(
+        wrenches: Wrenches, state: State, env: int, body: int, p_W: vec3, force_W: vec3, torque_W: vec3
+    ):
         if body >= 0:
+            arm_W = p_W - state.body_position[env, body]
             wp.atomic_add(wrenches.force, env, body, force_W)
-            wp.atomic_add(wrenches.torque, env, body, wp.cross(p_W - state.body_position[env, body], force_W))
+            wp.atomic_add(wrenches.torque, env, body, wp.cross(arm_W, force_W) + torque_W)
 
     @wp.kernel(module="unique", enable_backward=False)
     def contact_force(
@@ -55,28 +122,39 @@ def kernel(law: type, friction: type, real: type) -> wp.Kernel:
         model: Model,
         state: State,
         history: History,
+        remembered: Memory,
         step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]; 0: the force of this instant
         first: wp.int32,
-        law_coefficients: wp.array2d(dtype=LawCoefficients),
-        friction_coefficients: wp.array2d(dtype=FrictionCoefficients),
+        coefficients: Coefficients,
         contacts: Contacts,
+        kept: Memory,
         wrenches: Wrenches,
     ):
         env, member = wp.tid()
         if status[env] != ENV_ACTIVE:
             return
         contact = first + member
+        dt = step[env, 0]
         if contacts.status[env, contact] != CONTACT:
             contacts.approach_speed[env, contact] = real(0.0)
             contacts.normal_force[env, contact] = real(0.0)
             contacts.friction_force[env, contact] = vec3()
             contacts.slip_speed[env, contact] = real(0.0)
+            contacts.torque[env, contact] = vec3()
+            law_forget(kept.law, env, member, dt)
+            friction_forget(kept.friction, env, member, dt)
+            rolling_forget(kept.rolling, env, member, dt)
+            torsion_forget(kept.torsion, env, member, dt)
             return
 
         n_W = contacts.normal[env, contact]
         k_W = contacts.point[env, contact]
+        surface = model.patch_surface[model.contact_patch[contact]]
         body_1 = model.point_body[model.contact_point[contact]]
-        body_2 = model.surface_body[model.patch_surface[model.contact_patch[contact]]]
+        body_2 = model.surface_body[surface]
+        q_WS = quat()
+        if wp.static(oriented):
+            q_WS = orientation_to_world(state, env, body_2, model.surface_orientation[env, surface])
 
         # Of the surface relative to the point: approach is positive.
         v_W = velocity_at(state, env, body_2, k_W) - velocity_at(state, env, body_1, k_W)
@@ -92,35 +170,76 @@ def kernel(law: type, friction: type, real: type) -> wp.Kernel:
             touch.mass = real(1.0) / (
                 mobility(model, state, env, body_1, k_W, n_W) + mobility(model, state, env, body_2, k_W, n_W)
             )
-        touch.dt = step[env, 0]
-        p = law_coefficients[env, member]
-        normal_force = cut(law_force(p, touch))
+        touch.dt = dt
+        begins = history.entry_speed[env, contact] < real(0.0)
+        # What begins since the last step has not moved for longer than it took to come this deep.
+        lasted = real(math.inf)
+        if begins and approach > real(0.0):
+            lasted = touch.delta / approach
+        p = coefficients.law[env, member]
+        law_memory = law_recall(remembered.law, env, member, lasted, q_WS, n_W)
+        law_memory, law_force = law_respond(p, touch, law_memory)
+        law_keep(kept.law, env, member, law_memory, dt, q_WS, n_W)
+        normal_force = cut(law_force)
 
         # The force of a step stands for the time from half a step before this state to half a step after: the
         # contact's share of it, when it began since the last state, is δ/(δ̇ dt) + 1/2 steps. A law continuous
         # at touch makes no difference of first order; one that jumps (a dashpot) is given its missing impulse.
-        travel = approach * touch.dt
-        if history.entry_speed[env, contact] < real(0.0) and touch.delta <= travel * real(1.001):
+        travel = approach * dt
+        if begins and touch.delta <= travel * real(1.001):
             late = wp.min(touch.delta / travel, real(1.0))
             touch.delta = touch.delta * real(1.0e-6)
-            normal_force = cut(normal_force + (late - real(0.5)) * cut(law_force(p, touch)))
+            _, force_at_touch = law_respond(p, touch, LawMemory())
+            normal_force = cut(normal_force + (late - real(0.5)) * cut(force_at_touch))
 
         slip = Slip()
-        slip.velocity = approach * n_W - v_W
-        slip.speed = wp.length(slip.velocity)
+        slip.normal = n_W
         slip.normal_force = normal_force
         if normal_force < real(0.0):
             slip.normal_force = real(0.0)
-        friction_W = friction_force(friction_coefficients[env, member], slip)
+        geometry = model.contact_geometry[env, contact]
+        slip.patch_radius = wp.sqrt(geometry.radius * contacts.penetration[env, contact])
+        if wp.static(directional):
+            slip.axis = surface_axis(q_WS, n_W)
+
+        slip = moving(slip, approach * n_W - v_W)
+        contacts.slip_speed[env, contact] = slip.speed
+        friction_memory = friction_recall(remembered.friction, env, member, lasted, q_WS, n_W)
+        friction_memory, friction_W = friction_respond(coefficients.friction[env, member], slip, friction_memory)
+        friction_keep(kept.friction, env, member, friction_memory, dt, q_WS, n_W)
+
+        torque_W = vec3()
+        if wp.static(rolls or twists):
+            w_W = angular_velocity(state, env, body_1) - angular_velocity(state, env, body_2)
+            if wp.static(rolls):
+                # The velocity at which the point of contact travels, and a couple of the same power.
+                slip = moving(slip, geometry.radius * wp.cross(w_W, n_W))
+                rolling_memory = rolling_recall(remembered.rolling, env, member, lasted, q_WS, n_W)
+                rolling_memory, rolling_W = rolling_respond(
+                    coefficients.rolling[env, member], slip, rolling_memory
+                )
+                rolling_keep(kept.rolling, env, member, rolling_memory, dt, q_WS, n_W)
+                torque_W = geometry.radius * wp.cross(n_W, rolling_W)
+            if wp.static(twists):
+                arm = geometry.torsion_radius
+                if (model.contact_options[contact] & HERTZ_PATCH) != 0:
+                    arm = hertz_arm * slip.patch_radius
+                slip = moving(slip, (arm * wp.dot(w_W, n_W)) * n_W)
+                torsion_memory = torsion_recall(remembered.torsion, env, member, lasted, q_WS, n_W)
+                torsion_memory, torsion_W = torsion_respond(
+                    coefficients.torsion[env, member], slip, torsion_memory
+                )
+                torsion_keep(kept.torsion, env, member, torsion_memory, dt, q_WS, n_W)
+                torque_W += arm * torsion_W
 
         contacts.approach_speed[env, contact] = approach
         contacts.normal_force[env, contact] = normal_force
         contacts.friction_force[env, contact] = friction_W
-        contacts.slip_speed[env, contact] = slip.speed
+        contacts.torque[env, contact] = torque_W
 
-        # The same force at the same point K on both bodies: total force and moment vanish.
+        # The same force at the same point K, and the same couple, on both bodies: total force and moment vanish.
         force_W = normal_force * n_W + friction_W
-        add_wrench(wrenches, state, env, body_1, k_W, force_W)
-        add_wrench(wrenches, state, env, body_2, k_W, -force_W)
+        add_wrench(wrenches, state, env, body_1, k_W, force_W, torque_W)
+        add_wrench(wrenches, state, env, body_2, k_W, -force_W, -torque_W)
 
     return contact_force

@@ -3,7 +3,8 @@
 A formula is a class with annotated parameters and a ``force`` written as a ``wp.func``. Its instances are frozen
 and hold values for the host; the device sees one struct of coefficients per contact and environment. Most
 formulas use their parameters as they are; one that needs something derived from them (a damping factor from a
-restitution) names its ``device`` coefficients and computes them, vectorised, in ``coefficients``.
+restitution) names its ``device`` coefficients and computes them, vectorised, in ``coefficients``. One that
+remembers declares its ``memory`` and how it advances; ``memory.py`` keeps it.
 """
 
 import dataclasses
@@ -37,6 +38,27 @@ def parameter(
     """
     limits = {"unit": unit, "meaning": meaning, "above": above, "at_least": at_least, "at_most": at_most}
     return dataclasses.field(default=default, metadata=limits)
+
+
+@dataclasses.dataclass(frozen=True)
+class Memory:
+    """A quantity that a formula remembers for every contact; zero when the contact begins."""
+
+    unit: str
+    meaning: str
+    tangent: bool
+
+
+def memory(unit: str, meaning: str, *, tangent: bool = False) -> Any:
+    """Declares, as an attribute of a formula's class, something that it remembers.
+
+    Args:
+        unit: SI unit, ``"-"`` for a pure number.
+        meaning: What it is, in a few words.
+        tangent: Whether it is a vector in the tangent plane, which turns with the surface and its normal; if
+            not, it is a number.
+    """
+    return Memory(unit, meaning, tangent)
 
 
 def check_values(name: str, values: np.ndarray, limits: Mapping[str, Any]) -> None:
@@ -77,12 +99,18 @@ class Formula:
     reference: ClassVar[str] = ""
     #: Where it holds.
     validity: ClassVar[str] = ""
+    #: "S": read in a public source, "D": derived and confirmed by integration, "R": recalled; "": not said.
+    provenance: ClassVar[str] = ""
     #: Groups of parameters of which exactly one is given.
     exactly_one_of: ClassVar[tuple[str, ...]] = ()
     #: Names of the device coefficients; the parameters themselves if empty.
     device: ClassVar[tuple[str, ...]] = ()
     #: The device function.
     force: ClassVar[wp.Function]
+    #: What it remembers, by name.
+    memories: ClassVar[Mapping[str, Memory]] = {}
+    #: With a memory, the device function that takes it to the present instant.
+    advance: ClassVar[wp.Function]
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -94,10 +122,19 @@ class Formula:
                     f"{cls.__name__}.{field.name} must be declared with wc.parameter: "
                     f"{field.name}: float = wc.parameter(unit, meaning, default=…)"
                 )
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, Memory)}
+        cls.memories = {**cls.memories, **own}
+        if "elapsed" in own:
+            raise TypeError(f"{cls.__name__}.elapsed: every memory has this already, the time since it advanced")
 
     def __post_init__(self) -> None:
-        if not isinstance(getattr(type(self), "force", None), wp.Function):
-            raise TypeError(f"{type(self).__name__}.force must be a wp.func of (coefficients, state)")
+        cls = type(self)
+        third = ", memory" if cls.memories else ""
+        for name in ("force", "advance") if cls.memories else ("force",):
+            if not isinstance(getattr(cls, name, None), wp.Function):
+                raise TypeError(f"{cls.__name__}.{name} must be a wp.func of (coefficients, state{third})")
+        if not cls.memories and hasattr(cls, "advance"):
+            raise TypeError(f"{cls.__name__}.advance has nothing to advance; declare what it remembers: wc.memory")
         given = self.parameters()
         if self.exactly_one_of:
             chosen = [name for name in self.exactly_one_of if name in given]
@@ -141,15 +178,18 @@ class Formula:
         return values
 
 
-@functools.cache
 def coefficient_struct(formula: type[Formula], real: type) -> Any:
     """Returns the struct of ``formula``'s device coefficients in precision ``real``."""
     # Warp has no empty structs.
     names = formula.device_names() or ("unused",)
-    return wp.struct(
-        type(
-            f"{formula.__name__}Coefficients",
-            (),
-            {"__annotations__": dict.fromkeys(names, real), "__module__": formula.__module__},
-        )
-    )
+    return named_struct(f"{formula.__name__}Coefficients", tuple((name, real) for name in names))
+
+
+@functools.cache
+def named_struct(name: str, fields: tuple[tuple[str, Any], ...]) -> Any:
+    """Returns the struct of these fields (name, Warp type): one, whichever class asks for it.
+
+    Warp compiles equal code once. Two classes of one name and equal code, the old and the new one of a file that
+    was loaded again, then share a kernel, and must share the types of its arguments.
+    """
+    return wp.struct(type(name, (), {"__annotations__": dict(fields), "__module__": __name__}))

@@ -7,6 +7,8 @@ not enter anew.
 import functools
 
 import warp as wp
+from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, structs
 
 
@@ -30,3 +32,20 @@ def kernel(real: type) -> wp.Kernel:
             history.entry_speed[env, contact] = real(-1.0)
 
     return advance_history
+
+
+@functools.cache
+def memory_kernel(formula: type[Formula], real: type) -> wp.Kernel:
+    """Returns the kernel that takes what the force stage kept into the memory of ``formula``.
+
+    Launch with dim (env, contact of the group).
+    """
+    Array = wp.array2d(dtype=memory_struct(formula, real))
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def advance_memory(status: wp.array(dtype=wp.int32), kept: Array, memory: Array):
+        env, member = wp.tid()
+        if status[env] == ENV_ACTIVE:
+            memory[env, member] = kept[env, member]
+
+    return advance_memory

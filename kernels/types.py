@@ -31,6 +31,7 @@ DISABLED = 5
 # Option bits of a contact.
 LATCHED = 1  # entry="latched"
 RIM_OUTER = 2  # rim="outer"
+HERTZ_PATCH = 4  # the arm of torsion follows from the overlap
 
 # Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its corners.
 FEATURE_COUNT = 7
@@ -58,6 +59,7 @@ def structs(real: type) -> SimpleNamespace:
         kappa: real  # contact point K = S + kappa (D − S) [-]
         max_depth: real  # deepest penetration that still counts as contact [m]
         search_radius: real  # surfaces farther from the point are not seen [m]
+        torsion_radius: real  # arm at which torsion acts [m]; unused with HERTZ_PATCH
         enabled: wp.int32  # 0 or 1
 
     @wp.struct
@@ -98,7 +100,10 @@ def structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class History:
-        """Memory of the contacts; advances once per accepted step, in ``history.py`` and nowhere else."""
+        """Memory of the contacts; advances once per accepted step, in ``history.py`` and nowhere else.
+
+        That of laws and frictions is theirs to declare: ``memory.py``.
+        """
 
         entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not touching
         armed: wp.array2d(dtype=wp.int32)  # [env, contact] latch of entry="latched"
@@ -116,6 +121,7 @@ def structs(real: type) -> SimpleNamespace:
         normal_force: wp.array2d(dtype=real)  # [env, contact] [N]
         friction_force: wp.array2d(dtype=vec3)  # [env, contact] on the point's body, W [N]
         slip_speed: wp.array2d(dtype=real)  # [env, contact] tangential, at K, 0 unless CONTACT [m/s]
+        torque: wp.array2d(dtype=vec3)  # [env, contact] of rolling and torsion on the point's body, W [N·m]
 
     @wp.struct
     class Wrenches:
@@ -136,9 +142,12 @@ def structs(real: type) -> SimpleNamespace:
     class Slip:
         """What a friction model sees of one contact at one instant."""
 
-        velocity: vec3  # tangential, of the point's body relative to the surface, W [m/s]
+        velocity: vec3  # of the point's body relative to the surface: sliding, rolling or spinning, W [m/s]
         speed: real  # its length [m/s]
         normal_force: real  # N ≥ 0 [N]
+        patch_radius: real  # √(R δ), the radius of a sphere's patch of contact [m]; 0 for a point
+        normal: vec3  # out of the surface, W
+        axis: vec3  # tangent unit vector that the surface carries, W; only for directional frictions
 
     return SimpleNamespace(
         real=real,

@@ -59,3 +59,51 @@ class Viscous(wc.Friction):
     @wp.func
     def force(p: Any, s: Any):
         return -p.damping * s.velocity
+
+
+class Plastic(wc.Law):
+    """Loads along k₁ δ, unloads and reloads along k₂ (δ − δ₀) from the deepest point: keeps a dent δ₀."""
+
+    loading: float = wc.parameter("N/m", "stiffness k₁ of loading", above=0.0)
+    unloading: float = wc.parameter("N/m", "stiffness k₂ ≥ k₁ of unloading", above=0.0)
+
+    deepest = wc.memory("m", "deepest penetration so far")
+
+    @wp.func
+    def advance(p: Any, c: Any, m: Any):
+        m.deepest = wp.max(m.deepest, c.delta)
+        return m
+
+    @wp.func
+    def force(p: Any, c: Any, m: Any):
+        return p.loading * m.deepest - p.unloading * (m.deepest - c.delta)
+
+
+class TwoBristles(wc.Friction):
+    """Two stick springs side by side, with a clock; slides like Coulomb when both do."""
+
+    mu: float = wc.parameter("-", "coefficient of friction μ of each", at_least=0.0)
+    stiffness: float = wc.parameter("N/m", "stiffness k of the first, half that of the second", above=0.0)
+
+    first = wc.memory("m", "stretch of the first", tangent=True)
+    age = wc.memory("s", "time since touch")
+    second = wc.memory("m", "stretch of the second", tangent=True)
+
+    @wp.func
+    def advance(p: Any, s: Any, m: Any):
+        half = type(s.speed)(0.5)
+        m.age = m.age + m.elapsed
+        m.first = at_most(m.first + m.elapsed * s.velocity, p.mu * s.normal_force / p.stiffness)
+        m.second = at_most(m.second + m.elapsed * s.velocity, p.mu * s.normal_force / (half * p.stiffness))
+        return m
+
+    @wp.func
+    def force(p: Any, s: Any, m: Any):
+        return -p.stiffness * (m.first + type(s.speed)(0.5) * m.second)
+
+
+@wp.func
+def at_most(v: Any, length: Any):
+    if wp.length(v) > length:
+        return (length / wp.length(v)) * v
+    return v

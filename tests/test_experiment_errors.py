@@ -25,7 +25,8 @@ LEFT_OUT = object()
 VARIED = ("variation", "ball.mass")
 LAW = ("template", 0, "law")
 GROUND = ("surface", 0)
-NAMES = ", ".join(law.__name__ for law in wc.laws.CATALOGUE)
+NAMES = ", ".join(law.__name__ for law in wc.laws.CATALOGUE) + ", or FILE.py:CLASS"
+FRICTIONS = ", ".join(friction.__name__ for friction in wc.frictions.CATALOGUE) + ", or FILE.py:CLASS"
 
 
 def wrong(*changes):
@@ -126,7 +127,11 @@ BAD = [
         {"type": "Tanh", "mu": -1},
         "template[0].friction.mu must be at least 0, got -1",
     ),
-    (("template", 0, "friction"), {"type": "tahn"}, "template[0].friction.type must be one of Frictionless, Tanh"),
+    (
+        ("template", 0, "friction"),
+        {"type": "tahn"},
+        f"template[0].friction.type must be one of {FRICTIONS}, got 'tahn'; did you mean 'Tanh'?",
+    ),
     (("contact", 0, "radius"), -0.1, "contact[0].radius must be at least 0, got -0.1 m"),
     (("contact", 0, "kappa"), 1.5, "contact[0].kappa must be at least 0 and at most 1, got 1.5"),
     (("contact", 0, "max_depth"), inf, "contact[0].max_depth must be finite, got inf; leave the key out"),

@@ -15,6 +15,7 @@ SCALE = 0.01
 # model, largest coefficient, what it is at a slip speed s by an independent formula
 SAMPLES = [
     (F.Frictionless(), 0.0, lambda s: 0 * s),
+    (F.Viscous(drag=0.1), np.inf, lambda s: 0.1 * s),
     (F.Tanh(mu=0.4, velocity_scale=SCALE), 0.4, lambda s: 0.4 * np.tanh(s / SCALE)),
     (F.RegularizedCoulomb(mu=0.4, velocity_scale=SCALE), 0.4, lambda s: 0.4 * np.clip(s / SCALE, 0, 1)),
     (F.CoulombThreshold(mu=0.4, threshold=SCALE), 0.4, lambda s: np.where(s > SCALE, 0.4, 0.0)),
@@ -59,6 +60,7 @@ SAMPLES = [
             + 0.3 * np.tanh(10 * s / SCALE)
         ),
     ),
+    (F.Elliptic(mu_1=0.4, mu_2=0.4, angle=0.3, velocity_scale=SCALE), 0.4, lambda s: 0.4 * np.tanh(s / SCALE)),
 ]
 
 
@@ -81,7 +83,8 @@ def sliding(friction, velocity, device, precision="float32"):
 
 
 def test_samples_cover_the_catalogue():
-    assert [type(friction) for friction, _, _ in SAMPLES] == list(F.CATALOGUE)
+    """But for the models that remember, which are in test_memory.py."""
+    assert [type(friction) for friction, _, _ in SAMPLES] == [one for one in F.CATALOGUE if not one.memories]
 
 
 @pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
@@ -106,6 +109,23 @@ def test_friction_in_float32_is_that_of_float64(sample, device):
     other, _ = sliding(sample[0], velocity, device, "float64")
     # N from a depth of 1e-3 at a height of 0.1: 7e-6; exponents of large numbers lose digits more.
     np.testing.assert_allclose(one, other, rtol=5e-5, atol=1e-5 * normal.max())
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_elliptic_friction_lies_on_its_ellipse_and_dissipates_most(turn, device):
+    rng = np.random.default_rng(6)
+    velocity = rng.normal(size=(100, 2))
+    force, normal = sliding(
+        F.Elliptic(mu_1=0.5, mu_2=0.1, angle=turn, velocity_scale=1e-6), velocity, device, "float64"
+    )
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    along = force[:, :2] @ rotation.T / normal[:, None] / (0.5, 0.1)
+    np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0, rtol=1e-9)
+    # Of all forces on the ellipse, none takes more power.
+    angle = np.linspace(0, 2 * np.pi, 721)
+    others = (np.column_stack([0.5 * np.cos(angle), 0.1 * np.sin(angle)]) @ rotation) * normal[0]
+    power = np.einsum("ij,ij->i", force[:, :2], velocity)
+    assert (power <= (velocity @ others.T).min(axis=1) + 1e-9).all()
 
 
 CREEP = [

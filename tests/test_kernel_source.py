@@ -10,6 +10,7 @@ import pytest
 import warp as wp
 import warpcontact.kernels
 from warpcontact.kernels import contact_force
+from warpcontact.kernels.contact_force import Parts
 
 import warpcontact as wc
 
@@ -70,13 +71,13 @@ def test_every_kernel_compiles(factory, real, device):
 @pytest.mark.parametrize("real", [wp.float32, wp.float64], ids=["float32", "float64"])
 @pytest.mark.parametrize("law", wc.laws.CATALOGUE, ids=lambda law: law.__name__)
 def test_every_law_compiles(law, real, device):
-    contact_force.kernel(law, wc.frictions.Frictionless, real).module.load(device)
+    contact_force.kernel(Parts(law), real).module.load(device)
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64], ids=["float32", "float64"])
 @pytest.mark.parametrize("friction", wc.frictions.CATALOGUE, ids=lambda friction: friction.__name__)
 def test_every_friction_compiles(friction, real, device):
-    contact_force.kernel(wc.laws.Hooke, friction, real).module.load(device)
+    contact_force.kernel(Parts(wc.laws.Hooke, friction), real).module.load(device)
 
 
 def test_the_factories_are_found():

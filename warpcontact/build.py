@@ -173,7 +173,9 @@ def _add_contacts(
     model.contact_point = _indices([contact.points.start + item for contact, item in each], parameters.device)
     model.contact_patch = _indices([patch_of[contact] for contact, _ in each], parameters.device)
     options = {
-        contact: types.LATCHED * (contact.entry == "latched") + types.RIM_OUTER * (contact.rim == "outer")
+        contact: types.LATCHED * (contact.entry == "latched")
+        + types.RIM_OUTER * (contact.rim == "outer")
+        + types.HERTZ_PATCH * (contact.torsion_radius is None)
         for contact in contacts
     }
     model.contact_options = _indices([options[contact] for contact, _ in each], parameters.device)
@@ -183,9 +185,14 @@ def _add_contacts(
         "kappa": limits_of.KAPPA,
         "max_depth": limits_of.MAX_DEPTH,
         "search_radius": limits_of.SEARCH_RADIUS,
+        "torsion_radius": limits_of.TORSION_RADIUS,
         "enabled": limits_of.ENABLED,
     }
-    fields = {key: Field(np.array([getattr(contact, key) for contact, _ in each])) for key in ranges}
+    # A torsion radius that is not given follows from the overlap.
+    fields = {
+        key: Field(np.array([0.0 if (value := getattr(contact, key)) is None else value for contact, _ in each]))
+        for key in ranges
+    }
     upload = parameters.upload(
         model,
         "contact_geometry",
@@ -195,6 +202,8 @@ def _add_contacts(
     for contact in contacts:
         items = slice(start_of[contact], start_of[contact] + contact.count)
         for key, allowed in ranges.items():
+            if getattr(contact, key) is None:
+                continue
             parameters.add(
                 f"{contact.name}.{key}",
                 fields[key],

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,27 +9,50 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.kernels import contact_force
+from warpcontact.kernels.contact_force import Parts, group_structs
 from warpcontact.kernels.formula import Formula, coefficient_struct
+from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.memory import memory_struct
 from warpcontact.parameters import Field, Parameters, pack
 from warpcontact.scene import Contact
 
 
 @dataclass(frozen=True)
 class Group:
-    """Contacts side by side on the device that share the code of their law and friction."""
+    """Contacts side by side on the device that share the code of their law and frictions.
 
+    Attributes:
+        parts: The classes of law and frictions.
+        kernel: Their force kernel.
+        first: Index of the first contact.
+        count: Number of contacts.
+        coefficients: Struct of arrays [env, contact of the group], one per part.
+        memory: Struct of such arrays: what each part remembers of the last accepted step.
+        kept: Likewise, what it will remember if the present step is accepted.
+    """
+
+    parts: Parts
     kernel: wp.Kernel
-    first: int  # index of the first contact
+    first: int
     count: int
-    coefficients: SimpleNamespace  # .law, .friction: arrays [env, contact of the group]
+    coefficients: Any
+    memory: Any
+    kept: Any
+
+    def memories(self) -> list[tuple[type[Formula], wp.array, wp.array]]:
+        """Returns (formula, memory, kept) of the parts that remember anything."""
+        return [
+            (formula, getattr(self.memory, part), getattr(self.kept, part))
+            for part, formula in self.parts._asdict().items()
+            if formula.memories
+        ]
 
 
 def by_code(contacts: Sequence[Contact]) -> list[list[Contact]]:
-    """Sorts contacts into groups of the same law and friction class, in order of first appearance."""
-    groups: dict[tuple[type, type], list[Contact]] = {}
+    """Sorts contacts into groups of the same classes of law and frictions, in order of first appearance."""
+    groups: dict[Parts, list[Contact]] = {}
     for contact in contacts:
-        code = type(contact.template.law), type(contact.template.friction)
-        groups.setdefault(code, []).append(contact)
+        groups.setdefault(contact.template.parts, []).append(contact)
     return list(groups.values())
 
 
@@ -40,22 +62,24 @@ def make_group(contacts: list[Contact], first: int, parameters: Parameters, real
     Raises:
         TypeError: If a law or friction does not compile.
     """
-    template = contacts[0].template
-    law, friction = type(template.law), type(template.friction)
-    coefficients = SimpleNamespace(law=None, friction=None)
-    _add_formula(contacts, "law", law, coefficients, parameters, real)
-    _add_formula(contacts, "friction", friction, coefficients, parameters, real)
-    return Group(
-        kernel=_compiled(law, friction, parameters.device, real),
-        first=first,
-        count=sum(contact.count for contact in contacts),
-        coefficients=coefficients,
-    )
+    parts = contacts[0].template.parts
+    Coefficients, Memory = group_structs(parts, real)
+    coefficients, memory, kept = Coefficients(), Memory(), Memory()
+    count = sum(contact.count for contact in contacts)
+    for part, formula in parts._asdict().items():
+        _add_formula(contacts, part, formula, coefficients, parameters, real)
+        for target in (memory, kept):
+            # Never looked at if the formula remembers nothing.
+            shape = (parameters.envs, count) if formula.memories else (1, 1)
+            array = wp.zeros(shape, dtype=memory_struct(formula, real), device=parameters.device)
+            setattr(target, part, array)
+    kernel = _compiled(parts, parameters.device, real)
+    return Group(parts, kernel, first, count, coefficients, memory, kept)
 
 
-def _compiled(law: type[Formula], friction: type[Formula], device: wp.Device, real: type) -> wp.Kernel:
+def _compiled(parts: Parts, device: wp.Device, real: type) -> wp.Kernel:
     """Returns the force kernel, compiled here so that a mistake in a user's law shows at once."""
-    kernel = contact_force.kernel(law, friction, real)
+    kernel = contact_force.kernel(parts, real)
     try:
         kernel.module.load(device)
     except Exception as error:
@@ -65,11 +89,12 @@ def _compiled(law: type[Formula], friction: type[Formula], device: wp.Device, re
                 "\nConstants take the precision of the simulation when written as type(c.delta)(1.5) in a law, "
                 "type(s.speed)(1.5) in a friction."
             )
-        raise TypeError(
-            f"law {law.__name__} with friction {friction.__name__} does not compile in {real.__name__}: {error}\n"
-            f"p has {', '.join(law.device_names())} in the law, "
-            f"{', '.join(friction.device_names()) or 'nothing'} in the friction.{hint}"
-        ) from error
+        present = {part: formula for part, formula in parts._asdict().items() if formula is not Frictionless}
+        named = " with ".join(f"{part} {formula.__name__}" for part, formula in present.items())
+        has = ", ".join(
+            f"{', '.join(formula.device_names()) or 'nothing'} in the {part}" for part, formula in present.items()
+        )
+        raise TypeError(f"{named} does not compile in {real.__name__}: {error}\np has {has}.{hint}") from error
     return kernel
 
 
@@ -77,11 +102,11 @@ def _add_formula(
     contacts: list[Contact],
     part: str,
     formula: type[Formula],
-    target: SimpleNamespace,
+    target: Any,
     parameters: Parameters,
     real: type,
 ) -> None:
-    """Adds the parameters of the law or friction of ``contacts``, and the array of their coefficients."""
+    """Adds the parameters of one part of ``contacts``, and the array of their coefficients."""
     struct = coefficient_struct(formula, real)
     fields: dict[Contact, dict[str, Field]] = {
         contact: {

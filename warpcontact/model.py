@@ -148,11 +148,12 @@ class Model:
         from warpcontact.kernels import clear
 
         a = self.arrays
+        chosen = wp.array(mask, dtype=wp.bool, device=self.device)
         wp.launch(
             clear.reset(self.types.real),
             dim=self.envs,
             inputs=[
-                wp.array(mask, dtype=wp.bool, device=self.device),
+                chosen,
                 self.body_count,
                 self.contact_count,
                 a.initial,
@@ -162,6 +163,14 @@ class Model:
             ],
             device=self.device,
         )
+        for group in self.groups:
+            for formula, memory, _ in group.memories():
+                wp.launch(
+                    clear.reset_memory(formula, self.types.real),
+                    dim=(self.envs, group.count),
+                    inputs=[chosen, memory],
+                    device=self.device,
+                )
         if mask.all():
             self.at_start = True
             self.time = 0.0
@@ -247,8 +256,7 @@ class Model:
             raise KeyError(f"{name!r} is a reading, not a parameter; use model.reading({name!r})")
         element, _, quantity = name.rpartition(".")
         for contact in self.scene.contacts:
-            for part in ("law", "friction"):
-                formula = getattr(contact.template, part)
+            for part, formula in contact.template.formulas.items():
                 if element == f"{contact.name}.{part}" and quantity in formula.__dataclass_fields__:
                     raise KeyError(
                         f"no parameter {name!r}: the {type(formula).__name__} of {contact.name!r} was made "

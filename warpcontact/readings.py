@@ -35,6 +35,7 @@ _CONTACT = {
     "penetration": ("penetration", "m", "depth, 0 without contact"),
     "normal_force": ("normal_force", "N", "normal force"),
     "friction_force": ("friction_force", "N", "friction force on the point's body, world"),
+    "torque": ("torque", "N·m", "couple of rolling and torsion on the point's body, world"),
     "point": ("point", "m", "point K where the force acts, world"),
     "normal": ("normal", "-", "unit normal out of the surface, world"),
     "slip_speed": ("slip_speed", "m/s", "tangential speed at K, 0 without contact"),

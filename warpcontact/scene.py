@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
+from warpcontact.kernels.contact_force import Parts
+from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction, Frictionless
 from warpcontact.kernels.laws import Law
 from warpcontact.meshes import Mesh
@@ -22,29 +24,56 @@ RADIUS = limits("m", at_least=0.0)
 KAPPA = limits("-", at_least=0.0, at_most=1.0)
 MAX_DEPTH = limits("m", above=0.0, may_be_infinite=True)
 SEARCH_RADIUS = limits("m", above=0.0, may_be_infinite=True)
+TORSION_RADIUS = limits("m", at_least=0.0)
 ENABLED = limits("-", at_least=0.0, at_most=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Template:
-    """A normal-force law and a friction model, shared by any number of contacts.
+    """The force of a contact: a normal-force law and up to three friction models; any number of contacts share it.
+
+    A friction model says what opposes a velocity under the normal force N. Sliding, that is the tangential
+    velocity at the point K where the force acts. Rolling, it is the velocity R (ω₁ − ω₂) × n at which the point
+    of contact of a sphere of radius R travels, and the model's F acts as the couple R n × F: its coefficient is
+    the rolling resistance μ_r, of which M = μ_r R N. In torsion it is r_t (ω₁ − ω₂)·n, with the couple r_t F; see
+    ``torsion_radius`` of ``add_contact``.
 
     Args:
         law: Normal-force law, an instance of a class of ``wc.laws`` or of your own ``wc.Law``.
         friction: Friction model, of ``wc.frictions`` or your own ``wc.Friction``; ``None``: frictionless.
+        rolling: Friction model of the resistance to rolling; ``None``: none.
+        torsion: Friction model of the resistance to spinning about the normal; ``None``: none.
     """
 
     law: Law
     friction: Friction = field(default_factory=Frictionless)
+    rolling: Friction = field(default_factory=Frictionless)
+    torsion: Friction = field(default_factory=Frictionless)
 
     def __post_init__(self) -> None:
-        if self.friction is None:
-            object.__setattr__(self, "friction", Frictionless())
-        for name, kind in (("law", Law), ("friction", Friction)):
+        for name in Parts._fields:
+            kind = Law if name == "law" else Friction
+            if name != "law" and getattr(self, name) is None:
+                object.__setattr__(self, name, Frictionless())
             if not isinstance(getattr(self, name), kind):
                 raise TypeError(
                     f"Template.{name} must be an instance of wc.{kind.__name__}, got {getattr(self, name)!r}"
                 )
+        if self.torsion.directional:
+            raise ValueError(
+                f"Template.torsion must be a friction without directions, got {type(self.torsion).__name__}: "
+                "there is one axis to spin about"
+            )
+
+    @property
+    def formulas(self) -> dict[str, Formula]:
+        """The law and the frictions by the name of their part."""
+        return {name: getattr(self, name) for name in Parts._fields}
+
+    @property
+    def parts(self) -> Parts:
+        """Their classes: contacts that agree in them are computed by the same code."""
+        return Parts(*(type(formula) for formula in self.formulas.values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +129,7 @@ class Contact:
     kappa: Array
     max_depth: Array
     search_radius: Array
+    torsion_radius: Array | None
     enabled: Array
     search: str
     entry: str
@@ -276,6 +306,7 @@ class Scene:
         max_depth: float | None = None,
         rim: str = "off",
         search_radius: float = math.inf,
+        torsion_radius: float | None = None,
         enabled: bool = True,
         name: str | None = None,
         color: ArrayLike | None = None,
@@ -298,6 +329,9 @@ class Scene:
                 its centre is on the outer side.
             search_radius: Surfaces farther than this from a point are not seen [m]; its gap then is this
                 bound less the radius.
+            torsion_radius: Arm r_t at which the template's torsion acts [m]: 2/3 of the radius of a patch under
+                uniform pressure. ``None``: that of the overlap of a sphere under the pressure of Hertz,
+                (3π/16) √(R δ).
             enabled: Whether it acts.
             name: Name in parameters and readings; made up if not given.
             color: Colour of its arrows, RGB in 0…1.
@@ -316,17 +350,22 @@ class Scene:
             raise ValueError(f"{name}: points and surface are both fixed to {where}; one must move")
         if not isinstance(template, Template):
             raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
+        size = checks.numbers(f"{name}.radius", radius, (), RADIUS)
+        _check_arms(name, template, size, torsion_radius)
         contact = Contact(
             name=name,
             points=points,
             surface=surface,
             template=template,
-            radius=checks.numbers(f"{name}.radius", radius, (), RADIUS),
+            radius=size,
             kappa=checks.numbers(f"{name}.kappa", kappa, (), KAPPA),
             max_depth=checks.numbers(
                 f"{name}.max_depth", math.inf if max_depth is None else max_depth, (), MAX_DEPTH
             ),
             search_radius=checks.numbers(f"{name}.search_radius", search_radius, (), SEARCH_RADIUS),
+            torsion_radius=None
+            if torsion_radius is None
+            else checks.numbers(f"{name}.torsion_radius", torsion_radius, (), TORSION_RADIUS),
             enabled=np.array(float(bool(enabled))),
             search=checks.choice(f"{name}.search", search, ("whole", "active")),
             entry=checks.choice(f"{name}.entry", entry, ("literal", "latched")),
@@ -362,6 +401,17 @@ class Scene:
         if body is not None and (not isinstance(body, Body) or self._elements.get(body.name) is not body):
             raise ValueError(f"{name} must be a body of this scene or None (the world), got {body!r}")
         return body
+
+
+def _check_arms(name: str, template: Template, radius: Array, torsion_radius: float | None) -> None:
+    """Raises ``ValueError`` if a couple of the template would have no arm to act at."""
+    if torsion_radius is not None and isinstance(template.torsion, Frictionless):
+        raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
+    needs = {"rolling": template.rolling, "torsion": template.torsion if torsion_radius is None else None}
+    for part, friction in needs.items():
+        if radius == 0.0 and not (friction is None or isinstance(friction, Frictionless)):
+            cure = " or a torsion_radius" if part == "torsion" else ""
+            raise ValueError(f"{name}: the {part} of its template needs a radius{cure}, got a radius of 0 m")
 
 
 def _face_mask(name: str, faces: ArrayLike | None, count: int) -> NDArray[np.bool_]:

@@ -45,11 +45,12 @@ def force_stages(model: "Model", state: Any, step: wp.array) -> list[wp.Launch]:
                 a.model,
                 state,
                 a.history,
+                group.memory,
                 step,
                 group.first,
-                group.coefficients.law,
-                group.coefficients.friction,
+                group.coefficients,
                 a.contacts,
+                group.kept,
                 a.wrenches,
             ],
         )
@@ -74,4 +75,15 @@ def step_stages(
             [a.status, model.body_count, state_in, state_out],
         ),
         *_prepare(model, history.kernel(real), contacts, [a.status, a.contacts, a.history]),
+        *(
+            launch
+            for group in model.groups
+            for formula, memory, kept in group.memories()
+            for launch in _prepare(
+                model,
+                history.memory_kernel(formula, real),
+                (model.envs, group.count),
+                [a.status, kept, memory],
+            )
+        ),
     ]

@@ -12,6 +12,7 @@ class Ambrosio(Friction):
 
     formula = "F = −μ N c v/s,  c = 0 below s₀, (s − s₀)/(s₁ − s₀) below s₁, then 1"
     reference = "Ambrósio, in Virtual Nonlinear Multibody Systems (2003); recalled"
+    provenance = "R"
     validity = "sliding; no force at all below s₀"
 
     mu: float = parameter("-", "coefficient of friction μ", at_least=0.0)

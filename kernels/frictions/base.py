@@ -1,13 +1,25 @@
 """The contract of a friction model."""
 
+from typing import ClassVar
+
 from warpcontact.kernels.formula import Formula
 
 
 class Friction(Formula):
-    """A tangential force in a contact, against the slip of the point's body over the surface.
+    """A force in a contact against a velocity of the point's body relative to the surface.
 
     A subclass declares its parameters and ``force(p, s)``, which returns the force on the point's body as a
-    vector in W [N]. ``p`` holds the coefficients; ``s`` has ``velocity`` (tangential, of the point's body relative
-    to the surface) [m/s], its length ``speed`` and the ``normal_force`` N ≥ 0 [N]. Divide by ``speed`` only where
-    it cannot be zero.
+    vector in W [N]. ``p`` holds the coefficients; ``s`` has ``velocity`` [m/s], its length ``speed``, the
+    ``normal_force`` N ≥ 0 [N], the ``normal``, the ``patch_radius`` √(R δ) of a sphere [m] and, for a
+    ``directional`` model, the ``axis``: the x axis of the surface laid into the tangent plane, a unit vector.
+    Divide by ``speed`` only where it cannot be zero.
+
+    A model that remembers declares what, with ``wc.memory``, and has two functions of ``(p, s, m)``: ``advance``
+    returns the memory ``m`` after the time ``m.elapsed`` [s] in which ``s`` prevailed, and ``force`` the force
+    from that.
+
+    The same model serves sliding, rolling and torsion; see ``Template``.
     """
+
+    #: Whether it tells tangential directions apart, and needs ``s.axis``.
+    directional: ClassVar[bool] = False

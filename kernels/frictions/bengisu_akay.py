@@ -12,6 +12,7 @@ class BengisuAkay(Friction):
 
     formula = "F = −μ(s) N v/s;  μ = μ_s [1 − (s − s₀)²/s₀²] below s₀, then μ_d + (μ_s − μ_d) exp[−η (s − s₀)]"
     reference = "Bengisu & Akay, J. Sound Vib. 171 (1994) 557; recalled"
+    provenance = "R"
     validity = "no stiction: creeps; kink of the slope at s₀"
 
     mu_static: float = parameter("-", "static coefficient μ_s", at_least=0.0)

@@ -12,6 +12,7 @@ class BrownMcPhee(Friction):
 
     formula = "F = −{N [μ_d tanh(4r) + (μ_s − μ_d) r/(r²/4 + 3/4)²] + μ_v s tanh(4N/N_t)} v/s,  r = s/v_t"
     reference = "Brown & McPhee, J. Comput. Nonlinear Dyn. 11 (2016) 054502"
+    provenance = "S"
     validity = "no stiction: creeps; peak at v_t to 7e-4 μ_d; 1 % above μ_d at 10 v_t"
 
     mu_static: float = parameter("-", "static coefficient μ_s", at_least=0.0)

@@ -12,6 +12,7 @@ class CoulombThreshold(Friction):
 
     formula = "F = −μ N v/s for s > s₀, else 0"
     reference = "sign law with a threshold, as in Project Chrono"
+    provenance = "S"
     validity = "sliding; chatters about the threshold when it should stop"
 
     mu: float = parameter("-", "coefficient of friction μ", at_least=0.0)

@@ -11,6 +11,7 @@ class Frictionless(Friction):
 
     formula = "F = 0"
     reference = "elementary"
+    provenance = "R"
     validity = "always dissipation free"
 
     @wp.func

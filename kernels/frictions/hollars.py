@@ -12,6 +12,7 @@ class Hollars(Friction):
 
     formula = "F = −{N min(r, 1) [μ_d + 2 (μ_s − μ_d)/(1 + r²)] + b s} v/s,  r = s/v_t"
     reference = "Hollars, as in Simbody's HuntCrossleyForce"
+    provenance = "S"
     validity = "no stiction: creeps; kink of the slope at v_t"
 
     mu_static: float = parameter("-", "static coefficient μ_s", at_least=0.0)

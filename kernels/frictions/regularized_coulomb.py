@@ -15,6 +15,7 @@ class RegularizedCoulomb(Friction):
 
     formula = "F = −μ N min(s/s_d, 1) v/s"
     reference = "ramp of slip speed, as in Exudyn and other multibody codes"
+    provenance = "S"
     validity = "no stiction"
 
     mu: float = parameter("-", "coefficient of friction μ", at_least=0.0)

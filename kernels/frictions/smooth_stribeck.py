@@ -14,6 +14,7 @@ class SmoothStribeck(Friction):
         "F = −N [√(2e) (μ_s − μ_d) exp(−(s/s_St)²) s/s_St + μ_d tanh(s/s_C)] v/s,  s_St = √2 s_b, s_C = s_b/10"
     )
     reference = "MathWorks Simscape manual, translational friction"
+    provenance = "S"
     validity = "no stiction: creeps; μ_s at the breakaway speed s_b, slope at rest about 10 μ_d/s_b"
 
     mu_static: float = parameter("-", "static coefficient μ_s", at_least=0.0)

@@ -15,6 +15,7 @@ class StepFriction(Friction):
         "μ_s + (μ_d − μ_s) y²(3 − 2y), y = (s − s_s)/(s_d − s_s), below s_d; then μ_d"
     )
     reference = "friction of MSC Adams, NX and MotionSolve (manuals); cubic through zero recalled"
+    provenance = "S, R"
     validity = "no stiction: creeps; slope at rest 1.5 μ_s/s_s"
 
     mu_static: float = parameter("-", "static coefficient μ_s", at_least=0.0)

@@ -12,6 +12,7 @@ class Stribeck(Friction):
 
     formula = "F = −{N [μ_d + (μ_s − μ_d) exp(−(s/v_S)^p)] tanh(s/v_s) + b s} v/s"
     reference = "Andersson, Söderberg & Björklund, Tribol. Int. 40 (2007) 580"
+    provenance = "S"
     validity = "no stiction: creeps; the peak is a little below μ_s"
 
     mu_static: float = parameter("-", "static coefficient μ_s", at_least=0.0)

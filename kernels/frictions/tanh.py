@@ -15,6 +15,7 @@ class Tanh(Friction):
 
     formula = "F = −μ N tanh(s/v_s) v/s"
     reference = "Simcenter STAR-CCM+ manual, body couplings"
+    provenance = "S"
     validity = "no stiction; 95 % of μ at 1.83 v_s, 99 % at 2.65 v_s"
 
     mu: float = parameter("-", "coefficient of friction μ", at_least=0.0)

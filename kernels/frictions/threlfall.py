@@ -12,6 +12,7 @@ class Threlfall(Friction):
 
     formula = "F = −μ N min(1 − exp(−3 s/s_r), 0.95) v/s"
     reference = "Threlfall, Mech. Mach. Theory 13 (1978) 475; recalled"
+    provenance = "R"
     validity = "never reaches μ: 5 % low; no stiction"
 
     mu: float = parameter("-", "coefficient of friction μ", at_least=0.0)

@@ -22,6 +22,7 @@ class Anagnostopoulos(Law):
 
     formula = "N = K δ + 2 ξ √(K m) δ̇,  ξ = −ln e/√(π² + ln² e)"
     reference = "Anagnostopoulos, EESD 16 (1988) 443; 33 (2004) 897"
+    provenance = "S"
     validity = "returns e exactly, with attraction before release"
     power = 1.0
     device = ("stiffness", "ratio")

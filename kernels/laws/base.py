@@ -26,6 +26,10 @@ class Law(Formula):
     the effective ``mass`` along the normal [kg]; ``dt`` is the step that the force acts over [s], 0 for the
     force of an instant (a reading). Constants take the precision of the simulation when written as
     ``type(c.delta)(1.5)``. The force must depend on nothing else.
+
+    A law that remembers (the deepest penetration so far, a creep) declares what, with ``wc.memory``, and has two
+    functions of ``(p, c, m)``: ``advance`` returns the memory ``m`` after the time ``m.elapsed`` [s] since it last
+    did, and ``force`` the force from that.
     """
 
     #: Whether ``c.mass`` is to be computed.
@@ -34,6 +38,12 @@ class Law(Formula):
     pulls: ClassVar[bool] = False
     #: Exponent of the elastic part if it is fixed; laws with a parameter ``exponent`` leave it out.
     power: ClassVar[float | None] = None
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        for name, field in cls.memories.items():
+            if field.tangent:
+                raise TypeError(f"{cls.__name__}.{name}: a law acts along the normal and has no tangent vectors")
 
     @classmethod
     def elastic(cls, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:

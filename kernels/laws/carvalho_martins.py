@@ -9,6 +9,7 @@ class CarvalhoMartins(EntrySpeedLaw):
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)(11−e)/[2(1+9e)];  (1−e²)/e for e ≤ 1/3"
     reference = "Carvalho & Martins, Mech. Mach. Theory 139 (2019) 174; switch as in Exudyn"
+    provenance = "S"
     validity = "all e: returns e within 0.0053"
 
     @staticmethod

@@ -17,6 +17,7 @@ class ContactRange(Law):
 
     formula = "N = a max(0, k₁ (d₀ − d) − k₂ ḋ),  d₀ = radius of the contact"
     reference = "Simcenter STAR-CCM+ manual, contact coupling"
+    provenance = "R"
     validity = "for d < d₀; the damping jumps at d₀"
     needs_mass = True
 

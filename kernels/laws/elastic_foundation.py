@@ -17,6 +17,7 @@ class ElasticFoundation(Law):
 
     formula = "N = max(0, k a δ (1 + χ δ̇))"
     reference = "elastic foundation model of Simbody (ElasticFoundationForce)"
+    provenance = "S"
     validity = "layers much thinner than the contact is wide"
 
     stiffness: float = parameter("Pa/m", "foundation modulus k", above=0.0)

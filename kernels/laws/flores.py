@@ -9,6 +9,7 @@ class Flores(EntrySpeedLaw):
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 8(1−e)/(5e)"
     reference = "Flores et al., Multibody Syst. Dyn. 25 (2011) 357; the same as Ye, Li & Zhu, EESD 38 (2009) 1135"
+    provenance = "S"
     validity = "all e: returns e within 0.046"
 
     @staticmethod

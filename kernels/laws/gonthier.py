@@ -9,6 +9,7 @@ class Gonthier(EntrySpeedLaw):
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = (1−e²)/e"
     reference = "Gonthier et al., Multibody Syst. Dyn. 11 (2004) 209"
+    provenance = "S"
     validity = "all e: returns e within 0.032"
 
     @staticmethod

@@ -9,6 +9,7 @@ class HerbertMcWhannell(EntrySpeedLaw):
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 6(1−e)/[(2e−1)² + 3]"
     reference = "Herbert & McWhannell, J. Eng. Ind. 99 (1977) 513"
+    provenance = "S"
     validity = "e near 1: returns e within 0.007 for e ≥ 0.8; 0.49 for e = 0.05"
 
     @staticmethod

@@ -96,6 +96,7 @@ class Hertz(Law):
 
     formula = "N = K δ^1.5,  K = (4/3) E* √R"
     reference = "Hertz, J. reine angew. Math. 92 (1882) 156; Johnson, Contact Mechanics (1985)"
+    provenance = "S"
     validity = "contact radius √(Rδ) ≲ 0.1 R, elastic, impact far slower than sound"
     power = 1.5
 

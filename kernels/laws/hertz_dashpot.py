@@ -12,6 +12,7 @@ class HertzDashpot(Law):
 
     formula = "N = max(0, K δ^1.5 + c δ̇)"
     reference = "attributed to Ristow, J. Phys. I France 2 (1992) 649; form of Modelica's ElastoGap"
+    provenance = "S"
     validity = "calibrated at one speed; the force jumps at touch"
     power = 1.5
     needs_mass = True

@@ -12,6 +12,7 @@ class Hooke(Law):
 
     formula = "N = K δ"
     reference = "elementary"
+    provenance = "R"
     validity = "any stiffness"
     power = 1.0
 

@@ -9,6 +9,7 @@ class HuGuo(EntrySpeedLaw):
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/(2e)"
     reference = "Hu & Guo, Multibody Syst. Dyn. 35 (2015) 131"
+    provenance = "R"
     validity = "all e: returns e within 0.035. Formula recalled, confirmed by its limits"
 
     @staticmethod

@@ -63,6 +63,7 @@ class HuntCrossley(Law):
         "Hunt & Crossley, J. Appl. Mech. 42 (1975) 440; exact d: Gonthier et al., Multibody Syst. Dyn. 11 (2004) "
         "209, Zhang & Sharf, J. Appl. Mech. 76 (2009) 051002"
     )
+    provenance = "D"
     validity = "any δ-dependence; restitution independent of mass, stiffness and speed"
     exactly_one_of = ("restitution", "damping")
     device = ("stiffness", "exponent", "factor", "chi", "speed_floor")

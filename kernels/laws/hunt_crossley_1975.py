@@ -9,6 +9,7 @@ class HuntCrossley1975(EntrySpeedLaw):
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/2"
     reference = "Hunt & Crossley, J. Appl. Mech. 42 (1975) 440"
+    provenance = "S"
     validity = "e near 1: returns e within 0.033 for e ≥ 0.8; 0.50 for e = 0.05. HuntCrossley is exact"
 
     @staticmethod

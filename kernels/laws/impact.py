@@ -12,6 +12,7 @@ class Impact(Law):
 
     formula = "N = max(0, K δⁿ + c S(δ/δ_c) δ̇),  S(x) = x²(3 − 2x), 1 for x ≥ 1"
     reference = "IMPACT of MSC Adams and Altair MotionSolve (manuals)"
+    provenance = "S"
     validity = "no relation to a restitution: calibrate; continuous at touch"
 
     stiffness: float = parameter("N/mⁿ", "stiffness K", above=0.0)

@@ -13,6 +13,7 @@ class Jankowski(Law):
 
     formula = "N = K δ^1.5 + 2 ξ √(m K √δ) max(δ̇, 0),  ξ = (9√5/2)(1−e²)/{e[e(9π−16)+16]}"
     reference = "Jankowski, EESD 34 (2005) 595; 35 (2006) 517"
+    provenance = "S"
     validity = "returns e within 0.0086; one impact point per body"
     power = 1.5
     device = ("stiffness", "ratio")

@@ -16,6 +16,7 @@ class JohnsonCylinder(Law):
 
     formula = "δ = F/(π E* L) [ln(4 π E* L ΔR/F) − 1],  i.e. F = −π E* L δ/W₋₁(−e δ/(4 ΔR))"
     reference = "Johnson, Contact Mechanics (1985)"
+    provenance = "S, D"
     validity = "δ < 0.541 ΔR; ΔR = R_hole − R_pin, or R₁ + R₂ outside"
 
     modulus: float = parameter("Pa", "effective modulus E*", above=0.0)

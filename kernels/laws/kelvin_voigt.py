@@ -49,6 +49,7 @@ class KelvinVoigt(Law):
 
     formula = "N = max(0, K δ + c δ̇),  c = 2 ξ(e) √(K m)"
     reference = "Schwager & Pöschel, Granular Matter 9 (2007) 465"
+    provenance = "S, D"
     validity = "one impact point per body: the effective mass is that of the point alone"
     power = 1.0
     exactly_one_of = ("restitution", "damping")

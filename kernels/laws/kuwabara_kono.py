@@ -32,6 +32,7 @@ class KuwabaraKono(Law):
         "Kuwabara & Kono, Jpn. J. Appl. Phys. 26 (1987) 1230; Brilliantov et al., Phys. Rev. E 53 (1996) 5382; "
         "e of A: Müller & Pöschel, Phys. Rev. E 84 (2011) 021302"
     )
+    provenance = "S"
     validity = "as Hertz, with viscous loss small in the bulk"
     power = 1.5
 

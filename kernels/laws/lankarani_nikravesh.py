@@ -9,6 +9,7 @@ class LankaraniNikravesh(EntrySpeedLaw):
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e²)/4"
     reference = "Lankarani & Nikravesh, J. Mech. Des. 112 (1990) 369"
+    provenance = "S"
     validity = "e near 1: returns e within 0.047 for e ≥ 0.8; 0.73 for e = 0.5"
 
     @staticmethod

@@ -9,6 +9,7 @@ class LeeWang(EntrySpeedLaw):
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/4"
     reference = "Lee & Wang, J. Mech. Transm. Autom. Des. 105 (1983) 534"
+    provenance = "S"
     validity = "returns much more than e: 0.80 for 0.5; kept for comparison"
 
     @staticmethod

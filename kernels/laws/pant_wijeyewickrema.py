@@ -13,6 +13,7 @@ class PantWijeyewickrema(Law):
 
     formula = "N = K δⁿ (1 + d max(δ̇, 0)/v₀),  d = 3(1−e²)/(2e²)"
     reference = "Pant & Wijeyewickrema, EESD 41 (2012) 1701; approach only is recalled"
+    provenance = "S, R"
     validity = "returns e within 0.029"
     device = ("stiffness", "exponent", "factor", "speed_floor")
 

@@ -16,6 +16,7 @@ class PereiraCylinder(Law):
 
     formula = "F = (a ΔR + b) L E*/ΔR δⁿ in mm, N, MPa;  a = 0.965, b = 0.0965, n = Y ΔR^−0.005"
     reference = "Pereira, Ramalho & Ambrósio, Nonlinear Dyn. 63 (2011) 681, with the exponent of n restored"
+    provenance = "S, R"
     validity = "0.005 mm ≤ ΔR ≤ 10 mm"
     device = ("stiffness", "exponent")
 
@@ -46,6 +47,7 @@ class PereiraCylinderExternal(PereiraCylinder):
     """Elastic contact of parallel cylinders beside each other, fitted to Johnson's; explicit in the depth."""
 
     formula = "F = (a ΔR + b) L E*/ΔR δⁿ in mm, N, MPa;  a = 0.39, b = 0.85, n = 1.094"
+    provenance = "S"
     validity = "cylinders outside of each other"
 
     clearance: float = parameter("m", "sum of radii ΔR", above=0.0)

@@ -12,6 +12,7 @@ class PowerLaw(Law):
 
     formula = "N = K δⁿ"
     reference = "elementary"
+    provenance = "R"
     validity = "n = 1 flat punch or layer, 3/2 smooth point contact, 2 cone or foundation under a sphere"
 
     stiffness: float = parameter("N/mⁿ", "stiffness K", above=0.0)

@@ -21,6 +21,7 @@ class Tsuji(Law):
         "Tsuji, Tanaka & Ishida, Powder Technol. 71 (1992) 239; Antypov & Elliott, EPL 94 (2011) 50004; clamped: "
         "Schwager & Pöschel, Granular Matter 9 (2007) 465"
     )
+    provenance = "S, D"
     validity = "one impact point per body: the effective mass is that of the point alone"
     exactly_one_of = ("restitution", "ratio")
     device = ("stiffness", "exponent", "ratio")

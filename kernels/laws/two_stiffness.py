@@ -17,6 +17,7 @@ class TwoStiffness(Law):
 
     formula = "N = K δⁿ for δ̇ ≥ 0,  e² K δⁿ for δ̇ < 0"
     reference = "two-stiffness model of multibody codes, with the ratio that returns e"
+    provenance = "S, D"
     validity = "returns e exactly; the force jumps at the greatest depth, and chatters at rest"
     device = ("stiffness", "exponent", "unloading")
 

@@ -9,6 +9,7 @@ class ZhiyingQishao(EntrySpeedLaw):
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d = (3/4)(1−e²) exp[2(1−e)]"
     reference = "Zhiying & Qishao, J. Dyn. Control 4 (2006) 294"
+    provenance = "S"
     validity = "e ≥ 0.8: returns e within 0.013; 0.20 for e = 0.05"
 
     @staticmethod

@@ -4,10 +4,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from warpcontact.experiment.catalogue import FileMesh
+from warpcontact.experiment.catalogue import FileMesh, FormulaSettings
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.reading import Parts
-from warpcontact.experiment.schema import ContactSettings, PointSettings, PointsSettings, SurfaceSettings
+from warpcontact.experiment.schema import (
+    ContactSettings,
+    PointSettings,
+    PointsSettings,
+    SurfaceSettings,
+    TemplateSettings,
+)
 from warpcontact.meshes import Mesh, MeshError, load_mesh
 from warpcontact.scene import Scene, Template
 
@@ -88,10 +94,10 @@ class Assembler:
             return scene.add_point(body, entry.position, name=entry.name)
         return scene.add_points(body, entry.positions, name=entry.name)
 
-    def _template(self, entry: Any) -> Template:
+    def _template(self, entry: TemplateSettings) -> Template:
         if entry.name in self.made["template"]:
             raise ValueError(f"name {entry.name!r} of a template is taken; every template has its own")
-        return Template(law=entry.law.make(), friction=entry.friction.make())
+        return Template(**{key: table.make() for key, table in entry if isinstance(table, FormulaSettings)})
 
     def _contact(self, scene: Scene, path: str, entry: ContactSettings, problems: Problems) -> Any:
         options = entry.model_dump(exclude={"points", "surface", "template"}, exclude_none=True)

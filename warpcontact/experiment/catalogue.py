@@ -1,19 +1,35 @@
-"""Tables of the experiment file that follow from the catalogues: laws, frictions, meshes.
+"""Tables of the experiment file that follow from classes and functions: laws, frictions, meshes.
 
-Their keys are the parameters of the classes and generators, with the ranges that are declared there.
+Their keys are the parameters of the classes and generators, with the ranges that are declared there. What a table
+says it is decides which model it is validated with; a law or friction of the library and one of a user's own are
+found in different places, and from there on treated alike.
 """
 
 import dataclasses
+import functools
 import inspect
+import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union, get_args
+from typing import Annotated, Any, ClassVar, Literal, cast, get_args
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, create_model, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    SerializeAsAny,
+    ValidationInfo,
+    create_model,
+    model_validator,
+)
 
 from warpcontact import meshes
 from warpcontact.checks import limits
 from warpcontact.experiment import quantities as q
+from warpcontact.experiment.errors import shown, suggestion
+from warpcontact.experiment.own import OwnFiles, blame
 from warpcontact.kernels import frictions, laws
+from warpcontact.kernels.contact_force import Parts
 from warpcontact.kernels.formula import Formula
 
 #: Meshes that need no file, by the name of their generator.
@@ -50,7 +66,9 @@ class ShapeMesh(Section):
 
 
 class FormulaSettings(Section):
-    """A law or a friction: the name of its class, and its parameters."""
+    """A law or a friction: its class, by a name of the catalogue or as ``FILE.py:CLASS``, and its parameters."""
+
+    model_config = ConfigDict(protected_namespaces=())  # a user names the parameters
 
     formula: ClassVar[type[Formula]]
     type: str
@@ -65,6 +83,8 @@ class FormulaSettings(Section):
             self.make()  # which of its parameters go together only the formula knows
         except ValueError as error:
             raise ValueError(f": {error}") from None
+        except Exception as error:  # in a user's class
+            raise ValueError(f": {blame(error, self.formula)}") from None
         return self
 
 
@@ -84,51 +104,115 @@ def _shape_model(name: str, generator: Callable[..., meshes.Mesh]) -> type[Shape
     return create_model(f"{name}_mesh", __base__=ShapeMesh, **fields)
 
 
-def _formula_model(formula: type[Formula]) -> type[FormulaSettings]:
-    fields: dict[str, Any] = {"type": (Literal[formula.__name__], ...)}
+def mesh_model(value: Any) -> type[FileMesh] | type[ShapeMesh]:
+    """Returns the model of a mesh as it stands in the file.
+
+    Raises:
+        ValueError: If there is none; the message continues the key of the mesh.
+    """
+    listed = f"one of {', '.join(SHAPES)}"
+    if isinstance(value, str):
+        write = f"shape = {value!r}, …" if value in SHAPES else f"file = {json.dumps(value, ensure_ascii=False)}"
+        raise ValueError(f"must be a table, got {shown(value)}; write mesh = {{ {write} }}")
+    if not isinstance(value, dict):
+        raise ValueError(f"must be a table, got {shown(value)}")
+    if "file" in value:
+        return FileMesh
+    if "shape" not in value:
+        raise ValueError(f".shape is missing: {listed}, or file: a mesh file")
+    shape = value["shape"]
+    if not isinstance(shape, str) or shape not in SHAPES:
+        raise ValueError(f".shape must be {listed}, got {shown(shape)}{suggestion(shape, SHAPES)}")
+    return _SHAPE_MODELS[shape]
+
+
+def formula_model(key: str, value: Any, own: OwnFiles) -> type[FormulaSettings]:
+    """Returns the model of a law or friction as it stands in the file.
+
+    Args:
+        key: Its key in a template.
+        value: What is there.
+        own: Where classes are that are not of the catalogue.
+
+    Raises:
+        ValueError: If there is none; the message continues the key.
+    """
+    catalogue = CATALOGUES[FORMULAS[key]]
+    if not isinstance(value, dict):
+        named = isinstance(value, str) and (value in catalogue or ".py:" in value)
+        hint = f"; write {key} = {{ type = {value!r}, … }}" if named else ""
+        raise ValueError(f"must be a table, got {shown(value)}{hint}")
+    listed = f"one of {', '.join(catalogue)}, or FILE.py:CLASS"
+    if "type" not in value:
+        raise ValueError(f".type is missing: {listed}")
+    given = value["type"]
+    if isinstance(given, str) and given in catalogue:
+        return settings_model(catalogue[given])
+    file, name = own_class(given)
+    if file:
+        try:
+            return settings_model(own.find(file, name, FORMULAS[key]))
+        except ValueError as error:
+            raise ValueError(f".type{error}") from None
+    hint = suggestion(given, catalogue)
+    for base, others in CATALOGUES.items():
+        if others is not catalogue and isinstance(given, str) and given in others:
+            hint = f"; that is a {base.__name__.lower()}"
+    raise ValueError(f".type must be {listed}, got {shown(given)}{hint}")
+
+
+def own_class(given: Any) -> tuple[str, str]:
+    """Returns file and class of ``FILE.py:CLASS``; two empty texts for anything else."""
+    file, _, name = given.rpartition(":") if isinstance(given, str) else ("", "", "")
+    return (file, name) if file.endswith(".py") else ("", "")
+
+
+@functools.cache
+def settings_model(formula: type[Formula]) -> type[FormulaSettings]:
+    """Returns the model of the tables of a law or friction class.
+
+    Raises:
+        ValueError: If a parameter has a name that a table cannot have; the message continues the key ``type``.
+    """
+    fields: dict[str, Any] = {}
+    taken = {*dir(FormulaSettings), *FormulaSettings.__annotations__}
     for field in dataclasses.fields(formula):
+        if field.name in taken or field.name.startswith("_"):
+            raise ValueError(f": {formula.__name__} has a parameter {field.name!r}, which no table can have")
         allowed = formula.limits(field.name)
         default = ... if field.default is dataclasses.MISSING else field.default
         fields[field.name] = (
             Annotated[float, q.numbers((), allowed=allowed)],
-            Field(default, description=f"{allowed['meaning']} [{allowed['unit']}]"),
+            Field(
+                default,
+                description=f"{allowed['meaning']} [{allowed['unit']}]",
+                validate_default=default is not None,
+            ),
         )
     model = create_model(f"{formula.__name__}_settings", __base__=FormulaSettings, **fields)
     model.formula = formula
     return model
 
 
-FILE = "file"
+#: What the formulas of a template are, by their keys.
+FORMULAS: dict[str, Any] = {part: laws.Law if part == "law" else frictions.Friction for part in Parts._fields}
+#: The classes that come with the library, by what they are and by name.
+CATALOGUES: dict[Any, dict[str, Any]] = {
+    laws.Law: {law.__name__: law for law in laws.CATALOGUE},
+    frictions.Friction: {friction.__name__: friction for friction in frictions.CATALOGUE},
+}
+_SHAPE_MODELS = {name: _shape_model(name, make) for name, make in SHAPES.items()}
 
 
-def _tagged(models: dict[str, type[Section]], key: str) -> Any:
-    """Returns the union of ``models``, told apart by the value of ``key``.
-
-    Their tags are in parentheses, so that ``errors`` can tell them from keys in the place of an error.
-    """
-
-    def tag(value: Any) -> str | None:
-        if isinstance(value, Section):
-            return f"({getattr(value, key, FILE)})"
-        if not isinstance(value, dict):
-            return None
-        if key == "shape" and FILE in value:
-            return f"({FILE})"
-        return f"({value[key]})" if isinstance(value.get(key), str) else None
-
-    parts = tuple(Annotated[model, Tag(f"({name})")] for name, model in models.items())
-    return Annotated[Union[parts], Discriminator(tag)]  # noqa: UP007  made of a tuple
+def _formula(value: Any, info: ValidationInfo) -> FormulaSettings:
+    own = cast(OwnFiles, info.context)
+    return formula_model(str(info.field_name), value, own).model_validate(value, context=own)
 
 
-LAWS: dict[str, Any] = {law.__name__: _formula_model(law) for law in laws.CATALOGUE}
-FRICTIONS: dict[str, Any] = {friction.__name__: _formula_model(friction) for friction in frictions.CATALOGUE}
-MESHES: dict[str, Any] = {FILE: FileMesh} | {name: _shape_model(name, make) for name, make in SHAPES.items()}
+def _mesh(value: Any) -> FileMesh | ShapeMesh:
+    return mesh_model(value).model_validate(value)
 
-if TYPE_CHECKING:
-    LawSettings = FormulaSettings
-    FrictionSettings = FormulaSettings
-    MeshSettings = FileMesh | ShapeMesh
-else:
-    LawSettings = _tagged(LAWS, "type")
-    FrictionSettings = _tagged(FRICTIONS, "type")
-    MeshSettings = _tagged(MESHES, "shape")
+
+# Which keys there are depends on what is in the table: its model is found first.
+TemplateFormula = Annotated[SerializeAsAny[FormulaSettings], PlainValidator(_formula)]
+SurfaceMesh = Annotated[SerializeAsAny[FileMesh | ShapeMesh], PlainValidator(_mesh)]

@@ -1,6 +1,7 @@
 """One run: from the built environments to the files in the folder of results."""
 
 import datetime
+import hashlib
 import os
 import platform
 import time
@@ -15,7 +16,7 @@ from warpcontact._version import __version__
 from warpcontact.checks import Array
 from warpcontact.experiment import result
 from warpcontact.experiment.notices import Notices
-from warpcontact.experiment.result import Run
+from warpcontact.experiment.result import Copy, Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.toml import to_toml
 from warpcontact.model import Model
@@ -26,7 +27,7 @@ def execute(
     model: Model,
     settings: Settings,
     varied: Mapping[str, Array],
-    origin: Path,
+    copy: Copy,
     folder: Path,
     progress: bool | None,
     say: Callable[[str], None],
@@ -38,23 +39,23 @@ def execute(
         model: The environments, built.
         settings: What to do with them, with all defaults.
         varied: Values of the parameters that vary.
-        origin: Folder to which the names of mesh files in ``settings`` are relative.
+        copy: What repeats the run.
         folder: Where the results go.
         progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
         say: Called when a stage that may take long begins.
         notices: Receives warnings.
     """
     result.clear_folder(folder)
-    summary = _first_summary(model, settings)
+    summary = _first_summary(model, settings, copy)
     try:
-        return _execute(model, settings, varied, origin, folder, progress, say, notices, summary)
+        return _execute(model, settings, varied, copy, folder, progress, say, notices, summary)
     except KeyboardInterrupt:
         result.write_summary(folder / result.SUMMARY, summary | {"state": result.INTERRUPTED})
         result.clear_folder(folder, keep=result.SUMMARY)
         raise
 
 
-def _first_summary(model: Model, settings: Settings) -> dict[str, Any]:
+def _first_summary(model: Model, settings: Settings, copy: Copy) -> dict[str, Any]:
     return {
         "state": result.UNFINISHED,
         "process": os.getpid(),
@@ -73,6 +74,7 @@ def _first_summary(model: Model, settings: Settings) -> dict[str, Any]:
         "seed": settings.seed,
         "envs": settings.envs,
         "dt": settings.dt,
+        result.LAW_FILES: {name: hashlib.sha256(content).hexdigest() for name, content in copy.files.items()},
     }
 
 
@@ -80,7 +82,7 @@ def _execute(
     model: Model,
     settings: Settings,
     varied: Mapping[str, Array],
-    origin: Path,
+    copy: Copy,
     folder: Path,
     progress: bool | None,
     say: Callable[[str], None],
@@ -90,8 +92,10 @@ def _execute(
     files = {"experiment": folder / result.EXPERIMENT, "summary": folder / result.SUMMARY}
     result.write_summary(files["summary"], summary)
     comment = f"The experiment as warpcontact {__version__} ran it, with all defaults."
-    text = to_toml(result.moved(settings, origin, folder), comment)
-    files["experiment"].write_text(text, encoding="utf-8")
+    files["experiment"].write_text(to_toml(copy.settings, comment), encoding="utf-8")
+    for name, content in copy.files.items():
+        files[name] = folder / name
+        files[name].write_bytes(content)
 
     simulation = Simulation(model, dt=settings.dt)
     say(f"compiling for {model.device}")

@@ -1,6 +1,5 @@
 """Experiments: a scene, what varies between its environments, how long, and what is recorded."""
 
-import warnings
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
@@ -12,9 +11,11 @@ from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
 from warpcontact.experiment.execute import execute
 from warpcontact.experiment.notices import Notices
+from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.result import Run
 from warpcontact.experiment.schema import Settings
+from warpcontact.experiment.trial import trial
 from warpcontact.experiment.variation import Draw, truncated
 from warpcontact.meshes import Mesh
 from warpcontact.model import Model
@@ -30,8 +31,10 @@ class Experiment:
 
     Args:
         content: What an experiment file holds, as nested dictionaries and lists.
-        folder: Folder to which the names of mesh files are relative.
+        folder: Folder to which the names of mesh files and of files with laws are relative.
         source: What to call it in messages.
+        on_stage: Called with a few words when a stage that may take long begins, and before a file with laws of
+            the user is loaded, which runs it.
 
     Attributes:
         settings: All settings, with everything that was left to defaults filled in.
@@ -41,32 +44,51 @@ class Experiment:
     """
 
     def __init__(
-        self, content: Mapping[str, Any], folder: str | PathLike[str] = ".", *, source: str = "experiment"
+        self,
+        content: Mapping[str, Any],
+        folder: str | PathLike[str] = ".",
+        *,
+        source: str = "experiment",
+        on_stage: Callable[[str], None] | None = None,
     ) -> None:
         self.folder = Path(folder)
         self.source = source
         self._loaded: dict[str, Mesh] = {}
+        self._own = OwnFiles(self.folder, on_stage or _say_nothing)
         self._check(content)
 
     @classmethod
-    def from_toml(cls, path: str | PathLike[str]) -> "Experiment":
-        """Reads an experiment file; mesh files in it are relative to its folder.
+    def from_toml(
+        cls, path: str | PathLike[str], *, on_stage: Callable[[str], None] | None = None
+    ) -> "Experiment":
+        """Reads an experiment file; the names of other files in it are relative to its folder.
+
+        Args:
+            path: The file.
+            on_stage: Called with a few words when a stage that may take long begins, and before a file with laws
+                of the user is loaded, which runs it.
 
         Raises:
             ExperimentError: If it cannot be read, with line and column if it is no TOML; or if anything is wrong
                 with the experiment, with the keys of all problems.
         """
         path = Path(path)
-        return cls({"name": path.stem} | load_toml(path), path.parent, source=str(path))
+        return cls({"name": path.stem} | load_toml(path), path.parent, source=str(path), on_stage=on_stage)
 
     @classmethod
-    def from_dict(cls, content: Mapping[str, Any], folder: str | PathLike[str] = ".") -> "Experiment":
-        """Makes an experiment of a dictionary of the form of an experiment file.
+    def from_dict(
+        cls,
+        content: Mapping[str, Any],
+        folder: str | PathLike[str] = ".",
+        *,
+        on_stage: Callable[[str], None] | None = None,
+    ) -> "Experiment":
+        """Makes an experiment of a dictionary of the form of an experiment file; arguments are those of the class.
 
         Raises:
             ExperimentError: If anything is wrong with it; lists all problems with their keys.
         """
-        return cls(content, folder)
+        return cls(content, folder, on_stage=on_stage)
 
     def scene(self) -> Scene:
         """Returns a new scene of this experiment."""
@@ -85,7 +107,8 @@ class Experiment:
         Raises:
             ExperimentError: If there is no such device, or a value is out of range.
         """
-        return self.changed(envs=envs)._build(device)
+        with self._own.blamed():
+            return self.changed(envs=envs)._build(device)
 
     def changed(self, *, envs: int | None = None, duration: float | None = None) -> "Experiment":
         """Returns the experiment with another number of environments or duration [s].
@@ -103,7 +126,8 @@ class Experiment:
             shorter = truncated(self._given.variation, envs)
             content["variation"] = {name: entry.model_dump(exclude_none=True) for name, entry in shorter.items()}
         other = Experiment.__new__(Experiment)
-        other.folder, other.source, other._loaded = self.folder, self.source, self._loaded
+        other.folder, other.source = self.folder, self.source
+        other._loaded, other._own = self._loaded, self._own
         other._check(content)
         return other
 
@@ -122,7 +146,8 @@ class Experiment:
         """Runs the experiment and writes the results into a folder.
 
         The folder receives ``recording.zarr``, ``animation.usdc``, ``picture.png``, the complete
-        ``experiment.toml`` that repeats the run, and ``run.json`` with versions and times.
+        ``experiment.toml`` that repeats the run, copies of the user's files with laws, and ``run.json`` with
+        versions and times.
 
         Args:
             out: The folder; made if there is none.
@@ -140,21 +165,27 @@ class Experiment:
                 value is out of range.
         """
         folder, experiment = Path(out), self.changed(envs=envs, duration=duration)
-        result.check_folder(folder, overwrite)
-        say = on_stage or (lambda stage: None)
+        copy = result.copied(experiment.settings, experiment.folder, folder, experiment._own)
+        result.check_folder(folder, overwrite, copy.files)
         notices = Notices(on_warning)
-        with notices.listening():
-            return experiment._run(folder, device, progress, say, notices)
+        with notices.listening(), experiment._own.blamed():
+            return experiment._run(folder, copy, device, progress, on_stage or _say_nothing, notices)
 
     def _run(
-        self, folder: Path, device: str, progress: bool | None, say: Callable[[str], None], notices: Notices
+        self,
+        folder: Path,
+        copy: result.Copy,
+        device: str,
+        progress: bool | None,
+        say: Callable[[str], None],
+        notices: Notices,
     ) -> Run:
         for i, surface in enumerate(self.settings.surface):
             if isinstance(surface.mesh, FileMesh):
                 notices.add_mesh(surface.mesh.file, self._loaded[f"surface[{i}]"].report)
         say(f"building {self.settings.envs} environments")
         model = self._build(device)
-        return execute(model, self.settings, self._values, self.folder, folder, progress, say, notices)
+        return execute(model, self.settings, self._values, copy, folder, progress, say, notices)
 
     def _build(self, device: str) -> Model:
         """Builds the environments on ``device``."""
@@ -169,30 +200,14 @@ class Experiment:
     def _check(self, content: Mapping[str, Any]) -> None:
         """Takes over ``content``, or raises ``ExperimentError`` with everything that is wrong with it."""
         problems = Problems()
-        parts = read_settings(content, problems)
+        parts = read_settings(content, self._own, problems)
         if not content.get("body"):
             problems.add("body", "is missing: an experiment needs a [[body]]")
             parts.unnamed.add("body")
-        scene = Assembler(parts, self.folder, self._loaded).scene(problems)
-        model = self._trial(scene, parts, problems)
+        model = trial(parts, self.folder, self._loaded, problems)
         if model is not None:
             self._check_with(model, parts, problems)
         problems.stop(self.source)
-
-    def _trial(self, scene: Scene, parts: Parts, problems: Problems) -> Model | None:
-        """Returns a model of one environment of what is sound, to look at; ``None`` if there is none."""
-        if not scene.bodies:
-            return None
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # the model that runs warns again
-                return scene.build(1, "cpu", parts.settings.precision if parts.settings else "float32")
-        except ValueError as error:
-            message = str(error)
-            paths = {entry.name: path for _, path, entry in parts}
-            name = message.partition(":")[0]
-            problems.add(paths.get(name, "scene"), f": {message.removeprefix(name + ': ')}")
-            return None
 
     def _check_with(self, model: Model, parts: Parts, problems: Problems) -> None:
         """Checks what needs to know parameters and readings, and fills in what follows from them."""
@@ -232,6 +247,10 @@ class Experiment:
         except ValueError as error:
             problems.add("record.every", str(error).removeprefix("record.every "))
         return every
+
+
+def _say_nothing(stage: str) -> None:
+    pass
 
 
 def default_interval(settings: Settings) -> float:

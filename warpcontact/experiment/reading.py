@@ -1,6 +1,5 @@
 """From a TOML file, or a dictionary of its form, to checked settings; every problem is found, not the first."""
 
-import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence, Set
@@ -10,8 +9,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from warpcontact.experiment.catalogue import FILE, FRICTIONS, LAWS, MESHES, Section
+from warpcontact.experiment.catalogue import Section
 from warpcontact.experiment.errors import ExperimentError, Problems, key_path, shown, suggestion
+from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import SECTIONS, Settings, VariationSettings, table_at
 
 # What a value must be, by the type of pydantic's error.
@@ -63,7 +63,7 @@ class Parts:
         return parts
 
     @classmethod
-    def of_damaged(cls, raw: Mapping[str, Any], wrong: Set[Any]) -> "Parts":
+    def of_damaged(cls, raw: Mapping[str, Any], wrong: Set[Any], own: OwnFiles) -> "Parts":
         """The sound parts of ``raw``; ``wrong`` are the keys of its first level with a problem."""
         parts = cls()
         for section, model in SECTIONS.items():
@@ -76,16 +76,17 @@ class Parts:
                     parts.names[section].add(name)
                 else:
                     parts.unnamed.add(section)
-                sound = _sound(model, entry)
+                sound = _sound(model, entry, own)
                 if sound is not None:
                     parts.entries[section][i] = sound
         variation = raw.get("variation")
         for name, entry in variation.items() if isinstance(variation, dict) else ():
-            sound = _sound(VariationSettings, entry)
+            sound = _sound(VariationSettings, entry, own)
             if sound is not None:
                 parts.variation[name] = sound
         left_out = {*SECTIONS, "variation", *wrong}
-        parts.settings = _sound(Settings, {key: value for key, value in raw.items() if key not in left_out})
+        rest = {key: value for key, value in raw.items() if key not in left_out}
+        parts.settings = _sound(Settings, rest, own)
         if "envs" not in wrong:
             parts.envs = raw.get("envs", 1)
         return parts
@@ -101,9 +102,9 @@ class Parts:
                 yield section, f"{section}[{i}]", entry
 
 
-def _sound(model: type[Section], raw: Any) -> Any:
+def _sound(model: type[Section], raw: Any, own: OwnFiles) -> Any:
     try:
-        return model.model_validate(raw)
+        return model.model_validate(raw, context=own)
     except ValidationError:
         return None
 
@@ -131,11 +132,12 @@ def load_toml(path: Path) -> dict[str, Any]:
     raise ExperimentError(str(path), [problem])
 
 
-def read_settings(raw: Mapping[str, Any], problems: Problems) -> Parts:
+def read_settings(raw: Mapping[str, Any], own: OwnFiles, problems: Problems) -> Parts:
     """Checks the form and the ranges of everything in ``raw``, and returns what is sound.
 
     Args:
         raw: The content of an experiment file.
+        own: The user's files that it may name.
         problems: Receives what is not.
     """
     for section in SECTIONS:
@@ -144,24 +146,23 @@ def read_settings(raw: Mapping[str, Any], problems: Problems) -> Parts:
             if isinstance(entry, dict) and isinstance(entry.get("name"), str):
                 problems.names[f"{section}[{i}]"] = entry["name"]
     try:
-        return Parts.of_settings(Settings.model_validate(dict(raw)))
+        return Parts.of_settings(Settings.model_validate(dict(raw), context=own))
     except ValidationError as failure:
         errors = failure.errors(include_url=False)
     places = {error["loc"] for error in errors}
     for error in errors:
         # A list of positions is missing nothing but the right section.
         if error["type"] != "missing" or (*error["loc"][:-1], "positions") not in places:
-            _explain(error, problems)
-    return Parts.of_damaged(raw, {error["loc"][0] for error in errors})
+            _explain(error, raw, own, problems)
+    return Parts.of_damaged(raw, {error["loc"][0] for error in errors}, own)
 
 
-def _explain(error: Any, problems: Problems) -> None:
+def _explain(error: Any, raw: Mapping[str, Any], own: OwnFiles, problems: Problems) -> None:
     """Adds the sentence for an error of pydantic."""
     kind, location, value = error["type"], error["loc"], error["input"]
-    # Parts in parentheses tell which of several tables was meant, see catalogue.
-    path = key_path(part for part in location if not str(part).startswith("("))
+    path = key_path(location)
     if kind == "missing":
-        meaning = table_at(location[:-1]).model_fields[location[-1]].description
+        meaning = table_at(location[:-1], raw, own).model_fields[location[-1]].description
         problems.add(path, f"is missing{f': {meaning}' if meaning else ''}")
     elif kind == "extra_forbidden" and location[0] == "variation" and isinstance(value, dict):
         name = ".".join(_nested_name(location[1:], value))
@@ -169,10 +170,8 @@ def _explain(error: Any, problems: Problems) -> None:
     elif kind == "extra_forbidden" and location[0] == "point" and location[-1] == "positions":
         problems.add(path, f"is not known{_SEVERAL}")
     elif kind == "extra_forbidden":
-        keys = list(table_at(location[:-1]).model_fields)
+        keys = list(table_at(location[:-1], raw, own).model_fields)
         problems.add(path, f"is not known{suggestion(location[-1], keys) or '; allowed: ' + ', '.join(keys)}")
-    elif kind.startswith("union_tag"):
-        _explain_choice(path, str(location[-1]), value, problems)
     elif kind == "value_error":
         several = location[0] == "point" and location[-1] == "position" and _is_list_of_lists(value)
         problems.add(path, f"{error['ctx']['error']}{_SEVERAL if several else ''}")
@@ -197,23 +196,3 @@ def _nested_name(location: Sequence[str | int], value: Any) -> list[str]:
         key, value = next(iter(value.items()))
         names.append(key)
     return names
-
-
-def _explain_choice(path: str, key: str, value: Any, problems: Problems) -> None:
-    """Adds the sentence for a law, friction or mesh that is not one of the catalogue."""
-    options = {"law": LAWS, "friction": FRICTIONS, "mesh": MESHES}[key]
-    names = [name for name in options if name != FILE]
-    choose = "shape" if key == "mesh" else "type"
-    listed = f"one of {', '.join(names)}"
-    if not isinstance(value, dict):
-        hint = f"; write {key} = {{ {choose} = {value!r}, … }}" if value in names else ""
-        if key == "mesh" and isinstance(value, str) and not hint:
-            hint = f"; write mesh = {{ file = {json.dumps(value, ensure_ascii=False)} }}"
-        problems.add(path, f"must be a table, got {shown(value)}{hint}")
-    elif choose not in value:
-        instead = ", or file: a mesh file" if key == "mesh" else ""
-        problems.add(f"{path}.{choose}", f"is missing: {listed}{instead}")
-    else:
-        problems.add(
-            f"{path}.{choose}", f"must be {listed}, got {shown(value[choose])}{suggestion(value[choose], names)}"
-        )

@@ -1,18 +1,20 @@
 """The folder that a run fills: which folders it may use, and what it writes into them."""
 
+import itertools
 import json
 import os
 import platform
 import shutil
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from warpcontact._version import __version__
-from warpcontact.experiment.catalogue import FileMesh
+from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, own_class
 from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import Settings
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
@@ -28,6 +30,9 @@ FINISHED = "finished"
 UNFINISHED = "unfinished"
 INTERRUPTED = "interrupted"
 
+#: In run.json: the SHA-256 of the copied files with laws, by their names.
+LAW_FILES = "law_files"
+
 # Arrays are stored in pieces of about this size, each a range of environments [bytes].
 CHUNK = 16 * 2**20
 
@@ -38,7 +43,8 @@ class Run:
 
     Attributes:
         folder: Where the files are.
-        files: Path of each file by what it is: experiment, recording, animation, picture, summary.
+        files: Path of each file by what it is: experiment, recording, animation, picture, summary; copies of
+            files with laws by their names.
         recording: The readings (time, env, …), and the parameters that varied (env, …).
         health: Which environments turned non-finite.
         summary: Content of ``run.json``: versions, device, seed, times.
@@ -62,10 +68,24 @@ class Run:
         return "\n".join(lines)
 
 
-def check_folder(folder: Path, overwrite: bool) -> None:
+@dataclass(frozen=True)
+class Copy:
+    """What is written of an experiment, so that it can be repeated from the folder of results alone.
+
+    Attributes:
+        settings: The experiment, with names of files as they are from there.
+        files: Content of the files with laws, by their names there.
+    """
+
+    settings: Settings
+    files: dict[str, bytes]
+
+
+def check_folder(folder: Path, overwrite: bool, files: Mapping[str, bytes]) -> None:
     """Raises ``ExperimentError`` unless results may go into ``folder``.
 
     It may be new or empty, or hold a run that did not finish; with ``overwrite`` it may hold any earlier run.
+    None of ``files``, that are to be written there by name, may replace another that no run has written.
     """
     if not os.path.lexists(folder):
         return
@@ -84,6 +104,9 @@ def check_folder(folder: Path, overwrite: bool) -> None:
         raise ExperimentError(
             str(folder), ["holds an earlier run; choose another folder, or overwrite it (--overwrite)"]
         )
+    for name in files.keys() - _law_files(summary):
+        if os.path.lexists(folder / name):
+            raise ExperimentError(str(folder), [f"holds a file {name!r} of its own, which the run would replace"])
 
 
 def read_summary(folder: Path) -> dict[str, Any] | None:
@@ -93,6 +116,14 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
         return summary if str(summary["program"]).startswith("warpcontact ") else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def _law_files(summary: Mapping[str, Any] | None) -> set[str]:
+    """Returns the names of the files with laws that a run left behind."""
+    listed = (summary or {}).get(LAW_FILES)
+    names = listed if isinstance(listed, dict) else ()
+    # They are going to be removed: nothing but what a run can have written, whatever became of run.json.
+    return {name for name in names if Path(name).name == name and name.endswith(".py")}
 
 
 def _is_running(summary: Mapping[str, Any]) -> bool:
@@ -114,7 +145,7 @@ def _is_running(summary: Mapping[str, Any]) -> bool:
 def clear_folder(folder: Path, keep: str = "") -> None:
     """Makes ``folder``, or removes the files of the earlier run in it, except ``keep``; others stay."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in (RECORDING, ANIMATION, PICTURE, EXPERIMENT, SUMMARY):
+    for name in (RECORDING, ANIMATION, PICTURE, EXPERIMENT, *_law_files(read_summary(folder)), SUMMARY):
         path = folder / name
         if name == keep:
             continue
@@ -124,7 +155,38 @@ def clear_folder(folder: Path, keep: str = "") -> None:
             path.unlink(missing_ok=True)
 
 
-def moved(settings: Settings, old: Path, new: Path) -> Settings:
+def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
+    """Returns what is to be written into folder ``new`` of an experiment in folder ``old``.
+
+    Mesh files stay where they are. Files with laws are copied: they may lie nowhere but beside the experiment,
+    and are small. They are copied as they were loaded, whatever has become of them since.
+    """
+    names: dict[Path, str] = {}
+    files: dict[str, bytes] = {}
+    templates = []
+    for template in settings.template:
+        changes = {}
+        for key, table in template:
+            file, cls = own_class(table.type) if isinstance(table, FormulaSettings) else ("", "")
+            if file:
+                found = own.file(file)
+                if found.path not in names:
+                    names[found.path] = _free_name(found.path, names.values())
+                    files[names[found.path]] = found.content
+                changes[key] = table.model_copy(update={"type": f"{names[found.path]}:{cls}"})
+        templates.append(template.model_copy(update=changes))
+    changed = _with_meshes_from(settings, old, new).model_copy(update={"template": tuple(templates)})
+    return Copy(changed, files)
+
+
+def _free_name(path: Path, taken: Iterable[str]) -> str:
+    """Returns the name of file ``path``, with a number if it is taken; some systems do not tell a from A."""
+    used = {name.casefold() for name in taken}
+    numbered = (f"{path.stem}_{number}{path.suffix}" for number in itertools.count(2))
+    return next(name for name in itertools.chain([path.name], numbered) if name.casefold() not in used)
+
+
+def _with_meshes_from(settings: Settings, old: Path, new: Path) -> Settings:
     """Returns ``settings`` with the names of mesh files made relative to folder ``new`` instead of ``old``."""
     surfaces = []
     for surface in settings.surface:

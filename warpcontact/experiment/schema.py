@@ -12,14 +12,15 @@ from warpcontact import scene as limits_of
 from warpcontact.build import PRECISIONS
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
-    FRICTIONS,
-    LAWS,
-    MESHES,
-    FrictionSettings,
-    LawSettings,
-    MeshSettings,
     Section,
+    SurfaceMesh,
+    TemplateFormula,
+    formula_model,
+    mesh_model,
+    settings_model,
 )
+from warpcontact.experiment.own import OwnFiles
+from warpcontact.kernels.frictions import Frictionless
 
 Row = TypeVar("Row")
 # TOML has lists only; tuples keep what is read as it is.
@@ -36,7 +37,7 @@ class SurfaceSettings(Section):
     """``[[surface]]``: an oriented mesh on a body, or on the world."""
 
     name: Name
-    mesh: MeshSettings
+    mesh: SurfaceMesh
     body: str | None = None
     position: Position = ORIGIN
     orientation: Quaternion = NO_ROTATION
@@ -78,11 +79,13 @@ class PointsSettings(Section):
 
 
 class TemplateSettings(Section):
-    """``[[template]]``: a law and a friction that contacts share."""
+    """``[[template]]``: a law, and frictions against sliding, rolling and spinning, that contacts share."""
 
     name: Name
-    law: LawSettings = Field(description="{ type = …, and its parameters }")
-    friction: FrictionSettings = FRICTIONS["Frictionless"](type="Frictionless")
+    law: TemplateFormula = Field(description="{ type = …, and its parameters }")
+    friction: TemplateFormula = settings_model(Frictionless)(type="Frictionless")
+    rolling: TemplateFormula | None = None
+    torsion: TemplateFormula | None = None
 
 
 class ContactSettings(Section):
@@ -99,6 +102,7 @@ class ContactSettings(Section):
     max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
     rim: Annotated[str, q.one_of(("off", "outer"))] = "off"
     search_radius: Annotated[float | None, q.numbers((), allowed=limits_of.SEARCH_RADIUS)] = None
+    torsion_radius: Annotated[float | None, q.numbers((), allowed=limits_of.TORSION_RADIUS)] = None
     enabled: bool = True
     color: Color | None = None
     visible: bool = True
@@ -180,13 +184,16 @@ SECTIONS: dict[str, type[Section]] = {
 }
 
 
-def table_at(location: Sequence[str | int]) -> type[Section]:
-    """Returns the type of the table at ``location``, a place in the file as pydantic gives it."""
+def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Section]:
+    """Returns the type of the table at ``location``, a place in ``raw`` as pydantic gives it."""
     parts = [part for part in location if isinstance(part, str)]
     if not parts:
         return Settings
     if parts[0] == "variation":
         return SolidSphere if len(parts) > 2 else VariationSettings
-    tables = {f"({name})": model for name, model in (LAWS | FRICTIONS | MESHES).items()}
-    tables |= SECTIONS | {"record": RecordSettings, "output": OutputSettings}
-    return tables[parts[-1]]
+    if len(parts) == 1:
+        return (SECTIONS | {"record": RecordSettings, "output": OutputSettings})[parts[0]]
+    value = raw
+    for part in location:
+        value = value[part] if isinstance(part, str) else list(value)[part]
+    return mesh_model(value) if parts[-1] == "mesh" else formula_model(parts[-1], value, own)

@@ -1,0 +1,31 @@
+"""Dahl friction: presliding hysteresis without stiction."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import memory, parameter
+from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.frictions.lugre import bent
+
+
+class Dahl(Friction):
+    """Bristles whose stiffness falls to zero as the force approaches Coulomb's, by Dahl's law with exponent 1."""
+
+    formula = "F = −N σ₀ z, dz/dt = v − σ₀ s z/μ; one way dF/dx = σ₀ N (1 − F/(μ N))"
+    reference = "Dahl, Aerospace Corp. TOR-0158 (1968); MotionSolve manual"
+    validity = "hysteresis about rest; drifts under a swinging load; explicit steps need dt < 2/√(σ₀ N/m)"
+    provenance = "R"
+
+    mu: float = parameter("-", "coefficient of friction μ", above=0.0)
+    stiffness: float = parameter("1/m", "stiffness σ₀ at rest over N", above=0.0)
+
+    deflection = memory("m", "deflection z of the bristles", tangent=True)
+
+    @wp.func
+    def advance(p: Any, s: Any, m: Any):
+        m.deflection = bent(m.deflection, s, m.elapsed, p.stiffness * s.speed / p.mu)
+        return m
+
+    @wp.func
+    def force(p: Any, s: Any, m: Any):
+        return (-s.normal_force * p.stiffness) * m.deflection

@@ -1,0 +1,44 @@
+"""Coulomb friction with the tangential spring of two elastic spheres, which stiffens with the patch of contact."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import memory, parameter
+from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.frictions.cundall_strack import spring_and_slider
+
+
+class Mindlin(Friction):
+    """The stick spring of ``CundallStrack`` with the stiffness 8 G* a of a patch of radius a = √(R δ).
+
+    While the patch shrinks, the stretch shrinks with it: a spring that kept its stretch and lost its stiffness
+    would have kept energy from nowhere when the patch grows again. For contacts with a radius.
+    """
+
+    formula = "F = −8 G* a ξ − c_t v, a = √(R δ), 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂; slides like CundallStrack"
+    reference = "Mindlin, J. Appl. Mech. 16 (1949) 259; Yade; rescaling: LAMMPS manual, mindlin_rescale"
+    validity = "no slip inside of the patch; explicit steps need dt < 2 √(m_t/(8 G* a))"
+    provenance = "S"
+
+    mu_static: float = parameter("-", "coefficient of static friction μ_s", at_least=0.0)
+    mu_dynamic: float = parameter("-", "coefficient of dynamic friction μ_d", at_least=0.0)
+    shear_modulus: float = parameter("Pa", "effective shear modulus G*", above=0.0)
+    damping: float = parameter("N·s/m", "tangential damping c_t", default=0.0, at_least=0.0)
+
+    spring = memory("m", "stretch ξ of the spring", tangent=True)
+    sliding = memory("-", "1 while it slides")
+    patch_radius = memory("m", "radius a of the patch")
+
+    @wp.func
+    def advance(p: Any, s: Any, m: Any):
+        if s.patch_radius < m.patch_radius:
+            m.spring = (s.patch_radius / m.patch_radius) * m.spring
+        m.patch_radius = s.patch_radius
+        if s.patch_radius == type(s.speed)(0.0):
+            return m
+        stiffness = type(s.speed)(8.0) * p.shear_modulus * s.patch_radius
+        return spring_and_slider(m, s, stiffness, p.damping, p.mu_static, p.mu_dynamic)
+
+    @wp.func
+    def force(p: Any, s: Any, m: Any):
+        return (type(s.speed)(-8.0) * p.shear_modulus * s.patch_radius) * m.spring - p.damping * s.velocity

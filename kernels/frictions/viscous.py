@@ -1,0 +1,22 @@
+"""Friction proportional to speed and load."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.frictions.base import Friction
+
+
+class Viscous(Friction):
+    """A dashpot in proportion to the load: a film, or the hysteresis of a rolling wheel as ``rolling``."""
+
+    formula = "F = −β N v"
+    reference = "type B of rolling resistance: Ai, Chen, Rotter & Ooi, Powder Technol. 206 (2011) 269"
+    validity = "no stiction; explicit steps need dt < 2 m/(β N)"
+    provenance = "R"
+
+    drag: float = parameter("s/m", "drag β", at_least=0.0)
+
+    @wp.func
+    def force(p: Any, s: Any):
+        return (-p.drag * s.normal_force) * s.velocity

@@ -1,0 +1,170 @@
+"""Mistakes with laws of a user's file: each is named by its key, with file and line where there is one."""
+
+import sys
+
+import pytest
+from test_experiment import content
+from test_experiment_own_law import CUBIC, LAWS, TEXT, folder, study
+
+import warpcontact as wc
+from warpcontact.cli import main
+
+__all__ = ["folder"]  # the fixture
+
+
+def problems_of(raw, folder):
+    with pytest.raises(wc.ExperimentError) as caught:
+        wc.Experiment.from_dict(raw, folder)
+    return caught.value.problems
+
+
+def own(name, **parameters):
+    return {"type": f"my_laws.py:{name}", **parameters}
+
+
+def line(text):
+    """The line of the user's file in which ``text`` is."""
+    return LAWS[: LAWS.index(text)].count("\n") + 1
+
+
+OUTSIDE = ".type must name a file inside of the folder of the experiment, got "
+BAD = [
+    # Parameters, as for those of the catalogue.
+    (own("Cubic", stiffness=-1), ".stiffness must be greater than 0, got -1 N/m³"),
+    (own("Cubic", stiffness="1"), ".stiffness must be a number [N/m³], got '1'"),
+    (own("Cubic", stiffness=1, stifness=1), ".stifness is not known; did you mean 'stiffness'?"),
+    (own("Cubic"), ".stiffness is missing: stiffness k [N/m³]"),
+    (own("Pad", stiffness=1, depth=1), ": Pad takes exactly one of stiffness and depth, got stiffness and depth"),
+    (own("Pad"), ": Pad takes exactly one of stiffness and depth, got none"),
+    (own("Pad", stiffness=1, damping=-1), ".damping must be at least 0, got -1 s/m"),
+    (own("Reserved"), ".type: Reserved has a parameter 'type', which no table can have"),
+    # Classes.
+    (own("Cubik"), ".type: my_laws.py has no law 'Cubik'; did you mean 'Cubic'?"),
+    (own("Xyz"), ".type: my_laws.py has no law 'Xyz'; there are: Cubic, Pad, Fading, Careless"),
+    (own(""), ".type: my_laws.py has no law ''; there are: Cubic"),
+    (own("Lubricated", drag=1), ".type: 'Lubricated' in my_laws.py is a friction and no law"),
+    (own("helper"), ".type: 'helper' in my_laws.py is no class derived from wc.Law"),
+    (own("wc"), ".type: 'wc' in my_laws.py is no class derived from wc.Law"),
+    (own("Powerless", stiffness=1), ".type: Powerless.force in my_laws.py must be a wp.func of"),
+    # What only running them tells.
+    (own("Picky", stiffness=99), f": my_laws.py, line {line('too stiff')}: LookupError: too stiff"),
+    (own("Fading", stiffness=1e7), f": my_laws.py, line {line('no table')}: LookupError: no table"),
+    (own("Unnamed", stiffness=1), ": Unnamed.coefficients must return stiffness, chi, got no chi"),
+    (own("Misspelt", stiffness=1), ": law Misspelt "),
+    # Files.
+    ({"type": "my_laws.py"}, ".type must be one of Hooke, "),
+    ({"type": "my_laws:Cubic"}, ", or FILE.py:CLASS, got 'my_laws:Cubic'"),
+    ({"type": "my_law.py:Cubic"}, ".type: there is no file 'my_law.py'; did you mean 'my_laws.py'?"),
+    ({"type": "sub/my_laws.py:Cubic"}, ".type: there is no file 'sub/my_laws.py'"),
+    ({"type": "folder.py:Cubic"}, ".type: 'folder.py' is not a regular file"),
+    ({"type": "../study/my_laws.py:Cubic"}, f"{OUTSIDE}'../study/my_laws.py'"),
+    ({"type": "sub/../my_laws.py:Cubic"}, f"{OUTSIDE}'sub/../my_laws.py'"),
+    ({"type": "/my_laws.py:Cubic"}, f"{OUTSIDE}'/my_laws.py'"),
+    ({"type": "\0.py:Cubic"}, ".type: '\\x00.py' cannot be read"),
+    ({"type": "Tanh"}, ", got 'Tanh'; that is a friction"),
+    ("my_laws.py:Cubic", " must be a table, got 'my_laws.py:Cubic'; write law = { type = 'my_laws.py:Cubic', … }"),
+]
+
+
+@pytest.mark.parametrize(("law", "message"), BAD, ids=[message[:50] for _, message in BAD])
+def test_mistake_with_a_law_of_the_user_is_named_by_its_key(law, message, folder):
+    (folder / "folder.py").mkdir()
+    (problem,) = problems_of(study(law=law), folder)
+    assert problem.startswith("template[0].law")
+    assert message in problem
+    assert "_warpcontact_own_" not in problem
+
+
+BROKEN = [
+    ("x = (\n", ": my_laws.py, line 1: SyntaxError: '(' was never closed"),
+    ("\n\nraise ValueError('no\\nway')\n", ": my_laws.py, line 3: ValueError: no\n    way"),
+    ("def f():\n    return 1 / 0\n\n\nf()\n", ": my_laws.py, line 2: ZeroDivisionError: division by zero"),
+    ("import there_is_no_such_module\n", ": my_laws.py, line 1: ModuleNotFoundError: No module named 'there_is"),
+    ("raise SystemExit(3)\n", ": my_laws.py, line 1: SystemExit: 3"),
+    ("assert False\n", ": my_laws.py, line 1: AssertionError"),
+    ("# coding: klingon\n", ": my_laws.py: SyntaxError: "),
+    (
+        LAWS.replace("p: Any, c: Any", "p, c"),
+        "WarpCodegenError: Incomplete argument annotations on function force",
+    ),
+    (LAWS.replace("float = wc.parameter(", "float = print("), "TypeError: "),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BROKEN, ids=[message for _, message in BROKEN])
+def test_error_in_the_file_of_the_user_is_told_with_its_line(text, message, folder):
+    (folder / "my_laws.py").write_text(text, encoding="utf-8")
+    modules = set(sys.modules)
+    (problem,) = problems_of(study(), folder)
+    assert problem.startswith("template[0].law.type: my_laws.py")
+    assert message in problem
+    assert not {name for name in set(sys.modules) - modules if "my_laws" in name}
+    # A file that failed is tried again.
+    (folder / "my_laws.py").write_text(LAWS, encoding="utf-8")
+    assert wc.Experiment.from_dict(study(), folder)
+
+
+def test_the_bases_are_no_laws(folder):
+    (folder / "my_laws.py").write_text("from warpcontact import Law\n")
+    (problem,) = problems_of(study(law=own("Law")), folder)
+    assert problem == "template[0].law.type: Law.force in my_laws.py must be a wp.func of (coefficients, state)"
+    (problem,) = problems_of(study(law=own("Cubic")), folder)
+    assert problem == "template[0].law.type: my_laws.py has no law 'Cubic'; there are: none"
+
+
+def test_a_link_out_of_the_folder_is_refused_and_one_within_is_followed(folder):
+    (folder.parent / "outside.py").write_text(LAWS, encoding="utf-8")
+    try:
+        (folder / "linked.py").symlink_to(folder.parent / "outside.py")
+        (folder / "away").symlink_to(folder.parent, target_is_directory=True)
+        (folder / "inner.py").symlink_to("my_laws.py")
+        (folder / "loop.py").symlink_to("loop.py")
+    except OSError:
+        pytest.skip("no links here")
+    for name in ("linked.py", "away/outside.py"):
+        (problem,) = problems_of(study(law=CUBIC | {"type": f"{name}:Cubic"}), folder)
+        assert problem.startswith("template[0].law.type must name a file inside of the folder of the experiment")
+    (problem,) = problems_of(study(law=CUBIC | {"type": "loop.py:Cubic"}), folder)
+    assert problem.startswith("template[0].law.type")
+    run = wc.Experiment.from_dict(study(law=CUBIC | {"type": "inner.py:Cubic"}), folder).run(
+        folder.parent / "out", device="cpu"
+    )
+    assert "my_laws.py" in run.files
+
+
+def test_all_problems_are_found_together_with_those_of_the_file(folder):
+    template = {"name": "rubber", "law": {"type": "my_laws.py:Misspelt", "stiffness": 1}}
+    unused = {
+        "name": "unused",
+        "law": {"type": "my_laws.py:Careless", "stiffness": 1},
+        "friction": {"type": "my_laws.py:Pad"},
+    }
+    idle = {"name": "idle", "law": {"type": "my_laws.py:Careless", "stiffness": 1}}
+    raw = study(template=[template, unused, idle], precision="float64")
+    raw["variation"] = {"ball.mas": {"uniform": [1, 2]}, "touch.law.stiffness": {"uniform": [1, 2]}}
+    raw["record"] = {"readings": ["ball.positon", "touch.gap"]}
+    raw["contact"].append(content()["contact"][0] | {"name": "other", "points": "center"})
+    problems = problems_of(raw, folder)
+    begins = [
+        "template[1].friction.type: 'Pad' in my_laws.py is a law and no friction",
+        "contact[1].points must be the name of a point",
+        "template[0].law: law Misspelt ",
+        "template[2].law: law Careless ",
+        'variation."ball.mas" is not the name of a parameter',
+        "record.readings[0] must be the name of a reading",
+    ]
+    assert len(problems) == len(begins), problems
+    for begin in begins:
+        assert any(problem.startswith(begin) for problem in problems), (begin, problems)
+
+
+def test_an_error_in_host_code_on_varied_values_is_told_with_its_line(folder, capsys):
+    law = '{ type = "my_laws.py:Fading", stiffness = 1e4 }'
+    text = TEXT.replace('{ type = "my_laws.py:Cubic", stiffness = 1e9 }', law)
+    (folder / "study.toml").write_text(text)
+    out = folder.parent / "out"
+    assert main(["run", str(folder / "study.toml"), "--out", str(out), "--device", "cpu"]) == 2
+    message = f"warpcontact: {folder / 'my_laws.py'}: line {line('no table')}: LookupError: no table\n"
+    assert capsys.readouterr().err.endswith(message)
+    with pytest.raises(wc.ExperimentError, match="LookupError: no table"):
+        wc.Experiment.from_toml(folder / "study.toml").model(device="cpu")

@@ -1,0 +1,353 @@
+"""Laws and frictions that remember: what they may do with it, and where their memory goes."""
+
+import numpy as np
+import own_law
+import pytest
+from scenes import dropped_sphere, square
+from scipy.spatial.transform import Rotation
+from warpcontact.kernels.types import ENV_FROZEN
+
+import warpcontact as wc
+
+F = wc.frictions
+G = 9.81
+REMEMBERING = [
+    F.CundallStrack(mu_static=0.5, mu_dynamic=0.3, stiffness=1e4, damping=2.0),
+    F.Mindlin(mu_static=0.5, mu_dynamic=0.3, shear_modulus=1e5, damping=2.0),
+    F.Dahl(mu=0.4, stiffness=1e3),
+    F.LuGre(mu_static=0.5, mu_dynamic=0.3, stribeck_speed=0.05, stiffness=1e3, damping=0.3),
+    own_law.TwoBristles(mu=0.2, stiffness=1e4),
+]
+LARGEST = {"CundallStrack": 0.5, "Mindlin": 0.5, "Dahl": 0.4, "LuGre": 0.5, "TwoBristles": 0.4}
+
+
+def name_of(value):
+    return type(value).__name__
+
+
+def test_every_friction_with_memory_of_the_catalogue_is_here():
+    assert {friction for friction in F.CATALOGUE if friction.memories} <= {
+        type(friction) for friction in REMEMBERING
+    }
+
+
+def driven(friction, velocity, dt, device, depth=1e-3, precision="float64", rolling=None):
+    """Takes a sphere too heavy to be slowed along ``velocity`` (steps, envs, 2); returns F·v dt, F and N."""
+    steps, envs = velocity.shape[:2]
+    model = dropped_sphere(
+        wc.laws.Hooke(stiffness=1e4), friction=friction, mass=1e9, height=-depth, velocity=(0, 0, 0), envs=envs,
+        device=device, precision=precision,
+    )  # fmt: skip
+    sim = wc.Simulation(model, dt=dt)
+    forces, normals = np.zeros((steps, envs, 2)), np.zeros((steps, envs))
+    speed = np.zeros((envs, 1, 3))
+    for i in range(steps):
+        speed[:, 0, :2] = velocity[i]
+        sim.state.body_linear_velocity.assign(speed.astype(precision))
+        sim.step()
+        # What acted in the step: the memory was advanced with this velocity, and the force has not changed since.
+        forces[i] = model.arrays.contacts.friction_force.numpy()[:, 0, :2]
+        normals[i] = model.arrays.contacts.normal_force.numpy()[:, 0]
+    return np.einsum("sei,sei->se", forces, velocity) * dt, forces, normals
+
+
+def random_velocities(steps, envs, seed):
+    """Smooth random slip with stops, reversals and turns, from presliding to fast."""
+    rng = np.random.default_rng(seed)
+    nodes = rng.normal(size=(steps // 25 + 2, envs, 2)) * rng.choice(
+        [0.0, 0.02, 0.2, 1.0], (steps // 25 + 2, envs, 1)
+    )
+    at = np.arange(steps) / 25.0
+    low = at.astype(int)
+    share = (at - low)[:, None, None]
+    return ((1 - share) * nodes[low] + share * nodes[low + 1]) * np.logspace(-2, 1, envs)[:, None]
+
+
+@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
+def test_friction_stays_in_its_cone_and_gives_back_no_more_than_it_stored(friction, device):
+    velocity = random_velocities(600, 24, seed=3)
+    work, forces, normals = driven(friction, velocity, 1e-3, device)
+    size = np.linalg.norm(forces, axis=2)
+    assert (size <= LARGEST[type(friction).__name__] * normals * (1 + 1e-12)).all()
+    # Memory begins empty: at no time has the contact given more than it took.
+    given = np.cumsum(work, axis=0)
+    assert (given <= 1e-12 * np.abs(given).max(axis=0)).all()
+    # And springs do give back: this is no dashpot.
+    assert (work > 0).any(axis=0).sum() > 12
+
+
+@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
+def test_a_small_swing_of_slip_is_nearly_lossless(friction, device):
+    """Presliding: slip below the reach of the springs does as much work on the way back."""
+    amplitude, steps = 2e-6, 6000
+    dt = 3 * 2 * np.pi / 100 / steps
+    time = dt * np.arange(steps)
+    velocity = np.zeros((steps, 1, 2))
+    velocity[:, 0, 0] = amplitude * 100 * np.cos(100 * time)
+    friction = {
+        "CundallStrack": F.CundallStrack(mu_static=0.5, mu_dynamic=0.3, stiffness=1e4),
+        "Mindlin": F.Mindlin(mu_static=0.5, mu_dynamic=0.3, shear_modulus=1e5),
+        "LuGre": F.LuGre(mu_static=0.5, mu_dynamic=0.3, stribeck_speed=0.05, stiffness=1e3),
+    }.get(type(friction).__name__, friction)
+    work, forces, _ = driven(friction, velocity, dt, device)
+    taken, given = -work[work < 0].sum(), work[work > 0].sum()
+    assert given > 0.98 * taken
+    # In phase with the place: a spring, F = −k x.
+    place = np.cumsum(velocity[:, 0, 0]) * dt
+    stiffness = -(forces[:, 0, 0] @ place) / (place @ place)
+    expected = {
+        "CundallStrack": 1e4,
+        "Mindlin": 8 * 1e5 * np.sqrt(0.1 * 1e-3),
+        "Dahl": 1e3 * 10,
+        "LuGre": 1e3 * 10,
+        "TwoBristles": 1.5e4,
+    }[type(friction).__name__]
+    np.testing.assert_allclose(stiffness, expected, rtol=5e-3)
+
+
+def test_a_steady_slide_pulls_with_the_dynamic_coefficient(device):
+    """Judged by μ_s alone at every step, the slider would stick again and pull anything between μ_d and μ_s."""
+    velocity = np.full((400, 1, 2), 0.05)
+    for friction in REMEMBERING[:2]:
+        _, forces, normals = driven(friction, velocity, 1e-4, device)
+        coefficient = np.linalg.norm(forces, axis=2) / normals
+        start = int(np.argmax(coefficient[:, 0] == coefficient.max()))
+        # The trial that slid was above μ_s by no more than a step's stretch.
+        assert 0.45 < coefficient.max() <= 0.5
+        np.testing.assert_allclose(coefficient[start + 1 :], 0.3, rtol=1e-12)
+
+
+def test_a_shrinking_patch_takes_its_stretch_along(device):
+    """Mindlin: stretched deep and released shallow, then deep again: without rescaling this would be a pump."""
+    friction = F.Mindlin(mu_static=10.0, mu_dynamic=10.0, shear_modulus=1e5)
+    model = dropped_sphere(
+        wc.laws.Hooke(stiffness=1e4), friction=friction, mass=1e9, velocity=(0, 0, 0), device=device,
+        precision="float64",
+    )  # fmt: skip
+    sim = wc.Simulation(model, dt=1e-3)
+
+    def go(depth, speed):
+        sim.state.body_position.assign(np.array([[[0, 0, 0.1 - depth]]]))
+        sim.state.body_linear_velocity.assign(np.array([[[speed, 0, 0]]], dtype=float))
+        sim.step()
+        return -model.arrays.contacts.friction_force.numpy()[0, 0, 0]
+
+    go(4e-3, 0.0)
+    patch = np.sqrt(0.1 * np.array([4e-3, 1e-3]))
+    np.testing.assert_allclose(go(4e-3, 0.1), 8e5 * patch[0] * 1e-4)
+    np.testing.assert_allclose(go(1e-3, 0.0), 8e5 * patch[1] * 1e-4 * 0.5)
+    np.testing.assert_allclose(go(4e-3, 0.0), 8e5 * patch[0] * 1e-4 * 0.5)
+
+
+# Laws
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_a_law_that_remembers_its_deepest_point_rebounds_as_in_closed_form(precision, device):
+    ratio = np.array([1.0, 2.0, 4.0, 16.0])
+    model = dropped_sphere(
+        own_law.Plastic(loading=1e5, unloading=1e5), height=1e-3, velocity=(0, 0, -1), envs=4, device=device,
+        precision=precision,
+    )  # fmt: skip
+    model["touch.law.unloading"] = 1e5 * ratio
+    sim = wc.Simulation(model, dt=1e-5)
+    for speed in (1.0, 2.0):
+        sim.state.body_linear_velocity.fill_(model.types.vec3(0.0, 0.0, -speed))
+        sim.step(2000)
+        # e = √(k₁/k₂); a second impact of the same bodies begins without a dent.
+        rebound = model.reading("ball.linear_velocity")[:, 2]
+        np.testing.assert_allclose(rebound, speed / np.sqrt(ratio), rtol=2e-3)
+        sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 0.101))
+
+
+# Where memory goes
+
+
+def pushed(friction, device, envs=3, precision="float64", **options):
+    """A sphere at rest under its weight with a stretched tangential spring."""
+    model = dropped_sphere(
+        wc.laws.Hooke(stiffness=1e4), friction=friction, gravity=(0, 0, -G), height=-G / 1e4, velocity=(0, 0, 0),
+        envs=envs, device=device, precision=precision, **options,
+    )  # fmt: skip
+    model["ball.inertia"] = (1e6, 1e6, 1e6)
+    model["ball.linear_velocity"] = (0.05, 0.02, 0.0)
+    sim = wc.Simulation(model, dt=1e-4)
+    sim.step(20)
+    return model, sim
+
+
+@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
+def test_a_reading_advances_no_memory(friction, device):
+    model, sim = pushed(friction, device)
+    other, twin = pushed(friction, device)
+    first = model.reading("touch.friction_force")
+    assert np.linalg.norm(first[0]) > 0.1
+    for _ in range(3):
+        np.testing.assert_array_equal(model.reading("touch.friction_force"), first)
+    sim.step(10)
+    twin.step(10)
+    np.testing.assert_array_equal(model.reading("ball.position"), other.reading("ball.position"))
+
+
+@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
+def test_a_reading_is_the_force_of_the_next_step(friction, device):
+    """Also just after touch: the memory knows how long ago it was advanced."""
+    model = dropped_sphere(
+        wc.laws.Hooke(stiffness=1e4), friction=friction, height=1e-4, velocity=(0.3, 0.1, -1), envs=2,
+        device=device, precision="float64",
+    )  # fmt: skip
+    sim = wc.Simulation(model, dt=1e-4)
+    touched = 0
+    for _ in range(12):
+        predicted = model.reading("touch.friction_force")
+        sim.step()
+        acted = model.arrays.contacts.friction_force.numpy()[:, 0]
+        # The impulse that a law missed at touch is that of 1e-6 of the depth, also where it misses nothing.
+        np.testing.assert_allclose(acted, predicted, rtol=1e-6)
+        touched += bool(np.abs(acted).max() > 0)
+    assert touched > 8
+
+
+def test_memory_begins_with_the_contact_not_with_the_step(device):
+    """The spring of a contact found 0.3 steps after touch has stretched for 0.3 steps."""
+    friction = F.CundallStrack(mu_static=10.0, mu_dynamic=10.0, stiffness=1e4)
+    model = dropped_sphere(
+        wc.laws.Hooke(stiffness=1e4), friction=friction, height=0.7e-4, velocity=(0.3, 0, -1), device=device,
+        precision="float64",
+    )  # fmt: skip
+    model["ball.inertia"] = (1e6, 1e6, 1e6)
+    wc.Simulation(model, dt=1e-4).step()
+    np.testing.assert_allclose(model.reading("touch.friction_force")[0], (-1e4 * 0.3 * 0.3e-4, 0, 0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
+def test_reset_empties_the_memory_of_chosen_environments(friction, device):
+    model, sim = pushed(friction, device)
+    start, _ = pushed(friction, device)
+    start.reset()
+    before = model.reading("touch.friction_force")
+    model.reset(np.array([False, True, False]))
+    after = model.reading("touch.friction_force")
+    np.testing.assert_array_equal(after[[0, 2]], before[[0, 2]])
+    np.testing.assert_array_equal(after[1], start.reading("touch.friction_force")[1])
+    # And from there it goes as from the start.
+    sim.reset()
+    sim.step(20)
+    np.testing.assert_array_equal(model.reading("touch.friction_force"), before)
+
+
+@pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
+def test_memory_ends_with_the_contact(friction, device):
+    model, sim = pushed(friction, device)
+    held = sim.state.body_position.numpy().copy()
+    sim.state.body_position.fill_(model.types.vec3(0.0, 0.0, 1.0))
+    sim.step()
+    sim.state.body_position.assign(held)
+    sim.state.body_linear_velocity.fill_(model.types.vec3(0.0, 0.0, 0.0))
+    # But for the spin that the friction gave.
+    np.testing.assert_allclose(model.reading("touch.friction_force"), 0.0, atol=1e-9)
+    assert (model.reading("touch.normal_force") > 1.0).all()
+
+
+def test_the_memory_of_a_frozen_environment_is_left_alone(device):
+    model, sim = pushed(REMEMBERING[0], device)
+    status = model.arrays.status.numpy().copy()
+    status[1] = ENV_FROZEN
+    model.arrays.status.assign(status)
+    ((_, memory, kept),) = model.groups[0].memories()
+    before = memory.numpy().copy(), kept.numpy().copy()
+    sim.step(3)
+    model.evaluate()
+    for array, old in zip((memory, kept), before, strict=True):
+        np.testing.assert_array_equal(array.numpy()[1], old[1])
+        assert not np.array_equal(array.numpy()[0], old[0])
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("friction", [REMEMBERING[0], REMEMBERING[3], REMEMBERING[4]], ids=name_of)
+def test_memory_turns_with_the_bodies(friction, precision, device):
+    """Two bodies that turn as one: the force of a stretched spring turns with them, about any axis."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    carrier = scene.add_body(1e15, (1e15, 1e15, 1e15), name="carrier")
+    plate = scene.add_surface(square(), carrier, orientation=(0.5, 0.5, 0.5, 0.5))
+    rider = scene.add_body(1e15, (1e15, 1e15, 1e15), name="rider")
+    scene.add_contact(
+        scene.add_point(rider, (0, 0, 0)), plate, wc.Template(law=wc.laws.Hooke(stiffness=1e4), friction=friction),
+        name="touch",
+    )  # fmt: skip
+    model = scene.build(device=device, precision=precision)
+    normal = Rotation.from_quat((0.5, 0.5, 0.5, 0.5)).apply((0, 0, 1))
+    at = Rotation.from_quat((0.5, 0.5, 0.5, 0.5)).apply((0.3, 0.2, -1e-3))
+    model["rider.position"] = at
+    slide = 0.002 * Rotation.from_quat((0.5, 0.5, 0.5, 0.5)).apply((1.0, -0.5, 0))
+    model["rider.linear_velocity"] = slide
+    sim = wc.Simulation(model, dt=1e-3)
+    sim.step(50)
+    at = model.reading("rider.position")[0]
+    spin = np.array([1.0, -2.0, 1.5])
+
+    def ride():
+        """Puts the rider where the carrier has turned to, at the velocity of the carrier there."""
+        turned = Rotation.from_quat(model.reading("carrier.orientation")[0])
+        place = turned.apply(at)
+        sim.state.body_position.assign(np.array([[np.zeros(3), place]]).astype(precision))
+        sim.state.body_linear_velocity.assign(np.array([[np.zeros(3), np.cross(spin, place)]]).astype(precision))
+        sim.state.body_angular_velocity.fill_(model.types.vec3(*spin))
+        return turned
+
+    ride()
+    force = model.reading("touch.friction_force")[0]
+    assert np.linalg.norm(force) > 0.5
+    for _ in range(1000):
+        turned = ride()
+        sim.step()
+    acted = model.arrays.contacts.friction_force.numpy()[0, 0]
+    # In float32 the slip of the two bodies' rounded velocities adds up.
+    tolerance = 1e-9 if precision == "float64" else 2e-3
+    np.testing.assert_allclose(acted, turned.apply(force), atol=tolerance * np.linalg.norm(force))
+    np.testing.assert_allclose(acted @ turned.apply(normal), 0.0, atol=1e-5 * np.linalg.norm(force))
+
+
+# Declarations
+
+
+def test_a_memory_needs_its_two_functions():
+    class Forgetful(wc.Friction):
+        """Declares a memory and does not advance it."""
+
+        spring = wc.memory("m", "stretch", tangent=True)
+        force = own_law.Viscous.force
+
+    with pytest.raises(
+        TypeError, match=r"Forgetful\.advance must be a wp\.func of \(coefficients, state, memory\)"
+    ):
+        Forgetful()
+
+
+def test_an_advance_without_memory_is_refused():
+    class Empty(wc.Friction):
+        """Advances nothing."""
+
+        advance = own_law.TwoBristles.advance
+        force = own_law.Viscous.force
+
+    with pytest.raises(TypeError, match=r"Empty\.advance has nothing to advance"):
+        Empty()
+
+
+def test_a_law_has_no_tangent_memory():
+    with pytest.raises(TypeError, match=r"Sideways\.drift: a law acts along the normal"):
+
+        class Sideways(wc.Law):
+            """Remembers a direction."""
+
+            drift = wc.memory("m", "drift", tangent=True)
+
+
+def test_elapsed_is_taken():
+    with pytest.raises(TypeError, match=r"Timed\.elapsed: every memory has this already"):
+
+        class Timed(wc.Friction):
+            """Takes a name that is there."""
+
+            elapsed = wc.memory("s", "time")

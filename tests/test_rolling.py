@@ -1,0 +1,169 @@
+"""Rolling and torsion: couples that friction models make of the rolling and spinning of one body over another."""
+
+import numpy as np
+import pytest
+from scenes import dropped_sphere, square
+
+import warpcontact as wc
+
+F = wc.frictions
+G = 9.81
+R = 0.05
+
+
+def ball_on_plate(*, gravity=(0.0, 0.0, -G), device="cpu", envs=1, precision="float64", stiffness=1e5, **parts):
+    """A solid ball of 1 kg and 50 mm at rest on a plate, in the weight's z component."""
+    scene = wc.Scene(gravity=gravity)
+    plate = scene.add_surface(square(100.0), name="plate")
+    ball = scene.add_body(1.0, [0.4 * R * R] * 3, position=(0, 0, R + gravity[2] / stiffness), name="ball")
+    options = {key: parts.pop(key) for key in ("torsion_radius",) if key in parts}
+    parts.setdefault("friction", F.CundallStrack(mu_static=0.5, mu_dynamic=0.5, stiffness=1e5, damping=50.0))
+    template = wc.Template(law=wc.laws.Hooke(stiffness=stiffness), **parts)
+    scene.add_contact(
+        scene.add_point(ball, (0, 0, 0)), plate, template, radius=R, kappa=0.0, name="touch", **options
+    )
+    return scene.build(envs=envs, device=device, precision=precision)
+
+
+def test_rolling_resistance_slows_a_ball_as_in_closed_form(device):
+    # FORCE_LAWS G12: μ_r = 0.01, from 1 m/s: (5/7) μ_r g = 0.07007142857 m/s², 7.135575943 m in 14.27115189 s.
+    model = ball_on_plate(rolling=F.Tanh(mu=0.01, velocity_scale=1e-4), stiffness=1e6, device=device)
+    model["ball.linear_velocity"] = (1.0, 0, 0)
+    model["ball.angular_velocity"] = (0, 1.0 / R, 0)
+    sim = wc.Simulation(model, dt=1e-3)
+    recording = sim.run(14.5, ["ball.linear_velocity"], every=0.1)
+    speed = recording["ball.linear_velocity"].sel(axis="x", env=0)
+    # δ/R = 2e-4 of the lever of friction.
+    np.testing.assert_allclose((speed.sel(time=10) - speed.sel(time=2)) / 8, -0.07007142857, rtol=3e-4)
+    np.testing.assert_allclose(recording["ball.position"].sel(axis="x", env=0)[-1], 7.135575943, rtol=3e-4)
+    assert abs(float(speed[-1])) < 1e-5
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_a_rolling_spring_holds_a_ball_on_a_slope(precision, device):
+    """Type C: at rest below tan θ = μ_r, and rolling above with a = (5/7) g (sin θ − μ_r cos θ)."""
+    spring = F.CundallStrack(mu_static=0.05, mu_dynamic=0.05, stiffness=2e4, damping=100.0)
+    model = ball_on_plate(rolling=spring, envs=3, device=device, precision=precision)
+    slope = np.arctan([0.02, 0.045, 0.1])
+    model["scene.gravity"] = G * np.column_stack([np.sin(slope), 0 * slope, -np.cos(slope)])
+    sim = wc.Simulation(model, dt=2e-4)
+    sim.step(2500)
+    place, speed = model.reading("ball.position")[:, 0], model.reading("ball.linear_velocity")[:, 0]
+    sim.step(2500)
+    np.testing.assert_allclose(model.reading("ball.position")[:2, 0], place[:2], rtol=1e-5)
+    assert (place[:2] < 1e-4).all()
+    acceleration = (model.reading("ball.linear_velocity")[2, 0] - speed[2]) / 0.5
+    expected = 5 / 7 * G * (np.sin(slope[2]) - 0.05 * np.cos(slope[2]))
+    np.testing.assert_allclose(acceleration, expected, rtol=5e-3)
+
+
+def test_viscous_rolling_resistance_lets_speed_decay(device):
+    """Type B: dv/dt = −(5/7) β g v."""
+    model = ball_on_plate(rolling=F.Viscous(drag=0.05), stiffness=1e6, device=device)
+    model["ball.linear_velocity"] = (1.0, 0, 0)
+    model["ball.angular_velocity"] = (0, 1.0 / R, 0)
+    wc.Simulation(model, dt=1e-3).step(2000)
+    expected = np.exp(-5 / 7 * 0.05 * G * 2.0)
+    np.testing.assert_allclose(model.reading("ball.linear_velocity")[0, 0], expected, rtol=4e-4)
+
+
+def test_torsion_stops_a_spinning_ball_as_in_closed_form(device):
+    # FORCE_LAWS G24: ω = 50 rad/s, μ = 0.3, a = 1 mm: 25.48419980 s (uniform pressure), 28.84221417 s (Hertz).
+    arms = 1e-3 * np.array([2 / 3, 3 * np.pi / 16])
+    model = ball_on_plate(torsion=F.Tanh(mu=0.3, velocity_scale=1e-5), torsion_radius=1e-3, envs=2, device=device)
+    model["touch.torsion_radius"] = arms
+    model["ball.angular_velocity"] = (0, 0, 50.0)
+    recording = wc.Simulation(model, dt=1e-3).run(29.0, ["ball.angular_velocity"], every=0.01)
+    spin = recording["ball.angular_velocity"].sel(axis="z")
+    stops = [float(spin.time[np.argmax(spin.values[:, i] < 0.02)]) for i in range(2)]
+    # A frame, and the last hundredth rad/s by the smoothed model.
+    np.testing.assert_allclose(stops, [25.48419980, 28.84221417], atol=0.03)
+    np.testing.assert_allclose(spin[1000], 50.0 - 10.0 * 0.3 * G * arms / 1e-3, rtol=1e-4)
+
+
+def test_the_arm_of_torsion_follows_the_overlap(device):
+    """(3π/16) √(R δ) μ N, in every environment with its own load."""
+    mass = np.array([0.5, 1.0, 4.0])
+    law = wc.laws.Hertz(stiffness=1e7)
+    scene = wc.Scene(gravity=(0, 0, -G))
+    plate = scene.add_surface(square())
+    ball = scene.add_body(1.0, (1e3, 1e3, 1e3), position=(0, 0, 0.05), angular_velocity=(0, 0, 5), name="ball")
+    template = wc.Template(law=law, torsion=F.CoulombThreshold(mu=0.3, threshold=1e-6))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), plate, template, radius=R, name="touch")
+    model = scene.build(envs=3, device=device, precision="float64")
+    depth = (mass * G / 1e7) ** (2 / 3)
+    model["ball.position"] = np.column_stack([0 * depth, 0 * depth, R - depth])
+    expected = -3 * np.pi / 16 * np.sqrt(R * depth) * 0.3 * mass * G
+    np.testing.assert_allclose(model.reading("touch.torque")[:, 2], expected, rtol=1e-9)
+    np.testing.assert_allclose(model.reading("ball.torque")[:, 2], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("stop", [F.Tanh(mu=0.3, velocity_scale=1e-3), F.LuGre(
+    mu_static=0.4, mu_dynamic=0.3, stribeck_speed=0.01, stiffness=1e4, damping=3.0)], ids=["Tanh", "LuGre"],
+)  # fmt: skip
+def test_couples_act_on_both_bodies_and_only_dissipate(stop, device):
+    """A ball against a free plate: what one loses of momentum and spin the other gains, and energy falls."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    carrier = scene.add_body(3.0, (0.2, 0.3, 0.4), position=(0, 0, -0.1), name="carrier")
+    plate = scene.add_surface(square(), carrier, position=(0, 0, 0.1))
+    ball = scene.add_body(
+        1.0, [0.4 * R * R] * 3, position=(0.1, 0.2, R + 1e-4), linear_velocity=(0.3, -0.2, -1),
+        angular_velocity=(5, -8, 20), name="ball",
+    )  # fmt: skip
+    template = wc.Template(law=wc.laws.Hooke(stiffness=1e5), friction=stop, rolling=stop, torsion=stop)
+    scene.add_contact(
+        scene.add_point(ball, (0, 0, 0)), plate, template, radius=R, torsion_radius=0.02, name="touch"
+    )
+    model = scene.build(device=device, precision="float64")
+    names = ["scene.linear_momentum", "scene.angular_momentum", "scene.kinetic_energy", "touch.torque"]
+    recording = wc.Simulation(model, dt=1e-5).run(0.02, names, every=1e-5)
+    linear, angular, energy = (recording[name].values[:, 0] for name in names[:3])
+    couple = np.abs(recording["touch.torque"].values[:, 0])
+    assert (couple.max(axis=0) > 0.1).all()
+    assert couple[-1].max() == 0.0  # it has left
+    np.testing.assert_allclose(linear, linear[:1].repeat(len(linear), 0), atol=1e-12)
+    # r × m v about the world's origin: the positions of a step are those before its forces.
+    np.testing.assert_allclose(angular[-1], angular[0], atol=1e-4 * np.linalg.norm(angular[0]))
+    assert energy[-1] < energy[0] - 1e-2
+
+
+def test_a_rolling_ball_is_slowed_against_its_motion_in_any_direction(device):
+    """The couple is −μ_r R N ω_t/|ω_t|, whatever the tangent direction; spin about the normal adds nothing."""
+    rng = np.random.default_rng(4)
+    spins = rng.normal(size=(20, 3)) * 10
+    model = ball_on_plate(rolling=F.CoulombThreshold(mu=0.02, threshold=1e-6), envs=20, device=device)
+    model["ball.angular_velocity"] = spins
+    tangential = spins * (1, 1, 0)
+    expected = -0.02 * R * G * tangential / np.linalg.norm(tangential, axis=1)[:, None]
+    np.testing.assert_allclose(model.reading("touch.torque"), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("part", ["rolling", "torsion"])
+def test_a_couple_without_an_arm_is_refused(part):
+    template = wc.Template(law=wc.laws.Hooke(stiffness=1.0), **{part: F.Tanh(mu=0.1)})
+    scene = wc.Scene()
+    ground = scene.add_surface(square())
+    point = scene.add_point(scene.add_body(1.0, (1, 1, 1)), (0, 0, 0))
+    with pytest.raises(ValueError, match=f"the {part} of its template needs a radius"):
+        scene.add_contact(point, ground, template)
+
+
+def test_a_torsion_radius_without_torsion_is_refused():
+    with pytest.raises(ValueError, match=r"touch\.torsion_radius is given, but its template has no torsion"):
+        dropped_sphere(wc.laws.Hooke(stiffness=1.0), torsion_radius=0.1)
+
+
+def test_torsion_has_no_directions():
+    with pytest.raises(ValueError, match=r"Template\.torsion must be a friction without directions, got Elliptic"):
+        wc.Template(law=wc.laws.Hooke(stiffness=1.0), torsion=F.Elliptic(mu_1=0.1, mu_2=0.2))
+
+
+def test_the_parameters_of_every_part_are_there(device):
+    model = ball_on_plate(
+        friction=F.Tanh(mu=0.1), rolling=F.Tanh(mu=0.2), torsion=F.Tanh(mu=0.3), envs=2, device=device
+    )
+    assert [float(model[f"touch.{part}.mu"][0]) for part in ("friction", "rolling", "torsion")] == [0.1, 0.2, 0.3]
+    assert "touch.torsion_radius" not in model
+    model["touch.rolling.mu"] = [0.0, 0.4]
+    model["ball.angular_velocity"] = (0, 50.0, 0)
+    np.testing.assert_allclose(model.reading("touch.torque")[:, 1], [0, -0.4 * R * G], rtol=1e-9)

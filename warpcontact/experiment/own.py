@@ -1,0 +1,209 @@
+"""Laws and frictions out of a user's own Python file, which an experiment names as ``FILE.py:CLASS``.
+
+Such a file is run as any module is that one imports. It has to lie inside of the folder of the experiment, so that
+an experiment from elsewhere runs nothing but what came with it. What is wrong with a file, or goes wrong in it, is
+said in one sentence with its line.
+"""
+
+import importlib.util
+import io
+import itertools
+import linecache
+import os
+import re
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import warp as wp
+
+from warpcontact.experiment.errors import ExperimentError, shown, suggestion
+from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.frictions import Friction
+from warpcontact.kernels.laws import Law
+
+# Modules by file and content: experiments of an unchanged file share its classes, and so its compiled kernels.
+_MODULES: dict[tuple[Path, bytes], ModuleType] = {}
+# Every attempt has a name of its own, under which neither Python nor Warp finds what an earlier one left behind.
+_NUMBERS = itertools.count(1)
+
+
+@dataclass(frozen=True)
+class OwnFile:
+    """A user's file.
+
+    Attributes:
+        path: Where it is, without links.
+        content: What was in it when it was loaded.
+        module: What it defines.
+    """
+
+    path: Path
+    content: bytes
+    module: ModuleType
+
+
+class OwnFiles:
+    """The Python files that an experiment names; each is read once, and stays what it was then.
+
+    Args:
+        folder: Folder of the experiment.
+        say: Called with a few words before a file is loaded.
+    """
+
+    def __init__(self, folder: Path, say: Callable[[str], None]) -> None:
+        self.folder = folder
+        self.say = say
+        self._files: dict[str, OwnFile] = {}
+        self._failures: dict[str, str] = {}
+
+    def file(self, name: str) -> OwnFile:
+        """Returns the file called ``name``, relative to the folder.
+
+        Raises:
+            ValueError: If it is none, lies elsewhere or cannot be loaded; the message continues the key ``type``.
+        """
+        if name not in self._files and name not in self._failures:
+            try:
+                self._files[name] = self._load(name)
+            except ValueError as error:
+                self._failures[name] = str(error)
+        if name in self._failures:
+            raise ValueError(self._failures[name])
+        return self._files[name]
+
+    def find(self, file: str, name: str, base: type[Formula]) -> Any:
+        """Returns class ``name`` of a file.
+
+        Args:
+            file: The file, relative to the folder.
+            name: Name of the class.
+            base: What the class has to be: ``Law`` or ``Friction``.
+
+        Raises:
+            ValueError: If there is none; the message continues the key ``type``.
+        """
+        defined = vars(self.file(file).module)
+        given = defined.get(name)
+        if given is None:
+            known = [key for key, value in defined.items() if _is_formula(value, base) and value is not base]
+            hint = suggestion(name, known) or f"; there are: {', '.join(known) or 'none'}"
+            raise ValueError(f": {file} has no {_word(base)} {name!r}{hint}")
+        if not _is_formula(given, base):
+            kinds = [_word(kind) for kind in (Law, Friction) if _is_formula(given, kind)]
+            fact = f"a {kinds[0]} and no {_word(base)}" if kinds else f"no class derived from wc.{base.__name__}"
+            raise ValueError(f": {name!r} in {file} is {fact}")
+        if not isinstance(getattr(given, "force", None), wp.Function):
+            raise ValueError(f": {name}.force in {file} must be a wp.func of (coefficients, state)")
+        return given
+
+    @contextmanager
+    def blamed(self) -> Iterator[None]:
+        """Turns what goes wrong in one of the files into an ``ExperimentError`` of that file."""
+        try:
+            yield
+        except Exception as error:
+            for name, file in self._files.items():
+                line = _line_of(error, file.path)
+                if line is not None:
+                    problem = f"line {line}: {_sentence(error)}"
+                    raise ExperimentError(str(self.folder / name), [problem]) from error
+            raise
+
+    def _load(self, name: str) -> OwnFile:
+        path = self._inside(name)
+        for known in self._files.values():
+            if known.path == path:  # under another name
+                return known
+        if not path.exists():
+            others = sorted(other.name for other in path.parent.glob("*.py"))
+            raise ValueError(f": there is no file {name!r}{suggestion(path.name, others)}")
+        if not path.is_file():  # a directory, or a pipe, which would be waited for
+            raise ValueError(f": {name!r} is not a regular file")
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise ValueError(f": {name!r} cannot be read: {error.strerror or error}") from None
+        self.say(f"loading {self.folder / name}")
+        try:
+            return OwnFile(path, content, _module(path, content))
+        except (Exception, SystemExit) as error:
+            raise ValueError(f": {_described(error, path, name)}") from None
+
+    def _inside(self, name: str) -> Path:
+        """Returns the path of a file, which must lie in the folder: links count as where they lead."""
+        folder = self.folder.resolve()
+        try:
+            path = (folder / name).resolve()
+        except (OSError, ValueError, RuntimeError) as error:  # a loop of links, or a null character
+            raise ValueError(f": {name!r} cannot be read: {error}") from None
+        parts = Path(name).parts
+        if Path(name).is_absolute() or os.pardir in parts or not path.is_relative_to(folder):
+            raise ValueError(f" must name a file inside of the folder of the experiment, got {shown(name)}")
+        return path
+
+
+def _word(base: type[Formula]) -> str:
+    return base.__name__.lower()
+
+
+def _is_formula(value: object, base: type[Formula]) -> bool:
+    return isinstance(value, type) and issubclass(value, base)
+
+
+def _line_of(error: BaseException, path: Path) -> int | None:
+    """Returns the line of file ``path`` in which ``error`` arose, if it did so there."""
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        return error.lineno or None  # 0: no line in particular
+    frames = traceback.walk_tb(error.__traceback__)
+    lines = [line for frame, line in frames if frame.f_code.co_filename == str(path)]
+    return lines[-1] if lines else None
+
+
+def _described(error: BaseException, path: Path, name: str) -> str:
+    """Returns ``my_laws.py, line 7: ZeroDivisionError: division by zero`` for an error in file ``path``."""
+    line = _line_of(error, path)
+    place = name if line is None else f"{name}, line {line}"
+    return f"{place}: {_sentence(error)}"
+
+
+def _sentence(error: BaseException) -> str:
+    text = error.msg if isinstance(error, SyntaxError) else str(error)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def blame(error: BaseException, formula: type[Formula]) -> str:
+    """Returns a sentence on an error in a user's ``formula``, with its line if it arose in its file."""
+    path = Path(str(sys.modules[formula.__module__].__file__))
+    return _described(error, path, path.name)
+
+
+def _module(path: Path, content: bytes) -> ModuleType:
+    """Runs ``content`` as the module of file ``path``, unless that has been done."""
+    if (path, content) not in _MODULES:
+        _MODULES[path, content] = _run(path, content)
+    return _MODULES[path, content]
+
+
+def _run(path: Path, content: bytes) -> ModuleType:
+    code = compile(content, str(path), "exec", dont_inherit=True)
+    module = ModuleType(f"_warpcontact_own_{next(_NUMBERS)}_{re.sub(r'[^0-9A-Za-z_]', '_', path.stem)}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # where dataclasses and Warp look for it
+    # Warp reads the source of functions as they are defined: let it find what is run, whatever is in the file by
+    # then. Without a time of change the entry is not compared with the file.
+    lines = io.StringIO(importlib.util.decode_source(content)).readlines()
+    linecache.cache[str(path)] = (len(content), None, lines, str(path))
+    try:
+        exec(code, vars(module))
+    except BaseException:
+        del sys.modules[module.__name__]
+        raise
+    finally:
+        linecache.cache.pop(str(path), None)
+    return module
