@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 from warpcontact._version import __version__
 
 if TYPE_CHECKING:
-    from warpcontact import integrators, meshes
+    from warpcontact import compare, integrators, meshes
     from warpcontact.advice import ContactWarning
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
     from warpcontact.kernels import frictions, laws
-    from warpcontact.kernels.formula import parameter
+    from warpcontact.kernels.formula import memory, parameter
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
     from warpcontact.meshes import Mesh, MeshError, MeshReport, load_mesh
@@ -48,11 +48,13 @@ _HOME = {
     "Status": "warpcontact.status",
     "Surface": "warpcontact.scene",
     "Template": "warpcontact.scene",
+    "compare": "warpcontact.compare",
     "export_usd": "warpcontact.usd",
     "frictions": "warpcontact.kernels.frictions",
     "integrators": "warpcontact.integrators",
     "laws": "warpcontact.kernels.laws",
     "load_mesh": "warpcontact.meshes",
+    "memory": "warpcontact.kernels.formula",
     "meshes": "warpcontact.meshes",
     "parameter": "warpcontact.kernels.formula",
 }
@@ -78,11 +80,13 @@ __all__ = [
     "Surface",
     "Template",
     "__version__",
+    "compare",
     "export_usd",
     "frictions",
     "integrators",
     "laws",
     "load_mesh",
+    "memory",
     "meshes",
     "parameter",
 ]

@@ -1,0 +1,245 @@
+"""Drops spheres on a plate: a scene of one body per law, run by the engine in float64.
+
+The elastic parameter of a class and the damping that returns a restitution are found by measuring forces and
+rebounds of the very same scene, so that nothing about a formula has to be known here.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import PchipInterpolator
+
+from warpcontact import checks
+from warpcontact.checks import Array
+from warpcontact.compare import samples
+from warpcontact.kernels.laws.base import Law
+from warpcontact.meshes import grid
+from warpcontact.model import Model
+from warpcontact.scene import Scene, Template
+from warpcontact.simulation import Simulation
+from warpcontact.status import Status
+
+# An undamped contact takes 2.6 to 3.14 δ/v, by the exponent.
+CONTACT_TIME = 3.0
+# Steps per contact time: what is off in laws that jump at the greatest depth is about one part in this.
+STEPS = 1000
+# A series of dampings only has to lead to the right one.
+COARSE_STEPS = 250
+# Steps between records, a divisor of both.
+STRIDE = 2
+# Contact times after which a sphere is given up: e = 0.01 of two stiffnesses takes 51.
+PATIENCE = 60
+# Dampings in terms of ``samples.damping_scale``: restitution falls from 0.999 to below 0.05.
+DAMPINGS = np.geomspace(1.0e-3, 30.0, 61)
+# Depths at which elastic forces are read, in terms of the depth that the impact is to have.
+DEPTHS = np.geomspace(1.0e-4, 1.0e2, 1201)
+# Sphere in terms of the greatest depth: its centre has to stay above the plate.
+RADIUS = 50.0
+READINGS = ("penetration", "approach_speed", "normal_force")
+
+
+@dataclass(frozen=True)
+class Impact:
+    """What all laws are compared in.
+
+    Attributes:
+        mass: Mass of the sphere [kg].
+        speed: Its speed at touch [m/s].
+        depth: Depth of the undamped impact that the elastic parameters of classes are set to [m].
+        device: Warp device.
+    """
+
+    mass: float
+    speed: float
+    depth: float
+    device: str
+
+    def __post_init__(self) -> None:
+        for name, unit in (("mass", "kg"), ("speed", "m/s"), ("depth", "m")):
+            value = checks.numbers(name, getattr(self, name), (), checks.limits(unit, above=0.0))
+            object.__setattr__(self, name, float(value))
+
+    @property
+    def energy(self) -> float:
+        """Kinetic energy at touch [J]."""
+        return 0.5 * self.mass * self.speed**2
+
+
+@dataclass(frozen=True)
+class Case:
+    """A law, the depth of its undamped impact [m], and the parameter that decides what an impact loses."""
+
+    law: Law
+    depth: float
+    varied: str | None
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was measured of all laws: of a law by its label.
+
+    Attributes:
+        time: Time since touch at the common speed (frame,) [s].
+        readings: By label and name of the reading, (frame, env).
+        rebound: By label, speed away from the plate over the impact speed (env,); NaN where it did not leave.
+    """
+
+    time: Array
+    readings: Mapping[str, Mapping[str, Array]]
+    rebound: Mapping[str, Array]
+
+
+def cases(laws: Any, impact: Impact) -> dict[str, Case]:
+    """Returns instances of ``laws`` by their labels; of a class one whose undamped impact has the depth asked for.
+
+    Raises:
+        TypeError: If a law is none.
+        ValueError: If a class needs values that only its author knows.
+    """
+    given = samples.named(Law, laws)
+    unit = {
+        label: samples.law(law, 1.0, impact.depth) if isinstance(law, type) else law
+        for label, law in given.items()
+    }
+    depths = DEPTHS * impact.depth
+    found = {}
+    for label, force in _loading(unit, depths, impact).items():
+        law = unit[label]
+        # Below the first depth the force is taken as linear; there is 1e-8 of the energy or less.
+        work = cumulative_trapezoid(force, depths, initial=0.0) + 0.5 * force[0] * depths[0]
+        depth = impact.depth
+        if isinstance(given[label], type):
+            modulus = impact.energy / float(np.interp(impact.depth, depths, work))
+            law = samples.law(type(law), modulus, impact.depth)
+        elif work[-1] > impact.energy:
+            depth = float(np.interp(impact.energy, work, depths))
+        found[label] = Case(law, depth, samples.loss_parameter(law))
+    return found
+
+
+def loss_values(chosen: Mapping[str, Case], restitution: Array, impact: Impact) -> dict[str, Array]:
+    """Returns by label the values of what is varied that give each ``restitution``; nothing for elastic laws.
+
+    A damping is interpolated in a series of runs; where none in the series is enough, the largest useful one.
+    """
+    values = {label: restitution for label, case in chosen.items() if case.varied == "restitution"}
+    damped = {label: case for label, case in chosen.items() if case.varied is not None and label not in values}
+    if not damped:
+        return values
+    series = {
+        label: np.append(0.0, DAMPINGS)
+        * samples.damping_scale(case.law, case.varied or "", impact.mass, impact.speed, case.depth)
+        for label, case in damped.items()
+    }
+    speeds = np.full(len(DAMPINGS) + 1, impact.speed)
+    run = drop(damped, series, speeds, impact, steps=COARSE_STEPS, patience=PATIENCE // 4, record=False)
+    for label, damping in series.items():
+        rebound = run.rebound[label]
+        # The falling part of the curve; NaN where the sphere crept out too slowly to wait for.
+        falling = rebound < np.append(np.inf, np.fmin.accumulate(rebound)[:-1])
+        rising = rebound[falling][::-1]
+        found = np.zeros_like(restitution)
+        if len(rising) > 1:
+            found = PchipInterpolator(rising, damping[falling][::-1])(np.clip(restitution, rising[0], rising[-1]))
+        # Less than the smallest damping that makes a difference is none.
+        values[label] = np.where(found < 0.1 * damping[1], 0.0, found)
+    return values
+
+
+def drop(
+    chosen: Mapping[str, Case],
+    values: Mapping[str, Array],
+    speeds: Array,
+    impact: Impact,
+    *,
+    steps: int = STEPS,
+    patience: int = PATIENCE,
+    record: bool = True,
+) -> Run:
+    """Runs all impacts until every sphere has left, or for ``patience`` contact times.
+
+    Args:
+        chosen: The laws.
+        values: By label, values of what is varied (env,).
+        speeds: Impact speed of every environment (env,) [m/s].
+        impact: Mass and device.
+        steps: Steps per contact time of the stiffest law.
+        patience: Contact times of the softest law to wait for.
+        record: Whether to keep readings over time.
+    """
+    shortest = min(case.depth for case in chosen.values()) / speeds.max()
+    longest = max(case.depth for case in chosen.values()) / speeds.min()
+    dt = CONTACT_TIME * shortest / steps
+    # Touch falls into the middle of a step, whatever the speed, and some steps after the start.
+    height = (2 * STRIDE + 0.5) * dt * speeds
+    model = _model({label: case.law for label, case in chosen.items()}, height, speeds, impact)
+    for label, value in values.items():
+        model[f"touch_{_index(chosen, label)}.law.{chosen[label].varied}"] = value
+    names = [f"touch_{k}.{name}" for k in range(len(chosen)) for name in READINGS] if record else []
+    sim = Simulation(model, dt)
+    parts: list[dict[str, Array]] = []
+    gone = np.zeros((len(chosen), len(speeds)), dtype=bool)
+    for _ in range(int(np.ceil(patience * longest / shortest))):
+        recording = sim.run(steps * dt, names, every=STRIDE * dt, poses=False, progress=False)
+        # A run begins with the frame that the one before ended with.
+        first = 1 if parts else 0
+        parts.append({name: recording[name].values[first:] for name in (*names, "time")})
+        gone = _left(model, list(chosen.values()))
+        if gone.all():
+            break
+    out = np.array([model.reading(f"ball_{k}.linear_velocity")[:, 2] for k in range(len(chosen))])
+    rebound = np.where(gone, out / speeds, np.nan)
+    frames = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return Run(
+        time=frames["time"] - float(height[0] / speeds[0]),
+        readings={
+            label: {name: frames[f"touch_{k}.{name}"] for name in READINGS} if record else {}
+            for k, label in enumerate(chosen)
+        },
+        rebound=dict(zip(chosen, rebound, strict=True)),
+    )
+
+
+def _index(chosen: Mapping[str, Any], label: str) -> int:
+    return list(chosen).index(label)
+
+
+def _left(model: Model, chosen: Sequence[Case]) -> NDArray[np.bool_]:
+    """Returns which spheres are free and on their way out, (law, env)."""
+    gone = []
+    for k, case in enumerate(chosen):
+        touching = model.reading(f"touch_{k}.status") == Status.CONTACT
+        if not case.law.pulls:
+            # Behind a force that was cut at zero a sphere flies free before its depth is zero.
+            touching &= model.reading(f"touch_{k}.normal_force") != 0.0
+        gone.append(~touching & (model.reading(f"ball_{k}.linear_velocity")[:, 2] > 0.0))
+    return np.array(gone)
+
+
+def _loading(laws: Mapping[str, Law], depths: Array, impact: Impact) -> dict[str, Array]:
+    """Returns by label the force at rest at each of ``depths``, one environment per depth [N]."""
+    model = _model(laws, -depths, np.zeros_like(depths), impact)
+    return {label: model.reading(f"touch_{k}.normal_force") for k, label in enumerate(laws)}
+
+
+def _model(laws: Mapping[str, Law], height: Array, speeds: Array, impact: Impact) -> Model:
+    """Returns spheres whose lowest points are at ``height`` and go down at ``speeds``, both (env,)."""
+    radius = RADIUS * max(impact.depth, float(-height.min()))
+    scene = Scene(gravity=(0.0, 0.0, 0.0))
+    # Lowest points at the origin, where numbers are finest.
+    plate = scene.add_surface(grid((10.0 * radius, 10.0 * radius)), position=(0.0, 0.0, -radius), name="plate")
+    for k, law in enumerate(laws.values()):
+        inertia = [0.4 * impact.mass * radius**2] * 3
+        ball = scene.add_body(impact.mass, inertia, name=f"ball_{k}")
+        centre = scene.add_point(ball, (0.0, 0.0, 0.0))
+        scene.add_contact(centre, plate, Template(law=law), radius=radius, name=f"touch_{k}")
+    model = scene.build(envs=len(height), device=impact.device, precision="float64")
+    zero = np.zeros_like(height)
+    for k in range(len(laws)):
+        model[f"ball_{k}.position"] = np.stack([zero, zero, height], axis=1)
+        model[f"ball_{k}.linear_velocity"] = np.stack([zero, zero, -speeds], axis=1)
+    return model

@@ -1,0 +1,149 @@
+"""Pictures of frictions: the coefficient over slip speed, and loops of a slip that swings to and fro."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from warpcontact.compare import figures, samples
+from warpcontact.compare.labels import number, prefixed
+from warpcontact.compare.slip import own_speeds, slips, swings
+from warpcontact.kernels.frictions.base import Friction
+
+# Slip speeds of the linear panel, in terms of the highest that a friction names.
+LINEAR = 4.0
+# Directions in which a friction that tells them apart is slid [°], and how they are drawn.
+DIRECTIONS = {0: "-", 45: "--", 90: ":"}
+# Room about the curves.
+ROOM = 0.08
+# Coefficients are shown at least up to this: no friction at all is a line at zero, not noise.
+LEAST = 0.1
+
+
+def plot_frictions(frictions: Any, path: Any = None, *, load: float = 10.0, device: str = "cpu") -> Figure:
+    """Draws one friction, or several side by side; see ``slips`` and ``swings``.
+
+    Args:
+        frictions: A friction, several, or a mapping from labels to frictions; instances or classes.
+        path: The .svg or .png file; ``None``: none is written.
+        load: Normal force [N].
+        device: Warp device.
+
+    Returns:
+        The matplotlib figure.
+
+    Raises:
+        TypeError: If a friction is none.
+        ValueError: If a value is out of range, the file cannot be written there, or there are too many frictions.
+    """
+    file = None if path is None else figures.check_path(path)
+    given = samples.named(Friction, frictions)
+    figures.check_count("frictions", list(given))
+    options: dict[str, Any] = {"load": load, "device": device}
+    swinging = swings(given, **options)
+    # Close together where speeds are shown from zero, too.
+    near_zero = np.linspace(0.0, LINEAR * own_speeds(given, load)[1], 301)[1:]
+    if len(given) == 1:
+        (entry,) = given.values()
+        turns = list(DIRECTIONS) if entry.directional else [0]
+        even, steady = (
+            [slips(given, speeds, direction=np.radians(turn), **options) for turn in turns]
+            for speeds in (near_zero, None)
+        )
+        figure = _one(entry.formula, entry.validity, even, steady, swinging)
+    else:
+        figure = _several(slips(given, near_zero, **options), slips(given, **options), swinging)
+    if file is not None:
+        figures.save(figure, file)
+    return figure
+
+
+def _one(
+    formula: str, validity: str, even: list[xr.Dataset], steady: list[xr.Dataset], swinging: xr.Dataset
+) -> Figure:
+    """Draws one friction, whose steady slip was measured in one direction or in all of ``DIRECTIONS``."""
+    foot = [_slip(swinging), *swinging["settings"].values, f"valid: {validity}" if validity else ""]
+    sheet = figures.sheet(15.0, 5.6, figures.heading(swinging["friction"].item(), formula), foot)
+    (figure,) = figures.parts(sheet, 1.0)
+    panels = figure.subplots(1, 3)
+    for measured, axes in ((even, panels[0]), (steady, panels[1])):
+        for data, (turn, line) in zip(measured, DIRECTIONS.items(), strict=False):
+            curve = data["coefficient"].isel(friction=0)
+            axes.plot(data["speed"], curve, color=figures.color(0), linestyle=line, label=f"{turn}° from x")
+    if len(even) > 1:
+        panels[1].legend(title="direction of slip", loc="upper left", fontsize="small")
+    colors = figures.shades(swinging.sizes["amplitude"])
+    _draw_swings(panels[2], swinging.isel(friction=0), colors)
+    _finish(panels, even, steady, swinging)
+    figures.legend_below(figure, colors, _amplitudes(swinging))
+    return sheet
+
+
+def _several(even: xr.Dataset, steady: xr.Dataset, swinging: xr.Dataset) -> Figure:
+    labels = steady["friction"].values.tolist()
+    rows = -(-len(labels) // figures.COLUMNS)
+    foot = [_slip(swinging), *figures.lines_of(labels, steady["settings"].values)]
+    height = 5.6 + 3.2 * rows + 0.15 * len(foot)
+    sheet = figures.sheet(16.0, height, ["The same slip:  " + ", ".join(labels)], foot)
+    upper, lower = figures.parts(sheet, 4.2, 0.6 + 3.2 * rows)
+    panels = upper.subplots(1, 3)
+    colors = [figures.color(k) for k in range(len(labels))]
+    largest = swinging.isel(amplitude=[-1])
+    for k, shade in enumerate(colors):
+        style = {"color": shade, "linewidth": figures.width(k, len(labels))}
+        panels[0].plot(even["speed"], even["coefficient"].isel(friction=k), **style)
+        panels[1].plot(steady["speed"], steady["coefficient"].isel(friction=k), **style)
+        _draw_swings(panels[2], largest.isel(friction=k), [shade], linewidth=style["linewidth"])
+    _finish(panels, [even], [steady], largest)
+    figures.legend_below(upper, colors, labels)
+    shades = figures.shades(swinging.sizes["amplitude"])
+    for k, axes in enumerate(figures.family(lower, len(labels))):
+        _draw_swings(axes, swinging.isel(friction=k), shades)
+        _finish_swings(axes, swinging, labels[k])
+        axes.title.set_color(colors[k])
+        if k % figures.COLUMNS:
+            axes.set_ylabel("")
+    figures.legend_below(lower, shades, _amplitudes(swinging))
+    return sheet
+
+
+def _draw_swings(axes: Any, friction: xr.Dataset, colors: Any, **style: Any) -> None:
+    """Draws the loops of one friction, small ones over large ones."""
+    factor, _ = prefixed(float(friction["amplitude"].max()), "m")
+    for k in reversed(range(friction.sizes["amplitude"])):
+        swing = friction.isel(amplitude=k)
+        axes.plot(factor * swing["displacement"], swing["coefficient"], color=colors[k], **style)
+
+
+def _finish(panels: Any, even: list[xr.Dataset], steady: list[xr.Dataset], swinging: xr.Dataset) -> None:
+    """Labels the three panels."""
+    y = "friction coefficient F/N [-]"
+    top = (1.0 + ROOM) * max(LEAST, *(float(data["coefficient"].max()) for data in (*even, *steady)))
+    panels[0].set(xlim=(0.0, float(even[0]["speed"].max())), ylim=(-0.02 * top, top))
+    panels[0].locator_params(axis="x", nbins=6)
+    panels[1].set(xscale="log", ylim=(-0.02 * top, top))
+    figures.finish(panels[0], "steady slip", "slip speed [m/s]", y)
+    figures.finish(panels[1], "steady slip, logarithmic", "slip speed [m/s]", y)
+    _finish_swings(panels[2], swinging, "slip to and fro")
+
+
+def _finish_swings(axes: Any, swinging: xr.Dataset, title: str) -> None:
+    _, unit = prefixed(float(swinging["amplitude"].max()), "m")
+    top = max(float(np.abs(swinging["coefficient"]).max()), LEAST) * (1.0 + ROOM)
+    axes.set_ylim(-top, top)
+    axes.locator_params(axis="x", nbins=6)
+    figures.finish(axes, title, f"displacement [{unit}]", "friction force F/N against +x [-]")
+
+
+def _amplitudes(swinging: xr.Dataset) -> list[str]:
+    factor, unit = prefixed(float(swinging["amplitude"].max()), "m")
+    largest, fast = float(swinging["amplitude"].max()), float(swinging.attrs["speed"])
+    return [
+        f"amplitude {number(factor * value, unit)}, up to {number(fast * value / largest, 'm/s')}"
+        for value in swinging["amplitude"].values
+    ]
+
+
+def _slip(swinging: xr.Dataset) -> str:
+    return f"pressed on a plate with {number(swinging.attrs['load'], 'N')}"

@@ -1,0 +1,186 @@
+"""Laws in the same impact: loops, restitutions, and how they depend on speed, as data sets."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from warpcontact import checks
+from warpcontact._version import __version__
+from warpcontact.checks import Array
+from warpcontact.compare.drop import Case, Impact, Run, cases, drop, loss_values
+from warpcontact.compare.labels import notes, settings
+
+#: Restitutions that are asked for if none are given.
+RESTITUTIONS = tuple(round(0.05 * k, 2) for k in range(1, 21))
+# As the laws have it.
+ALLOWED = checks.limits("-", at_least=0.01, at_most=1.0)
+
+
+def impacts(
+    laws: Any,
+    restitution: ArrayLike = RESTITUTIONS,
+    *,
+    mass: float = 1.0,
+    speed: float = 1.0,
+    depth: float = 1.0e-3,
+    device: str = "cpu",
+) -> xr.Dataset:
+    """Runs the same impact of a sphere on a plate with every law, one environment per restitution.
+
+    Args:
+        laws: A law, several, or a mapping from labels to laws; each an instance, or a class, whose elastic
+            parameter is then set so that the undamped impact has the depth ``depth``.
+        restitution: Coefficients of restitution to ask for [-]. A law without this parameter gets the damping
+            that returns it, as far as it can; an elastic law is the same in every environment.
+        mass: Mass of the sphere [kg].
+        speed: Its speed at touch [m/s].
+        depth: Greatest depth of the undamped impact on a law that is given as a class [m].
+        device: Warp device.
+
+    Returns:
+        A data set with ``penetration`` [m], ``approach_speed`` [m/s] and ``normal_force`` [N] over (law,
+        restitution, time), time 0 at touch, and over (law, restitution): ``effective_restitution`` [-] (NaN if
+        the sphere did not leave), ``contact_time`` [s] until the force is zero for good,
+        ``greatest_penetration`` [m], ``greatest_force`` [N], ``energy_loss`` [J], the area of the loop, and
+        ``parameter``, the value of what was varied. Coordinates of the laws are ``varied``, the name of that
+        parameter (empty if elastic), its ``unit``, and ``settings``, the parameters that all runs share.
+
+    Raises:
+        TypeError: If a law is none.
+        ValueError: If a value is out of range, or a class needs values that only its author knows.
+    """
+    impact = Impact(mass, speed, depth, device)
+    asked = asked_restitutions(restitution)
+    chosen = cases(laws, impact)
+    values = loss_values(chosen, asked, impact)
+    run = drop(chosen, values, np.full(len(asked), impact.speed), impact)
+    return _dataset(chosen, asked, values, run, impact)
+
+
+def rebounds(
+    laws: Any,
+    restitution: ArrayLike = (0.3, 0.6, 0.9),
+    speeds: ArrayLike | None = None,
+    *,
+    mass: float = 1.0,
+    speed: float = 1.0,
+    depth: float = 1.0e-3,
+    device: str = "cpu",
+) -> xr.Dataset:
+    """Runs impacts of different speeds: does the restitution depend on the speed?
+
+    Args:
+        laws: As for ``impacts``.
+        restitution: Coefficients of restitution to ask for at the speed ``speed`` [-].
+        speeds: Impact speeds [m/s]; from a tenth of ``speed`` to ten times that if not given.
+        mass: Mass of the sphere [kg].
+        speed: Speed for which elastic parameters and dampings are chosen [m/s].
+        depth: Greatest depth of the undamped impact at ``speed`` on a law that is given as a class [m].
+        device: Warp device.
+
+    Returns:
+        A data set with ``effective_restitution`` [-] over (law, restitution, speed), NaN if the sphere did not
+        leave.
+
+    Raises:
+        TypeError: If a law is none.
+        ValueError: If a value is out of range, or a class needs values that only its author knows.
+    """
+    impact = Impact(mass, speed, depth, device)
+    asked = asked_restitutions(restitution)
+    every = np.atleast_1d(impact.speed * np.geomspace(0.1, 10.0, 13) if speeds is None else np.asarray(speeds))
+    every = checks.numbers("speeds", every, (every.size,), checks.limits("m/s", above=0.0))
+    chosen = cases(laws, impact)
+    shape = len(asked), len(every)
+    values = {label: np.repeat(value, len(every)) for label, value in loss_values(chosen, asked, impact).items()}
+    run = drop(chosen, values, np.tile(every, len(asked)), impact, record=False)
+    rebound = np.array([run.rebound[label].reshape(shape) for label in chosen])
+    return xr.Dataset(
+        {
+            "effective_restitution": (
+                ("law", "restitution", "speed"),
+                rebound,
+                notes("-", "effective restitution"),
+            )
+        },
+        coords={
+            "law": list(chosen),
+            "restitution": ("restitution", asked, notes("-", "restitution asked for")),
+            "speed": ("speed", every, notes("m/s", "impact speed")),
+        },
+        attrs={"source": f"warpcontact {__version__}", "mass": impact.mass, "reference_speed": impact.speed},
+    )
+
+
+def asked_restitutions(given: ArrayLike) -> Array:
+    """Returns coefficients of restitution as an array, checked."""
+    values = np.atleast_1d(np.asarray(given))
+    return checks.numbers("restitution", values, (values.size,), ALLOWED)
+
+
+def _dataset(
+    chosen: Mapping[str, Case], asked: Array, values: Mapping[str, Array], run: Run, impact: Impact
+) -> xr.Dataset:
+    over_time, over_cases = ("law", "restitution", "time"), ("law", "restitution")
+    delta, rate, force = (
+        np.array([run.readings[label][name].T for label in chosen])
+        for name in ("penetration", "approach_speed", "normal_force")
+    )
+    acting = force != 0.0
+    last = force.shape[-1] - 1 - acting[..., ::-1].argmax(axis=-1)
+    nothing = np.full(len(asked), np.nan)
+    variables = {
+        "penetration": (over_time, delta, notes("m", "penetration")),
+        "approach_speed": (over_time, rate, notes("m/s", "rate of penetration")),
+        "normal_force": (over_time, force, notes("N", "normal force")),
+        "effective_restitution": (
+            over_cases,
+            np.array([run.rebound[label] for label in chosen]),
+            notes("-", "effective restitution"),
+        ),
+        "contact_time": (over_cases, run.time[last], notes("s", "time from touch until the force ends")),
+        "greatest_penetration": (over_cases, delta.max(axis=-1), notes("m", "greatest penetration")),
+        "greatest_force": (over_cases, force.max(axis=-1), notes("N", "greatest normal force")),
+        "energy_loss": (
+            over_cases,
+            _area(force, delta),
+            notes("J", "energy lost, the area of the loop"),
+        ),
+        "parameter": (
+            over_cases,
+            np.array([values.get(label, nothing) for label in chosen]),
+            {"long_name": "value of the parameter that was varied; its name and unit are coordinates"},
+        ),
+    }
+    varied = [case.varied or "" for case in chosen.values()]
+    texts = [settings(case.law, without=case.varied) for case in chosen.values()]
+    units = [case.law.limits(case.varied)["unit"] if case.varied else "" for case in chosen.values()]
+    return xr.Dataset(
+        variables,
+        coords={
+            "law": list(chosen),
+            "restitution": ("restitution", asked, notes("-", "restitution asked for")),
+            "time": ("time", run.time, notes("s", "time since touch")),
+            "varied": ("law", np.array(varied, object)),
+            "unit": ("law", np.array(units, object)),
+            "settings": ("law", np.array(texts, object)),
+        },
+        attrs={
+            "source": f"warpcontact {__version__}",
+            "mass": impact.mass,
+            "speed": impact.speed,
+            "precision": "float64",
+        },
+    )
+
+
+def _area(force: Array, delta: Array) -> Array:
+    """Returns the area of loops over the last axis."""
+    before, after = force[..., :-1], force[..., 1:]
+    # A force that jumps at touch or at release keeps its size up to there.
+    before = np.where(delta[..., :-1] > 0.0, before, after)
+    after = np.where(delta[..., 1:] > 0.0, after, before)
+    return np.asarray((0.5 * (before + after) * np.diff(delta, axis=-1)).sum(axis=-1))

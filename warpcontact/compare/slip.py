@@ -1,0 +1,244 @@
+"""Frictions under a prescribed slip: what they answer to a steady one, and to one that swings to and fro.
+
+A sphere per friction is pressed on a plate, in float64, one environment per case. It is so heavy that nothing
+slows or turns it, and lies in balance between its spring and gravity, so slip and load are as prescribed; the
+force is what the engine finds in the contact, whatever a friction remembers of the slip before.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from warpcontact import checks
+from warpcontact._version import __version__
+from warpcontact.checks import Array
+from warpcontact.compare import samples
+from warpcontact.compare.labels import notes, settings
+from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.laws.hooke import Hooke
+from warpcontact.meshes import grid
+from warpcontact.model import Model
+from warpcontact.recorder import Recorder
+from warpcontact.scene import Scene, Template
+from warpcontact.simulation import Simulation
+
+# Mass of a sphere [kg]: 10 N for 1000 s change its speed by 1e-8 m/s.
+HEAVY = 1.0e12
+# Radius of the spheres, and how deep they lie in the plate [m].
+RADIUS, DEPTH = 0.05, 1.0e-5
+# Slip speeds that are shown of frictions that have none of their own [m/s].
+USUAL_SPEEDS = (1.0e-3, 1.0e-1)
+# Amplitude of a swing for frictions that follow the slip speed at once [m].
+USUAL_AMPLITUDE = 1.0e-3
+# Swings in terms of the largest one.
+SWINGS = (0.1, 0.3, 1.0)
+# The largest swing in terms of the distance after which a friction that remembers yields.
+YIELDS = 6.0
+# Slip distances that a friction may need to yield [m], and the growth from step to step.
+SHORTEST, LONGEST, GROWTH = 1.0e-9, 1.0e-1, 1.2
+# Steps per swing, and number of swings.
+SWING_STEPS = 1000
+PERIODS = 2.0
+
+
+def slips(
+    frictions: Any,
+    speeds: ArrayLike | None = None,
+    *,
+    direction: float = 0.0,
+    load: float = 10.0,
+    device: str = "cpu",
+) -> xr.Dataset:
+    """Measures the coefficient of friction in steady slip, one environment per speed.
+
+    Args:
+        frictions: A friction, several, or a mapping from labels to frictions; each an instance, or a class,
+            which is then shown with μ = 0.4, or μ_s = 0.5 and μ_d = 0.3.
+        speeds: Slip speeds [m/s]; around those that the frictions name if not given.
+        direction: Direction of the slip, from the surface's x axis about its normal [rad].
+        load: Normal force [N].
+        device: Warp device.
+
+    Returns:
+        A data set with ``coefficient``, F/N against the slip [-], over (friction, speed), and
+        ``settings``, the parameters, over friction.
+
+    Raises:
+        TypeError: If a friction is none.
+        ValueError: If a value is out of range, or a class needs values that only its author knows.
+    """
+    chosen, load = _chosen(frictions, load)
+    if speeds is None:
+        slow, fast = own_speeds(chosen, load)
+        every = np.geomspace(slow / 50.0, 10.0 * fast, 181)
+    else:
+        every = np.atleast_1d(np.asarray(speeds))
+        every = checks.numbers("speeds", every, (every.size,), checks.limits("m/s", above=0.0))
+    turn = float(checks.numbers("direction", direction, (), checks.limits("rad")))
+    forward = np.array([np.cos(turn), np.sin(turn), 0.0])
+    model = _model(chosen, load, every[:, None] * forward, device)
+    _slide(model, _settling(chosen, load, device) / every.min(), every.max())
+    force = np.array([model.reading(f"touch_{k}.friction_force") @ forward for k in range(len(chosen))])
+    return xr.Dataset(
+        {"coefficient": (("friction", "speed"), 0.0 - force / load, notes("-", "coefficient of friction"))},
+        coords=_coordinates(chosen) | {"speed": ("speed", every, notes("m/s", "slip speed"))},
+        attrs={"source": f"warpcontact {__version__}", "load": load, "direction": turn},
+    )
+
+
+def swings(
+    frictions: Any,
+    amplitude: ArrayLike | None = None,
+    *,
+    speed: float | None = None,
+    load: float = 10.0,
+    device: str = "cpu",
+) -> xr.Dataset:
+    """Measures friction in a slip that swings to and fro, one environment per amplitude.
+
+    It begins at rest where the swing turns, so what a friction remembers starts from nothing.
+
+    Args:
+        frictions: As for ``slips``.
+        amplitude: Amplitudes of the displacement [m]; if not given, one that takes every friction well beyond
+            where it yields, and two smaller ones.
+        speed: Greatest slip speed of the largest amplitude [m/s]; above those that the frictions name if not
+            given. All swing with the same period.
+        load: Normal force [N].
+        device: Warp device.
+
+    Returns:
+        A data set with ``coefficient``, F/N against the positive direction [-], over (friction, amplitude,
+        time), and ``displacement`` [m] over (amplitude, time).
+
+    Raises:
+        TypeError: If a friction is none.
+        ValueError: If a value is out of range, or a class needs values that only its author knows.
+    """
+    chosen, load = _chosen(frictions, load)
+    fast = 3.0 * own_speeds(chosen, load)[1] if speed is None else speed
+    fast = float(checks.numbers("speed", fast, (), checks.limits("m/s", above=0.0)))
+    if amplitude is None:
+        largest = YIELDS * _yield_distance(chosen, load, device) or USUAL_AMPLITUDE
+        sizes = np.array(SWINGS) * float(f"{largest:.0e}")  # a round number
+    else:
+        sizes = np.atleast_1d(np.asarray(amplitude))
+        sizes = checks.numbers("amplitude", sizes, (sizes.size,), checks.limits("m", above=0.0))
+    omega = fast / sizes.max()
+    dt = 2.0 * np.pi / omega / SWING_STEPS
+    place = -np.cos(2.0 * np.pi * np.arange(round(PERIODS * SWING_STEPS) + 1) / SWING_STEPS)
+    speeds = np.diff(place, prepend=place[0]) / dt
+    model = _model(chosen, load, np.zeros((len(sizes), 3)), device)
+    simulation = Simulation(model, dt)
+    forces = [f"touch_{k}.friction_force" for k in range(len(chosen))]
+    recorder = Recorder(model, [*forces, "ball_0.position"], frames=len(place), poses=False)
+    state = np.zeros((2, len(sizes), len(chosen), 3))
+    state[0, ..., 2] = RADIUS - DEPTH
+    for frame in range(len(place)):
+        if frame:
+            simulation.step()
+        # Place and speed of this frame, as a step with that speed would have made them.
+        state[0, ..., 0], state[1, ..., 0] = (sizes * place[frame])[:, None], (sizes * speeds[frame])[:, None]
+        simulation.state.body_position.assign(state[0])
+        simulation.state.body_linear_velocity.assign(state[1])
+        recorder.take(frame * dt)
+    recording = recorder.finish({})
+    coefficient = np.array([-recording[name].values[..., 0].T / load for name in forces])
+    displacement = recording["ball_0.position"].values[..., 0].T
+    return xr.Dataset(
+        {
+            "coefficient": (
+                ("friction", "amplitude", "time"),
+                coefficient,
+                notes("-", "friction force over normal force"),
+            ),
+            "displacement": (("amplitude", "time"), displacement, notes("m", "displacement")),
+        },
+        coords=_coordinates(chosen)
+        | {
+            "amplitude": ("amplitude", sizes, notes("m", "amplitude of the displacement")),
+            "time": ("time", recording["time"].values, notes("s", "time")),
+        },
+        attrs={"source": f"warpcontact {__version__}", "load": load, "speed": fast},
+    )
+
+
+def _chosen(frictions: Any, load: float) -> tuple[dict[str, Friction], float]:
+    load = float(checks.numbers("load", load, (), checks.limits("N", above=0.0)))
+    given = samples.named(Friction, frictions)
+    patch = float(np.sqrt(RADIUS * DEPTH))
+    return {
+        label: samples.friction(friction, load, patch) if isinstance(friction, type) else friction
+        for label, friction in given.items()
+    }, load
+
+
+def own_speeds(frictions: Any, load: float) -> tuple[float, float]:
+    """Returns the lowest and the highest slip speed that frictions have as parameters [m/s]."""
+    chosen, _ = _chosen(frictions, load)
+    own = [
+        value
+        for friction in chosen.values()
+        for name, value in friction.parameters().items()
+        if friction.limits(name)["unit"] == "m/s" and value > 0.0
+    ]
+    return (min(own), max(own)) if own else USUAL_SPEEDS
+
+
+def _yield_distance(chosen: Mapping[str, Friction], load: float, device: str) -> float:
+    """Returns the longest slip from rest after which a friction reaches 2/3 of its force; 0: all do at once.
+
+    The slip is slow against the speeds that the frictions name, but for those that follow it at once it does not
+    matter how slow.
+    """
+    speed = own_speeds(chosen, load)[0]
+    model = _model(chosen, load, np.array([[speed, 0.0, 0.0]]), device)
+    forces = []
+    distances = np.append(0.0, SHORTEST * GROWTH ** np.arange(np.log(LONGEST / SHORTEST) / np.log(GROWTH)))
+    for travel in np.diff(distances):
+        Simulation(model, float(travel / speed)).step()
+        forces.append([np.linalg.norm(model.reading(f"touch_{k}.friction_force")) for k in range(len(chosen))])
+    longest = 0.0
+    for force in np.array(forces).T:
+        first = int(np.argmax(force >= 2.0 / 3.0 * force.max()))
+        if first:
+            longest = max(longest, float(distances[first + 1]))
+    return longest
+
+
+def _settling(chosen: Mapping[str, Friction], load: float, device: str) -> float:
+    """Returns the slip distance after which all frictions are steady [m]."""
+    return 30.0 * _yield_distance(chosen, load, device)
+
+
+def _slide(model: Model, duration: float, fastest: float) -> None:
+    """Slides for ``duration`` [s], in steps that grow from what is short at the highest speed [m/s]."""
+    time = SHORTEST / fastest
+    Simulation(model, time).step()
+    while time < duration:
+        dt = (GROWTH - 1.0) * time
+        Simulation(model, dt).step()
+        time += dt
+
+
+def _model(chosen: Mapping[str, Friction], load: float, velocity: Array, device: str) -> Model:
+    """Returns spheres pressed on a plate with ``load`` [N] that slide with ``velocity`` (env, 3) [m/s]."""
+    scene = Scene(gravity=(0.0, 0.0, -load / HEAVY))
+    plate = scene.add_surface(grid((1.0e4, 1.0e4)), name="plate")
+    for k, friction in enumerate(chosen.values()):
+        ball = scene.add_body(HEAVY, [HEAVY] * 3, position=(0.0, 0.0, RADIUS - DEPTH), name=f"ball_{k}")
+        template = Template(law=Hooke(stiffness=load / DEPTH), friction=friction)
+        centre = scene.add_point(ball, (0.0, 0.0, 0.0))
+        scene.add_contact(centre, plate, template, radius=RADIUS, name=f"touch_{k}")
+    model = scene.build(envs=len(velocity), device=device, precision="float64")
+    for k in range(len(chosen)):
+        model[f"ball_{k}.linear_velocity"] = velocity
+    return model
+
+
+def _coordinates(chosen: Mapping[str, Friction]) -> dict[str, Any]:
+    texts = np.array([settings(friction) for friction in chosen.values()], object)
+    return {"friction": list(chosen), "settings": ("friction", texts)}

@@ -1,0 +1,106 @@
+"""The catalogue of laws and frictions as text, and how to find an entry by its name."""
+
+import dataclasses
+import difflib
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from warpcontact.kernels import frictions, laws
+from warpcontact.kernels.formula import Formula
+
+WIDTH = 100
+
+#: What the flags of ``Formula.provenance`` mean.
+PROVENANCE = {
+    "S": "read in a public source",
+    "D": "derived and confirmed by integration",
+    "R": "recalled from the literature",
+}
+
+LETTERS = (
+    "N: normal force, δ: penetration, δ̇: its rate, > 0 on approach, v₀: entry speed, m: effective mass,",
+    "F: friction force, v: slip velocity, s = |v|. Units are SI.",
+)
+LEGEND = (
+    "known: how sure the formula is. S: read in a public source, a program or a manual; D: derived and",
+    "confirmed by integration; R: recalled from the literature, no source at hand to check it against.",
+    "Where there are two letters, the parts differ.",
+)
+
+
+class UnknownName(ValueError):
+    """A name that is not in the catalogue."""
+
+
+def every() -> dict[str, type[Formula]]:
+    """Returns all entries by their names, laws first."""
+    return {formula.__name__: formula for formula in (*laws.CATALOGUE, *frictions.CATALOGUE)}
+
+
+def find(name: str) -> type[Formula]:
+    """Returns the law or friction called ``name``.
+
+    Raises:
+        UnknownName: If there is none; the message suggests the nearest name.
+    """
+    entries = every()
+    if name in entries:
+        return entries[name]
+    lower = {key.lower(): key for key in entries}
+    close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
+    hint = f"did you mean {lower[close[0]]!r}?" if close else "'warpcontact laws' lists them"
+    raise UnknownName(f"there is no law or friction {name!r}; {hint}")
+
+
+def catalogue() -> str:
+    """Returns the whole catalogue."""
+    lines = [*LETTERS, *LEGEND]
+    for title, formulas in (("LAWS", laws.CATALOGUE), ("FRICTIONS", frictions.CATALOGUE)):
+        lines += ["", title]
+        for formula in formulas:
+            lines += ["", *entry(formula)]
+    return "\n".join(lines)
+
+
+def entry(formula: type[Formula]) -> Sequence[str]:
+    """Returns the lines on one law or friction."""
+
+    def wrapped(begin: str, text: str) -> list[str]:
+        return textwrap.wrap(text, WIDTH, initial_indent=begin, subsequent_indent=" " * len(begin))
+
+    lines = [f"  {formula.__name__}", *wrapped("    formula ", formula.formula)]
+    for field in dataclasses.fields(formula):
+        limits = formula.limits(field.name)
+        optional = field.default is dataclasses.MISSING or field.default is None
+        given = "" if optional else f"default {field.default:g}"
+        columns = f"    {field.name:<17} {limits['unit']:<8}{_range(limits):<14}{given:<14}"
+        lines += wrapped(columns, limits["meaning"])
+    one_of = f"exactly one of {' and '.join(formula.exactly_one_of)}" if formula.exactly_one_of else ""
+    texts = {
+        "give": one_of,
+        "valid": formula.validity,
+        "source": formula.reference,
+        "known": provenance(formula),
+    }
+    for label, text in texts.items():
+        lines += wrapped(f"    {label:<8}", text) if text else []
+    return lines
+
+
+def provenance(formula: type[Formula]) -> str:
+    """Returns in words how sure a formula is; nothing if it does not say."""
+    flags = [flag for flag in formula.provenance.split(", ") if flag]
+    return ", in part ".join(f"{PROVENANCE[flag]} ({flag})" for flag in flags)
+
+
+def _range(limits: Any) -> str:
+    """Returns an allowed range in few characters."""
+    infinity = float("inf")
+    low = f"> {limits['above']:g}" if limits["above"] > -infinity else ""
+    low = f"≥ {limits['at_least']:g}" if limits["at_least"] > -infinity else low
+    if limits["at_most"] == infinity:
+        return low or "any"
+    if limits["at_least"] > -infinity:
+        return f"{limits['at_least']:g} … {limits['at_most']:g}"
+    return f"{low}, ≤ {limits['at_most']:g}" if low else f"≤ {limits['at_most']:g}"
