@@ -57,6 +57,51 @@ def test_a_rolling_spring_holds_a_ball_on_a_slope(precision, device):
     np.testing.assert_allclose(acceleration, expected, rtol=5e-3)
 
 
+def test_a_ball_rolls_or_slips_down_a_slope_as_in_closed_form(device):
+    # FORCE_LAWS G11: 25°, (5/7) g sin θ = 2.961346534 m/s² above μ = 0.1332307595; at μ = 0.05 it slips at
+    # 3.701341178 m/s² and spins up at 1.111359924 m/s² over R.
+    slope = np.radians(25.0)
+    gravity = (G * np.sin(slope), 0, -G * np.cos(slope))
+    model = ball_on_plate(gravity=gravity, stiffness=1e6, envs=3, device=device)
+    mu = np.array([0.05, 0.13, 0.14])
+    model["touch.friction.mu_static"] = mu
+    model["touch.friction.mu_dynamic"] = mu
+    sim = wc.Simulation(model, dt=2e-4)
+    sim.step(1000)
+    speed, spin = model.reading("ball.linear_velocity")[:, 0], model.reading("ball.angular_velocity")[:, 1]
+    sim.step(2500)
+    acceleration = (model.reading("ball.linear_velocity")[:, 0] - speed) / 0.5
+    spinning = (model.reading("ball.angular_velocity")[:, 1] - spin) / 0.5 * R
+    assert spinning[1] < 0.98 * acceleration[1]
+    # δ/R = 2e-4 of the lever of friction.
+    np.testing.assert_allclose(acceleration[[0, 2]], [3.701341178, 2.961346534], rtol=3e-4)
+    np.testing.assert_allclose(spinning[[0, 2]], [1.111359924, 2.961346534], rtol=4e-4)
+
+
+def test_a_ball_rolls_in_a_groove_as_in_closed_form(device):
+    # FORCE_LAWS G25: 90° groove at 20°: 1.864009781 m/s², N = 0.6644630244 m g on either side, for μ > 0.1143848092.
+    slope, half = np.radians(20.0), np.radians(45.0)
+    scene = wc.Scene(gravity=(G * np.sin(slope), 0, -G * np.cos(slope)))
+    friction = F.CundallStrack(mu_static=0.2, mu_dynamic=0.2, stiffness=1e6, damping=100.0)
+    template = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e6, damping=200.0), friction=friction)
+    # Let down as deep as it will lie: sinking in, it would stretch the sticking springs across, which then carry.
+    depth = 0.6644630244 * G / 1e6
+    ball = scene.add_body(1.0, [0.4 * R * R] * 3, position=(0, 0, (R - depth) * np.sqrt(2)), name="ball")
+    centre = scene.add_point(ball, (0, 0, 0))
+    for name, turn in (("left", half), ("right", -half)):
+        side = scene.add_surface(square(50.0), orientation=(np.sin(turn / 2), 0, 0, np.cos(turn / 2)))
+        scene.add_contact(centre, side, template, radius=R, kappa=0.0, name=name)
+    model = scene.build(device=device, precision="float64")
+    sim = wc.Simulation(model, dt=1e-4)
+    sim.step(4000)
+    speed = model.reading("ball.linear_velocity")[0, 0]
+    sim.step(4000)
+    acceleration = (model.reading("ball.linear_velocity")[0, 0] - speed) / 0.4
+    np.testing.assert_allclose(acceleration, 1.864009781, rtol=3e-4)
+    for name in ("left", "right"):
+        np.testing.assert_allclose(model.reading(f"{name}.normal_force")[0], 0.6644630244 * G, rtol=1e-5)
+
+
 def test_viscous_rolling_resistance_lets_speed_decay(device):
     """Type B: dv/dt = −(5/7) β g v."""
     model = ball_on_plate(rolling=F.Viscous(drag=0.05), stiffness=1e6, device=device)
