@@ -238,3 +238,30 @@ def test_box_slides_down_the_slope_as_fast_as_the_closed_form_says(device, tmp_p
     # The box sinks in by 0.05 mm, and friction is less below the velocity scale of 1 mm/s.
     np.testing.assert_allclose(slid[:3], 0.5 * acceleration[:3] * duration**2, atol=1.0e-3)
     assert slid[3] < 2.0e-3
+
+
+def test_rolling_and_torsion_are_parts_of_a_template(device, tmp_path):
+    stick = {"type": "CundallStrack", "mu_static": 0.5, "mu_dynamic": 0.4, "stiffness": 1.0e4}
+    template = {
+        "name": "felt",
+        "law": {"type": "Hooke", "stiffness": 1.0e4},
+        "friction": stick,
+        "rolling": {"type": "Tanh", "mu": 0.02},
+        "torsion": {"type": "Tanh", "mu": 0.4, "velocity_scale": 1.0e-3},
+    }
+    ball = content()["body"][0] | {"position": [0.0, 0.0, 0.099], "angular_velocity": [0.0, 10.0, 5.0]}
+    contact = content()["contact"][0] | {"template": "felt", "torsion_radius": 0.002}
+    study = wc.Experiment(
+        content(
+            body=[ball], template=[template], contact=[contact],
+            variation={"touch.rolling.mu": {"values": [0.0, 0.01, 0.02, 0.04]}},
+            record={"readings": ["touch.torque", "touch.normal_force"]},
+        )
+    )  # fmt: skip
+    run = study.run(tmp_path / "out", device=device)
+    couple, force = (run.recording[name].isel(time=0) for name in ("touch.torque", "touch.normal_force"))
+    # M = −μ_r R N about y, −μ r_t N about z.
+    np.testing.assert_allclose(couple.sel(axis="y"), -np.array([0, 0.01, 0.02, 0.04]) * 0.1 * force, rtol=1e-5)
+    np.testing.assert_allclose(couple.sel(axis="z"), -0.4 * 0.002 * force, rtol=1e-5)
+    again = wc.Experiment.from_toml(run.files["experiment"])
+    assert again.settings == study.settings

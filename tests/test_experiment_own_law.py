@@ -296,3 +296,16 @@ def test_the_example_rebounds_as_its_closed_form_says(device, tmp_path):
     # The tolerances are those of own_law.py, with their reasons, in test_examples.py.
     np.testing.assert_allclose(heights, expected_heights, rtol=0.008)
     np.testing.assert_allclose(speeds, expected_speeds, rtol=0.002)
+
+
+def test_own_frictions_that_remember_serve_every_part(folder, device, tmp_path):
+    spring = {"type": "my_laws.py:StickSpring", "mu": 0.4, "stiffness": 1e5}
+    template = {"name": "rubber", "law": CUBIC, "friction": spring, "rolling": spring, "torsion": spring}
+    experiment = wc.Experiment(study(template=[template]), folder=folder)
+    run = experiment.run(tmp_path / "out", device=device)
+    force = run.recording["touch.friction_force"].sel(axis="x").values
+    normal = run.recording["touch.normal_force"].values
+    assert (force[1:] < 0).any()
+    assert (np.abs(force) <= 0.4 * normal * (1 + 1e-5)).all()
+    again = wc.Experiment.from_toml(run.files["experiment"]).run(tmp_path / "again", device=device)
+    assert again.recording.identical(run.recording)

@@ -79,7 +79,7 @@ def test_a_ball_rolls_or_slips_down_a_slope_as_in_closed_form(device):
 
 
 def test_a_ball_rolls_in_a_groove_as_in_closed_form(device):
-    # FORCE_LAWS G25: 90° groove at 20°: 1.864009781 m/s², N = 0.6644630244 m g on either side, for μ > 0.1143848092.
+    # FORCE_LAWS G25: 90° groove at 20°: 1.864009781 m/s², N = 0.6644630244 m g on either side, μ > 0.1143848092.
     slope, half = np.radians(20.0), np.radians(45.0)
     scene = wc.Scene(gravity=(G * np.sin(slope), 0, -G * np.cos(slope)))
     friction = F.CundallStrack(mu_static=0.2, mu_dynamic=0.2, stiffness=1e6, damping=100.0)

@@ -131,3 +131,24 @@ class Powerless(wc.Law):
 
 def helper():
     return Cubic
+
+
+class StickSpring(wc.Friction):
+    """F = −k ξ, never more than μ N."""
+
+    mu: float = wc.parameter("-", "coefficient of friction μ", at_least=0.0)
+    stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
+
+    stretch = wc.memory("m", "stretch ξ", tangent=True)
+
+    @wp.func
+    def advance(p: Any, s: Any, m: Any):
+        m.stretch = m.stretch + m.elapsed * s.velocity
+        reach = p.mu * s.normal_force / p.stiffness
+        if wp.length(m.stretch) > reach:
+            m.stretch = reach * wp.normalize(m.stretch)
+        return m
+
+    @wp.func
+    def force(p: Any, s: Any, m: Any):
+        return -p.stiffness * m.stretch

@@ -87,7 +87,7 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
     ground = scene.add_surface(meshes.grid())
     ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0))
     template = Template(**{"law": Hooke(stiffness=1.0), key: formula})
-    scene.add_contact(scene.add_point(ball, (0.0, 0.0, 0.0)), ground, template)
+    scene.add_contact(scene.add_point(ball, (0.0, 0.0, 0.0)), ground, template, radius=0.1)
     _, failure = _built(scene, precision)
     if failure is None:
         return None
