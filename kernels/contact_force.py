@@ -48,15 +48,10 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
     vec3, quat, Model, State, History = t.vec3, t.quat, t.Model, t.State, t.History
     Contacts, Wrenches, Touch, Slip = t.Contacts, t.Wrenches, t.Touch, t.Slip
     Coefficients, Memory = group_structs(parts, real)
-    law = memory.functions(parts.law, real)
-    friction = memory.functions(parts.friction, real)
-    rolling = memory.functions(parts.rolling, real)
-    torsion = memory.functions(parts.torsion, real, along_normal=True)
-    law_recall, law_respond, law_keep, law_forget = law
-    friction_recall, friction_respond, friction_keep, friction_forget = friction
-    rolling_recall, rolling_respond, rolling_keep, rolling_forget = rolling
-    torsion_recall, torsion_respond, torsion_keep, torsion_forget = torsion
-    LawMemory = memory.memory_struct(parts.law, real)
+    law_force, law_begins, law_forget = memory.functions(parts.law, real)
+    friction_force, _, friction_forget = memory.functions(parts.friction, real)
+    rolling_force, _, rolling_forget = memory.functions(parts.rolling, real)
+    torsion_force, _, torsion_forget = memory.functions(parts.torsion, real, along_normal=True)
     needs_mass = parts.law.needs_mass
     rolls = parts.rolling is not Frictionless
     twists = parts.torsion is not Frictionless
@@ -177,10 +172,7 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
         if begins and approach > real(0.0):
             lasted = touch.delta / approach
         p = coefficients.law[env, member]
-        law_memory = law_recall(remembered.law, env, member, lasted, q_WS, n_W)
-        law_memory, law_force = law_respond(p, touch, law_memory)
-        law_keep(kept.law, env, member, law_memory, dt, q_WS, n_W)
-        normal_force = cut(law_force)
+        normal_force = cut(law_force(remembered.law, kept.law, env, member, p, touch, lasted, dt, q_WS, n_W))
 
         # The force of a step stands for the time from half a step before this state to half a step after: the
         # contact's share of it, when it began since the last state, is δ/(δ̇ dt) + 1/2 steps. A law continuous
@@ -189,8 +181,7 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
         if begins and touch.delta <= travel * real(1.001):
             late = wp.min(touch.delta / travel, real(1.0))
             touch.delta = touch.delta * real(1.0e-6)
-            _, force_at_touch = law_respond(p, touch, LawMemory())
-            normal_force = cut(normal_force + (late - real(0.5)) * cut(force_at_touch))
+            normal_force = cut(normal_force + (late - real(0.5)) * cut(law_begins(p, touch)))
 
         slip = Slip()
         slip.normal = n_W
@@ -204,9 +195,10 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
 
         slip = moving(slip, approach * n_W - v_W)
         contacts.slip_speed[env, contact] = slip.speed
-        friction_memory = friction_recall(remembered.friction, env, member, lasted, q_WS, n_W)
-        friction_memory, friction_W = friction_respond(coefficients.friction[env, member], slip, friction_memory)
-        friction_keep(kept.friction, env, member, friction_memory, dt, q_WS, n_W)
+        friction_W = friction_force(
+            remembered.friction, kept.friction, env, member, coefficients.friction[env, member], slip, lasted, dt,
+            q_WS, n_W,
+        )  # fmt: skip
 
         torque_W = vec3()
         if wp.static(rolls or twists):
@@ -214,22 +206,20 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
             if wp.static(rolls):
                 # The velocity at which the point of contact travels, and a couple of the same power.
                 slip = moving(slip, geometry.radius * wp.cross(w_W, n_W))
-                rolling_memory = rolling_recall(remembered.rolling, env, member, lasted, q_WS, n_W)
-                rolling_memory, rolling_W = rolling_respond(
-                    coefficients.rolling[env, member], slip, rolling_memory
-                )
-                rolling_keep(kept.rolling, env, member, rolling_memory, dt, q_WS, n_W)
+                rolling_W = rolling_force(
+                    remembered.rolling, kept.rolling, env, member, coefficients.rolling[env, member], slip, lasted,
+                    dt, q_WS, n_W,
+                )  # fmt: skip
                 torque_W = geometry.radius * wp.cross(n_W, rolling_W)
             if wp.static(twists):
                 arm = geometry.torsion_radius
                 if (model.contact_options[contact] & HERTZ_PATCH) != 0:
                     arm = hertz_arm * slip.patch_radius
                 slip = moving(slip, (arm * wp.dot(w_W, n_W)) * n_W)
-                torsion_memory = torsion_recall(remembered.torsion, env, member, lasted, q_WS, n_W)
-                torsion_memory, torsion_W = torsion_respond(
-                    coefficients.torsion[env, member], slip, torsion_memory
-                )
-                torsion_keep(kept.torsion, env, member, torsion_memory, dt, q_WS, n_W)
+                torsion_W = torsion_force(
+                    remembered.torsion, kept.torsion, env, member, coefficients.torsion[env, member], slip, lasted,
+                    dt, q_WS, n_W,
+                )  # fmt: skip
                 torque_W += arm * torsion_W
 
         contacts.approach_speed[env, contact] = approach

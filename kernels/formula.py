@@ -7,8 +7,10 @@ restitution) names its ``device`` coefficients and computes them, vectorised, in
 remembers declares its ``memory`` and how it advances; ``memory.py`` keeps it.
 """
 
+import ast
 import dataclasses
 import functools
+import inspect
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, dataclass_transform
@@ -114,6 +116,20 @@ class Formula:
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
+        annotated = {name for kind in cls.__mro__ for name in inspect.get_annotations(kind)}
+        # From any base, a mixin too, as Python finds attributes.
+        every = [name for kind in reversed(cls.__mro__) for name, v in vars(kind).items() if isinstance(v, Memory)]
+        cls.memories = {name: getattr(cls, name) for name in dict.fromkeys(every)}
+        for name in cls.memories:
+            if name in annotated:
+                raise TypeError(
+                    f"{cls.__name__}.{name} is a parameter and a memory: a memory has a name of its own and no "
+                    f"annotation, {name} = wc.memory(unit, meaning)"
+                )
+            if name == "elapsed":
+                raise TypeError(
+                    f"{cls.__name__}.elapsed: every memory has this already, the time since it advanced"
+                )
         # A subclass without a docstring would get the signature for one; keep what the author wrote.
         dataclasses.dataclass(frozen=True, kw_only=True)(cls)
         for field in dataclasses.fields(cls):
@@ -122,19 +138,33 @@ class Formula:
                     f"{cls.__name__}.{field.name} must be declared with wc.parameter: "
                     f"{field.name}: float = wc.parameter(unit, meaning, default=…)"
                 )
-        own = {name: value for name, value in vars(cls).items() if isinstance(value, Memory)}
-        cls.memories = {**cls.memories, **own}
-        if "elapsed" in own:
-            raise TypeError(f"{cls.__name__}.elapsed: every memory has this already, the time since it advanced")
+        for name in ("force", "advance"):
+            if isinstance(vars(cls).get(name), wp.Function):
+                cls._check_function(name)
+
+    @classmethod
+    def arguments(cls) -> str:
+        """Returns what ``force`` takes, in words."""
+        return "(coefficients, state, memory)" if cls.memories else "(coefficients, state)"
+
+    @classmethod
+    def _check_function(cls, name: str) -> None:
+        """Raises ``TypeError`` for what Warp would only say in its own words, much later."""
+        function = getattr(cls, name)
+        if name == "advance" and not cls.memories:
+            raise TypeError(f"{cls.__name__}.advance has nothing to advance; declare what it remembers: wc.memory")
+        wanted = 3 if cls.memories else 2
+        if len(inspect.signature(function.func).parameters) != wanted:
+            raise TypeError(f"{cls.__name__}.{name} must take {wanted} arguments, {cls.arguments()}")
+        if not any(isinstance(node, ast.Return) and node.value for node in ast.walk(function.adj.tree)):
+            what = "the memory: end it with return m" if name == "advance" else "the force"
+            raise TypeError(f"{cls.__name__}.{name} returns nothing; it must return {what}")
 
     def __post_init__(self) -> None:
         cls = type(self)
-        third = ", memory" if cls.memories else ""
         for name in ("force", "advance") if cls.memories else ("force",):
             if not isinstance(getattr(cls, name, None), wp.Function):
-                raise TypeError(f"{cls.__name__}.{name} must be a wp.func of (coefficients, state{third})")
-        if not cls.memories and hasattr(cls, "advance"):
-            raise TypeError(f"{cls.__name__}.advance has nothing to advance; declare what it remembers: wc.memory")
+                raise TypeError(f"{cls.__name__}.{name} must be a wp.func of {cls.arguments()}")
         given = self.parameters()
         if self.exactly_one_of:
             chosen = [name for name in self.exactly_one_of if name in given]

@@ -1,11 +1,12 @@
 """Memory of laws and frictions: what a formula declares by ``memory``, one struct per contact and environment.
 
-The force stage never changes it. It *recalls* the memory of the last accepted step, lets the formula advance it
-to the present instant, answers with the force, and *keeps* the result in a second array; ``history.py`` takes
-that over once the step is accepted. So a force can be asked for at any trial state, any number of times.
+The force stage never changes it. It recalls the memory of the last accepted step, lets the formula advance it to
+the present instant, answers with the force, and keeps the result in a second array; ``history.py`` takes that over
+once the step is accepted. So a force can be asked for any number of times. How long ago the memory was advanced is
+part of it.
 
-A tangent vector is kept in the axes of the surface and laid into the present tangent plane at its old length, so
-that it turns with the surface and with the normal.
+A tangent vector is kept in the axes of the surface, so that it turns with it, and follows the normal by the
+smallest rotation from the last normal to the present one.
 """
 
 import functools
@@ -21,19 +22,18 @@ def memory_struct(formula: type[Formula], real: type) -> Any:
     """Returns the struct of what ``formula`` remembers; of a formula without memory it is never looked at."""
     vec3 = structs(real).vec3
     fields = tuple((name, vec3 if field.tangent else real) for name, field in formula.memories.items())
-    return named_struct(f"{formula.__name__}Memory", (*fields, ("elapsed", real)))
+    return named_struct(f"{formula.__name__}Memory", (*fields, ("elapsed", real), ("_normal", vec3)))
 
 
 class Functions(NamedTuple):
     """Device functions of one part of a contact."""
 
-    #: ``(memory, env, member, at_most, q_WS, n_W)``: the memory in W, with no more than ``at_most`` [s] elapsed.
-    recall: wp.Function
-    #: ``(p, x, m)``: the memory advanced to the present, and the force.
-    respond: wp.Function
-    #: ``(memory, env, member, m, dt, q_WS, n_W)``: writes it.
-    keep: wp.Function
-    #: ``(memory, env, member, dt)``: writes an empty one.
+    #: ``(memory, kept, env, member, p, x, at_most, dt, q_WS, n_W)``: the force, from the memory advanced by no
+    #: more than ``at_most`` [s], which is kept.
+    act: wp.Function
+    #: ``(p, x)``: the force of a contact that has just begun.
+    begin: wp.Function
+    #: ``(kept, env, member, dt)``: keeps an empty memory.
     forget: wp.Function
 
 
@@ -52,30 +52,43 @@ def functions(formula: type[Formula], real: type, along_normal: bool = False) ->
     Array = wp.array2d(dtype=Struct)
     force = formula.force
     if not formula.memories:
-        return _without_memory(real, Struct, force)
+        return _without_memory(real, Array, force)
     advance = formula.advance
 
     @wp.func
     def of_length(v: vec3, size: real):
         """``v`` at length ``size``: a rounded quaternion scales what it rotates, and every step would again."""
         length = wp.length(v)
-        if length > real(0.0):
-            return (size / length) * v
-        return vec3()
+        if length == real(0.0):
+            return v
+        return (size / length) * v
 
     @wp.func
-    def laid(v: vec3, n_W: vec3):
-        """``v`` in the tangent plane, or along the normal."""
+    def followed(v: vec3, before: vec3, after: vec3):
+        """``v`` by the smallest rotation from unit vector ``before`` to ``after``."""
+        axis = wp.cross(before, after)
+        cosine = wp.dot(before, after)
+        if cosine < real(-0.999):
+            # Turned over: no direction is the right one, and no memory gives nothing back.
+            return vec3()
+        turned = wp.cross(axis, v)
+        return v + turned + wp.cross(axis, turned) / (real(1.0) + cosine)
+
+    @wp.func
+    def laid(v: vec3, n: vec3):
+        """``v`` without the rounding that is not in the tangent plane, or not along the normal."""
         if wp.static(along_normal):
-            return wp.dot(v, n_W) * n_W
-        return v - wp.dot(v, n_W) * n_W
+            return wp.dot(v, n) * n
+        return v - wp.dot(v, n) * n
 
     @wp.func
-    def to_world(v_S: vec3, q_WS: quat, n_W: vec3):
-        return of_length(laid(wp.quat_rotate(q_WS, v_S), n_W), wp.length(v_S))
+    def to_world(m: Struct, v_S: vec3, q_WS: quat, n_S: vec3):
+        """Follows the normal and takes a vector to world axes."""
+        at_n_S = laid(followed(v_S, m._normal, n_S), n_S)
+        return of_length(wp.quat_rotate(q_WS, at_n_S), wp.min(wp.length(v_S), real(1.001) * wp.length(at_n_S)))
 
     @wp.func
-    def to_surface(v_W: vec3, q_WS: quat, n_W: vec3):
+    def to_surface(m: Struct, v_W: vec3, q_WS: quat, n_S: vec3):
         return of_length(wp.quat_rotate_inv(q_WS, v_W), wp.length(v_W))
 
     tangents = [name for name, field in formula.memories.items() if field.tangent]
@@ -83,63 +96,80 @@ def functions(formula: type[Formula], real: type, along_normal: bool = False) ->
     all_to_surface = _for_each(tangents, Struct, to_surface, quat, vec3)
 
     @wp.func
-    def recall(memory: Array, env: int, member: int, at_most: real, q_WS: quat, n_W: vec3):
-        m = memory[env, member]
+    def act(
+        memory: Array,
+        kept: Array,
+        env: int,
+        member: int,
+        p: Any,
+        x: Any,
+        at_most: real,
+        dt: real,
+        q_WS: quat,
+        n_W: vec3,
+    ):
+        n_S = wp.quat_rotate_inv(q_WS, n_W)
+        m = all_to_world(memory[env, member], q_WS, n_S)
         if at_most < m.elapsed:
             m.elapsed = at_most
-        return all_to_world(m, q_WS, n_W)
-
-    @wp.func
-    def respond(p: Any, x: Any, m: Struct):
         advanced = advance(p, x, m)
-        return advanced, force(p, x, advanced)
+        answer = force(p, x, advanced)
+        advanced.elapsed = dt
+        advanced._normal = n_S
+        kept[env, member] = all_to_surface(advanced, q_WS, n_S)
+        return answer
 
     @wp.func
-    def keep(memory: Array, env: int, member: int, m: Struct, dt: real, q_WS: quat, n_W: vec3):
-        m.elapsed = dt
-        memory[env, member] = all_to_surface(m, q_WS, n_W)
+    def begin(p: Any, x: Any):
+        return force(p, x, advance(p, x, Struct()))
 
     @wp.func
-    def forget(memory: Array, env: int, member: int, dt: real):
+    def forget(kept: Array, env: int, member: int, dt: real):
         m = Struct()
         m.elapsed = dt
-        memory[env, member] = m
+        kept[env, member] = m
 
-    return Functions(recall, respond, keep, forget)
+    return Functions(act, begin, forget)
 
 
-def _without_memory(real: type, Struct: Any, force: wp.Function) -> Functions:
+def _without_memory(real: type, Array: Any, force: wp.Function) -> Functions:
     """The same functions for a formula that remembers nothing."""
     t = structs(real)
     vec3, quat = t.vec3, t.quat
-    Array = wp.array2d(dtype=Struct)
 
     @wp.func
-    def recall(memory: Array, env: int, member: int, at_most: real, q_WS: quat, n_W: vec3):
-        return Struct()
+    def act(
+        memory: Array,
+        kept: Array,
+        env: int,
+        member: int,
+        p: Any,
+        x: Any,
+        at_most: real,
+        dt: real,
+        q_WS: quat,
+        n_W: vec3,
+    ):
+        return force(p, x)
 
     @wp.func
-    def respond(p: Any, x: Any, m: Struct):
-        return m, force(p, x)
+    def begin(p: Any, x: Any):
+        return force(p, x)
 
     @wp.func
-    def keep(memory: Array, env: int, member: int, m: Struct, dt: real, q_WS: quat, n_W: vec3):
+    def forget(kept: Array, env: int, member: int, dt: real):
         pass
 
-    @wp.func
-    def forget(memory: Array, env: int, member: int, dt: real):
-        pass
-
-    return Functions(recall, respond, keep, forget)
+    return Functions(act, begin, forget)
 
 
 def _for_each(fields: list[str], Struct: Any, turned: wp.Function, quat: Any, vec3: Any) -> wp.Function:
-    """Returns the device function ``(m, q_WS, n_W)`` that applies ``turned`` to all ``fields`` of a struct.
+    """Returns the device function ``(m, q_WS, n_S)`` that applies ``turned`` to all ``fields`` of a struct.
 
     Warp has no loop over the fields of a struct, so its lines are written here.
     """
-    lines = ["def all_turned(m: Struct, q_WS: quat, n_W: vec3):"]
-    lines += [f"    m.{name} = turned(m.{name}, q_WS, n_W)" for name in fields]
+    lines = ["def all_turned(m: Struct, q_WS: quat, n_S: vec3):"]
+    lines += [f"    m.{name} = turned(m, m.{name}, q_WS, n_S)" for name in fields]
     lines += ["    return m"]
     file = f"<memory of {Struct.key}>"
     # Where inspect, and with it Warp, looks for source that is in no file.

@@ -107,3 +107,58 @@ def at_most(v: Any, length: Any):
     if wp.length(v) > length:
         return (length / wp.length(v)) * v
     return v
+
+
+class Clock(wc.Law):
+    """A spring that knows its age."""
+
+    stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
+
+    age = wc.memory("s", "time since touch")
+
+    @wp.func
+    def advance(p: Any, c: Any, m: Any):
+        m.age = m.age + m.elapsed
+        return m
+
+    @wp.func
+    def force(p: Any, c: Any, m: Any):
+        return p.stiffness * c.delta
+
+
+class Tiring(wc.Law):
+    """A dashpot that weakens with its age."""
+
+    damping: float = wc.parameter("N·s/m", "damping c", at_least=0.0)
+    time: float = wc.parameter("s", "time in which it has weakened to c/e", above=0.0)
+
+    age = wc.memory("s", "time since touch")
+    depth = wc.memory("m", "deepest penetration so far")
+
+    @wp.func
+    def advance(p: Any, c: Any, m: Any):
+        m.age = m.age + m.elapsed
+        m.depth = wp.max(m.depth, c.delta)
+        return m
+
+    @wp.func
+    def force(p: Any, c: Any, m: Any):
+        # Acts on new depth only: with the memory of the real depth there would be no force at touch.
+        if c.delta < m.depth:
+            return type(c.delta)(0.0)
+        return p.damping * c.delta_dot * wp.exp(-m.age / p.time)
+
+
+class Sprung(wc.Friction):
+    """F = −k ξ, without a limit."""
+
+    spring = wc.memory("m", "stretch ξ", tangent=True)
+
+    @wp.func
+    def advance(p: Any, s: Any, m: Any):
+        m.spring = m.spring + m.elapsed * s.velocity
+        return m
+
+    @wp.func
+    def force(p: Any, s: Any, m: Any):
+        return type(s.speed)(-1.0e4) * m.spring

@@ -189,7 +189,7 @@ def test_a_couple_without_an_arm_is_refused(part):
     scene = wc.Scene()
     ground = scene.add_surface(square())
     point = scene.add_point(scene.add_body(1.0, (1, 1, 1)), (0, 0, 0))
-    with pytest.raises(ValueError, match=f"the {part} of its template needs a radius"):
+    with pytest.raises(ValueError, match=f"the {part} of its template, Tanh, needs a radius"):
         scene.add_contact(point, ground, template)
 
 
@@ -212,3 +212,16 @@ def test_the_parameters_of_every_part_are_there(device):
     model["touch.rolling.mu"] = [0.0, 0.4]
     model["ball.angular_velocity"] = (0, 50.0, 0)
     np.testing.assert_allclose(model.reading("touch.torque")[:, 1], [0, -0.4 * R * G], rtol=1e-9)
+
+
+def test_a_friction_of_spheres_needs_a_radius(device):
+    friction = F.Mindlin(mu_static=0.4, mu_dynamic=0.3, shear_modulus=1e6)
+    scene = wc.Scene()
+    ground = scene.add_surface(square())
+    point = scene.add_point(scene.add_body(1.0, (1, 1, 1)), (0, 0, 0))
+    template = wc.Template(law=wc.laws.Hooke(stiffness=1.0), friction=friction)
+    with pytest.raises(ValueError, match=r"touch: the friction of its template, Mindlin, needs a radius"):
+        scene.add_contact(point, ground, template, name="touch")
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1.0), friction=friction, device=device)
+    with pytest.raises(ValueError, match=r"touch\.radius must be greater than 0, got 0 m"):
+        model["touch.radius"] = 0.0

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.checks import Array
+from warpcontact.friction_advice import friction_advice
 from warpcontact.kernels.laws.undamped import contact_time
 from warpcontact.kernels.types import CONTACT
 
@@ -25,13 +26,14 @@ class ContactWarning(UserWarning):
 def advice(model: "Model", dt: float) -> list[str]:
     """Returns what to say about the start of a model, a sentence or two per contact.
 
-    Estimates from the elastic part of a law and the masses of the bodies, without their rotation; nothing is said
-    of laws that do not tell their elastic part.
+    Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
+    steeply a friction rises; nothing is said of laws that do not tell their elastic part.
     """
     sentences = []
     if model.scene.contacts:
         model.evaluate()
-    for contact in model.scene.contacts:
+    for group, contact, first in model.grouped_contacts():
+        sentences += friction_advice(model, contact, group, first, dt)
         law = type(contact.template.law)
         names = contact.template.law.parameters()
         elastic = law.elastic({name: _column(model, f"{contact.name}.law.{name}") for name in names})

@@ -68,6 +68,7 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
     _add_surfaces(scene, arrays, parameters, t)
     patch_of, meshes = upload_patches(contacts, arrays.model, t, where)
     _add_contacts(contacts, start_of, patch_of, arrays, parameters, t)
+    made = [make_group(group, start_of[group[0]], parameters, t.real) for group in groups]
     return Model(
         scene=scene.snapshot(),
         envs=envs,
@@ -77,8 +78,8 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
         arrays=arrays,
         parameters=parameters.by_name,
         uploads=parameters.uploads,
-        groups=[make_group(group, start_of[group[0]], parameters, t.real) for group in groups],
-        readings=readings_of(scene, start_of),
+        groups=made,
+        readings=readings_of(scene, start_of, made),
         meshes=meshes,
     )
 
@@ -201,7 +202,10 @@ def _add_contacts(
     )
     for contact in contacts:
         items = slice(start_of[contact], start_of[contact] + contact.count)
-        for key, allowed in ranges.items():
+        own = dict(ranges)
+        if limits_of.needs_radius(contact.template, contact.torsion_radius is not None):
+            own["radius"] = limits("m", above=0.0)
+        for key, allowed in own.items():
             if getattr(contact, key) is None:
                 continue
             parameters.add(

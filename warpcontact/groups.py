@@ -13,6 +13,7 @@ from warpcontact.kernels.contact_force import Parts, group_structs
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.memory import memory_struct
+from warpcontact.kernels.types import structs
 from warpcontact.parameters import Field, Parameters, pack
 from warpcontact.scene import Contact
 
@@ -38,6 +39,19 @@ class Group:
     coefficients: Any
     memory: Any
     kept: Any
+
+    def of_memory(self, part: str, name: str) -> wp.array:
+        """Returns what ``part`` remembers as ``name``, a view (envs, contact of the group)."""
+        memory = getattr(self.memory, part)
+        offset = np.dtype(memory.dtype.numpy_dtype()).fields[name][1]
+        return wp.array(
+            ptr=memory.ptr + offset,
+            dtype=memory.dtype.vars[name].type,
+            shape=memory.shape,
+            strides=memory.strides,
+            device=memory.device,
+            copy=False,
+        )
 
     def memories(self) -> list[tuple[type[Formula], wp.array, wp.array]]:
         """Returns (formula, memory, kept) of the parts that remember anything."""
@@ -83,19 +97,34 @@ def _compiled(parts: Parts, device: wp.Device, real: type) -> wp.Kernel:
     try:
         kernel.module.load(device)
     except Exception as error:
+        text = str(error).replace("\\n", "\n")
         hint = ""
-        if "types must be the same" in str(error):
+        if "types must be the same" in text:
             hint = (
                 "\nConstants take the precision of the simulation when written as type(c.delta)(1.5) in a law, "
                 "type(s.speed)(1.5) in a friction."
             )
+        elif "array_store" in text:
+            hint = "\nThe force of a law is a number, that of a friction a vector."
         present = {part: formula for part, formula in parts._asdict().items() if formula is not Frictionless}
         named = " with ".join(f"{part} {formula.__name__}" for part, formula in present.items())
-        has = ", ".join(
-            f"{', '.join(formula.device_names()) or 'nothing'} in the {part}" for part, formula in present.items()
-        )
-        raise TypeError(f"{named} does not compile in {real.__name__}: {error}\np has {has}.{hint}") from error
+        raise TypeError(
+            f"{named} does not compile in {real.__name__}: {text}\n"
+            + "\n".join(_what_is_there(part, formula, real) for part, formula in present.items())
+            + hint
+        ) from error
     return kernel
+
+
+def _what_is_there(part: str, formula: type[Formula], real: type) -> str:
+    """Returns in words what the functions of ``formula`` are given."""
+    t = structs(real)
+    state, seen = ("c", t.Touch) if part == "law" else ("s", t.Slip)
+    given = {"p": formula.device_names() or ("nothing",), state: tuple(seen.vars)}
+    if formula.memories:
+        given["m"] = (*formula.memories, "elapsed")
+    parts = [f"{letter} has {', '.join(names)}" for letter, names in given.items()]
+    return f"In the {part}, {'; '.join(parts)}."
 
 
 def _add_formula(

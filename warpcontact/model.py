@@ -15,7 +15,7 @@ from warpcontact.groups import Group
 from warpcontact.health import Health
 from warpcontact.parameters import Parameter, Upload, broadcast
 from warpcontact.readings import Reading
-from warpcontact.scene import Scene
+from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import force_stages
 
 
@@ -234,6 +234,15 @@ class Model:
             outputs=[m.kinetic_energy, m.potential_energy, m.linear_momentum, m.angular_momentum],
             device=self.device,
         )
+
+    def grouped_contacts(self) -> Iterator[tuple[Group, Contact, int]]:
+        """Iterates over the contacts: the group each is computed in, and the index of its first item there."""
+        for group in self.groups:
+            first = 0
+            for contact in self.scene.contacts:
+                if contact.template.parts == group.parts:
+                    yield group, contact, first
+                    first += contact.count
 
     def health(self) -> Health:
         """Returns which environments are frozen."""

@@ -1,6 +1,6 @@
 """What can be measured: names, units, shapes, and where the values are on the device."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.groups import Group
 from warpcontact.scene import Contact, Scene
 from warpcontact.status import Status
 
@@ -73,8 +74,14 @@ class Reading:
         return values.sum(axis=axis) if self.total else values
 
 
-def readings_of(scene: Scene, start_of: Mapping[Contact, int]) -> dict[str, Reading]:
-    """Returns all readings of a scene by name; ``start_of`` tells where a contact's values begin."""
+def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[Group]) -> dict[str, Reading]:
+    """Returns all readings of a scene by name.
+
+    Args:
+        scene: The scene.
+        start_of: Where a contact's values begin.
+        groups: What its contacts are computed in.
+    """
     table: dict[str, Reading] = {}
 
     def add(name: str, unit: str, meaning: str, array: Callable[..., wp.array], **options: Any) -> None:
@@ -100,6 +107,22 @@ def readings_of(scene: Scene, start_of: Mapping[Contact, int]) -> dict[str, Read
             array = column("contacts", attribute, items)
             count = 0 if single else contact.count
             add(f"{contact.name}.{key}", unit, meaning, array, of_contacts=True, items=count)
+        group = next(group for group in groups if group.first <= start < group.first + group.count)
+        for part, formula in contact.template.formulas.items():
+            for key, memory in formula.memories.items():
+                place = start - group.first
+                own = place if single else slice(place, place + contact.count)
+                view = group.of_memory(part, key)[:, own]
+                frame = ", axes of the surface" if memory.tangent else ""
+                meaning = f"{memory.meaning}, as of the last step{frame}"
+                name = f"{contact.name}.{part}.{key}"
+                add(
+                    name,
+                    memory.unit,
+                    meaning,
+                    lambda arrays, view=view: view,
+                    items=0 if single else contact.count,
+                )
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
         array = column("measures", attribute, slice(0, len(scene.bodies)))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, of_measures=True, total=True)

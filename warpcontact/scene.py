@@ -403,15 +403,27 @@ class Scene:
         return body
 
 
+def needs_radius(template: Template, has_torsion_radius: bool) -> str | None:
+    """Returns the part of ``template`` that a contact without a radius cannot have; ``None``: there is none."""
+    if template.friction.needs_radius:
+        return "friction"
+    if not isinstance(template.rolling, Frictionless):
+        return "rolling"
+    torsion = template.torsion
+    if not isinstance(torsion, Frictionless) and (not has_torsion_radius or torsion.needs_radius):
+        return "torsion"
+    return None
+
+
 def _check_arms(name: str, template: Template, radius: Array, torsion_radius: float | None) -> None:
-    """Raises ``ValueError`` if a couple of the template would have no arm to act at."""
+    """Raises ``ValueError`` if a friction of the template would have no arm to act at."""
     if torsion_radius is not None and isinstance(template.torsion, Frictionless):
         raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
-    needs = {"rolling": template.rolling, "torsion": template.torsion if torsion_radius is None else None}
-    for part, friction in needs.items():
-        if radius == 0.0 and not (friction is None or isinstance(friction, Frictionless)):
-            cure = " or a torsion_radius" if part == "torsion" else ""
-            raise ValueError(f"{name}: the {part} of its template needs a radius{cure}, got a radius of 0 m")
+    part = needs_radius(template, torsion_radius is not None)
+    if radius == 0.0 and part is not None:
+        kind = type(getattr(template, part)).__name__
+        cure = " or a torsion_radius" if part == "torsion" else ""
+        raise ValueError(f"{name}: the {part} of its template, {kind}, needs a radius{cure}, got a radius of 0 m")
 
 
 def _face_mask(name: str, faces: ArrayLike | None, count: int) -> NDArray[np.bool_]:

@@ -23,3 +23,5 @@ class Friction(Formula):
 
     #: Whether it tells tangential directions apart, and needs ``s.axis``.
     directional: ClassVar[bool] = False
+    #: Whether it works for spheres only, by ``s.patch_radius``.
+    needs_radius: ClassVar[bool] = False

@@ -12,20 +12,37 @@ def spring_and_slider(m: Any, s: Any, stiffness: Any, damping: Any, mu_static: A
     """Stretches ``m.spring`` by the slip, and lets it slide where it would pull more than friction holds.
 
     Sliding begins at μ_s N and lasts while the spring would pull more than μ_d N. Judged by μ_s alone, as often
-    published, a steady slide would stick again after every step and pull anything between the two.
+    published, a steady slide would stick again after every step and pull anything between the two. The spring is
+    returned to its own cone: to leave in it what the dashpot takes, as often published, stretches it backwards in
+    a fast slide, and it gives back what nobody put in.
     """
     zero = type(s.speed)(0.0)
     m.spring = m.spring + m.elapsed * s.velocity
-    pull = stiffness * m.spring + damping * s.velocity
-    size = wp.length(pull)
     limit = mu_static * s.normal_force
     if m.sliding > zero:
         limit = mu_dynamic * s.normal_force
     m.sliding = zero
-    if size > limit:
+    if wp.length(stiffness * m.spring + damping * s.velocity) > limit:
         m.sliding = type(s.speed)(1.0)
-        m.spring = ((mu_dynamic * s.normal_force / size) * pull - damping * s.velocity) / stiffness
+        size = stiffness * wp.length(m.spring)
+        if size > mu_dynamic * s.normal_force:
+            m.spring = (mu_dynamic * s.normal_force / size) * m.spring
     return m
+
+
+@wp.func
+def spring_and_dashpot(m: Any, s: Any, stiffness: Any, damping: Any, mu_dynamic: Any):
+    """Pull of the spring, and of the dashpot as much as friction holds while sliding."""
+    pull = stiffness * m.spring
+    drag = damping * s.velocity
+    limit = mu_dynamic * s.normal_force
+    if m.sliding > type(s.speed)(0.0) and wp.length(pull + drag) > limit:
+        # The largest share of the dashpot with |pull + share drag| = limit.
+        across = wp.dot(pull, drag)
+        left = wp.max(limit * limit - wp.length_sq(pull), type(s.speed)(0.0))
+        share = (wp.sqrt(across * across + wp.length_sq(drag) * left) - across) / wp.length_sq(drag)
+        drag = wp.clamp(share, type(s.speed)(0.0), type(s.speed)(1.0)) * drag
+    return pull + drag
 
 
 class CundallStrack(Friction):
@@ -54,4 +71,4 @@ class CundallStrack(Friction):
 
     @wp.func
     def force(p: Any, s: Any, m: Any):
-        return -p.stiffness * m.spring - p.damping * s.velocity
+        return -spring_and_dashpot(m, s, p.stiffness, p.damping, p.mu_dynamic)

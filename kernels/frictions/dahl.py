@@ -13,7 +13,10 @@ class Dahl(Friction):
 
     formula = "F = −N σ₀ z, dz/dt = v − σ₀ s z/μ; one way dF/dx = σ₀ N (1 − F/(μ N))"
     reference = "Dahl, Aerospace Corp. TOR-0158 (1968); MotionSolve manual"
-    validity = "hysteresis about rest; drifts under a swinging load; explicit steps need dt < 2/√(σ₀ N/m)"
+    validity = (
+        "hysteresis about rest; drifts under a swinging force; its springs take in energy with a growing load; "
+        "explicit steps need dt < 2/√(σ₀ N/m)"
+    )
     provenance = "R"
 
     mu: float = parameter("-", "coefficient of friction μ", above=0.0)
@@ -28,4 +31,7 @@ class Dahl(Friction):
 
     @wp.func
     def force(p: Any, s: Any, m: Any):
-        return (-s.normal_force * p.stiffness) * m.deflection
+        pull = p.stiffness * m.deflection
+        if wp.length(pull) > p.mu:
+            pull = (p.mu / wp.length(pull)) * pull
+        return -s.normal_force * pull

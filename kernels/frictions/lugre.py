@@ -38,7 +38,10 @@ class LuGre(Friction):
 
     formula = "F = −N (σ₀ z + σ₁ dz/dt) − σ₂ v, dz/dt = v − σ₀ s z/g, g = μ_d + (μ_s − μ_d) exp(−(s/v_s)²)"
     reference = "Canudas de Wit, Olsson, Åström & Lischinsky, IEEE Trans. Autom. Control 40 (1995) 419"
-    validity = "stiction with a small drift under a swinging load; explicit steps need dt < 2/√(σ₀ N/m)"
+    validity = (
+        "stiction with a small drift under a swinging force; its springs take in energy with a growing load; "
+        "explicit steps need dt < 2/√(σ₀ N/m)"
+    )
     provenance = "S, R"
     device = (
         "mu_static", "mu_dynamic", "stribeck_speed", "stiffness", "damping", "inverse_damping_speed", "viscosity",

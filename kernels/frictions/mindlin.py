@@ -5,20 +5,22 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import memory, parameter
 from warpcontact.kernels.frictions.base import Friction
-from warpcontact.kernels.frictions.cundall_strack import spring_and_slider
+from warpcontact.kernels.frictions.cundall_strack import spring_and_dashpot, spring_and_slider
 
 
 class Mindlin(Friction):
     """The stick spring of ``CundallStrack`` with the stiffness 8 G* a of a patch of radius a = √(R δ).
 
-    While the patch shrinks, the stretch shrinks with it: a spring that kept its stretch and lost its stiffness
-    would have kept energy from nowhere when the patch grows again. For contacts with a radius.
+    While the patch grows the force stays, as new area comes into touch unstretched, dF = 8 G* a dξ; while it
+    shrinks the stretch stays, and the force falls with a. Either way the spring gains nothing from the load alone.
+    For contacts with a radius.
     """
 
     formula = "F = −8 G* a ξ − c_t v, a = √(R δ), 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂; slides like CundallStrack"
-    reference = "Mindlin, J. Appl. Mech. 16 (1949) 259; Yade; rescaling: LAMMPS manual, mindlin_rescale"
+    reference = "Mindlin, J. Appl. Mech. 16 (1949) 259; Yade; LAMMPS manual, mindlin_rescale/force"
     validity = "no slip inside of the patch; explicit steps need dt < 2 √(m_t/(8 G* a))"
     provenance = "S"
+    needs_radius = True
 
     mu_static: float = parameter("-", "coefficient of static friction μ_s", at_least=0.0)
     mu_dynamic: float = parameter("-", "coefficient of dynamic friction μ_d", at_least=0.0)
@@ -31,14 +33,13 @@ class Mindlin(Friction):
 
     @wp.func
     def advance(p: Any, s: Any, m: Any):
-        if s.patch_radius < m.patch_radius:
-            m.spring = (s.patch_radius / m.patch_radius) * m.spring
+        if s.patch_radius > m.patch_radius:
+            m.spring = (m.patch_radius / s.patch_radius) * m.spring
         m.patch_radius = s.patch_radius
-        if s.patch_radius == type(s.speed)(0.0):
-            return m
         stiffness = type(s.speed)(8.0) * p.shear_modulus * s.patch_radius
         return spring_and_slider(m, s, stiffness, p.damping, p.mu_static, p.mu_dynamic)
 
     @wp.func
     def force(p: Any, s: Any, m: Any):
-        return (type(s.speed)(-8.0) * p.shear_modulus * s.patch_radius) * m.spring - p.damping * s.velocity
+        stiffness = type(s.speed)(8.0) * p.shear_modulus * s.patch_radius
+        return -spring_and_dashpot(m, s, stiffness, p.damping, p.mu_dynamic)

@@ -99,7 +99,7 @@ class OwnFiles:
             fact = f"a {kinds[0]} and no {_word(base)}" if kinds else f"no class derived from wc.{base.__name__}"
             raise ValueError(f": {name!r} in {file} is {fact}")
         if not isinstance(getattr(given, "force", None), wp.Function):
-            raise ValueError(f": {name}.force in {file} must be a wp.func of (coefficients, state)")
+            raise ValueError(f": {name}.force in {file} must be a wp.func of {given.arguments()}")
         return given
 
     @contextmanager

@@ -1,5 +1,6 @@
 """A model of one environment, built to look at: what only building tells of a scene and of a user's classes."""
 
+import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -86,12 +87,18 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
     scene = Scene()
     ground = scene.add_surface(meshes.grid())
     ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0))
-    template = Template(**{"law": Hooke(stiffness=1.0), key: formula})
+    try:
+        template = Template(**{"law": Hooke(stiffness=1.0), key: formula})
+    except ValueError as error:
+        return str(error)
     scene.add_contact(scene.add_point(ball, (0.0, 0.0, 0.0)), ground, template, radius=0.1)
     _, failure = _built(scene, precision)
     if failure is None:
         return None
     # That a formula does not compile is said in full by what compiles it, in names of modules that nobody knows.
     if isinstance(failure, TypeError):
-        return str(failure).replace(f"{cls.__module__}.", "")
+        text = str(failure).replace(f"{cls.__module__}.", "")
+        return (
+            text if key == "law" else re.sub(r"^law Hooke with |^In the law, .*\n", "", text, flags=re.MULTILINE)
+        )
     return blame(failure, cls)

@@ -1,0 +1,109 @@
+"""Warnings about time steps in which a friction would overshoot, measured on the friction itself."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warpcontact.checks import Array
+from warpcontact.groups import Group
+from warpcontact.kernels import steepness
+from warpcontact.kernels.frictions import Frictionless
+
+if TYPE_CHECKING:
+    from warpcontact.model import Model
+    from warpcontact.scene import Contact
+
+# Environments that are looked at, so that a warning does not take longer than the run.
+LOOKED_AT = 4096
+
+
+def friction_advice(model: "Model", contact: "Contact", group: Group, first: int, dt: float) -> list[str]:
+    """Returns what to say about the frictions of a contact, a sentence for each whose step is too long.
+
+    Under its share of the weight alone, with the mass that slip, rolling or twist sees.
+
+    Args:
+        model: The model.
+        contact: One of its contacts.
+        group: What it is computed in.
+        first: Index of its first item in the group.
+        dt: Time step [s].
+    """
+    envs = min(model.envs, LOOKED_AT)
+    parts = {
+        part: kind
+        for part, kind in group.parts._asdict().items()
+        if part != "law" and not issubclass(kind, Frictionless)
+    }
+    if not parts:
+        return []
+    own = slice(first, first + contact.count)
+    mobility = {name: values[:envs] for name, values in _mobilities(model, contact).items()}
+    gravity = np.linalg.norm(model["scene.gravity"][:envs], axis=1)[:, None]
+    load = np.broadcast_to(gravity / mobility["load"] / contact.count, (envs, contact.count))
+    # A sphere's patch under that load is a matter of the law; a depth of a thousandth of the radius is usual.
+    patch = np.sqrt(1.0e-3) * np.broadcast_to(_radius(model, contact)[:envs], load.shape)
+    sentences = []
+    for part, kind in parts.items():
+        dashpot, spring = _measured(model, group, part, own, load, patch)
+        with np.errstate(divide="ignore"):
+            mass = 1.0 / mobility[part]
+            limit = np.minimum(2.0 * mass / dashpot, 2.0 * np.sqrt(mass / np.maximum(spring, 0.0)))
+        shortest = limit.min(axis=1)
+        worst = int(np.argmin(shortest))
+        if dt > shortest[worst]:
+            sentences.append(
+                f"{contact.name}: dt = {dt:g} s is too long for its {part}, {kind.__name__}, which overshoots in "
+                f"steps of more than {shortest[worst]:.2g} s in environment {worst} under its weight"
+            )
+    return sentences
+
+
+def _measured(
+    model: "Model", group: Group, part: str, own: slice, load: Array, patch: Array
+) -> tuple[Array, Array]:
+    """Returns the steepest dashpot [N·s/m] and the spring [N/m] of a part, (env, item)."""
+    real, device = model.types.real, model.device
+    coefficients = getattr(group.coefficients, part)[: len(load), own]
+    inputs = [wp.array(np.ascontiguousarray(values), dtype=real, device=device) for values in (load, patch)]
+    outputs = [wp.zeros(load.shape, dtype=real, device=device) for _ in range(2)]
+    kind = getattr(group.parts, part)
+    wp.launch(
+        steepness.kernel(kind, real),
+        dim=load.shape,
+        inputs=[coefficients, *inputs],
+        outputs=outputs,
+        device=device,
+    )
+    dashpot, spring = (output.numpy().astype(np.float64) for output in outputs)
+    return dashpot, spring
+
+
+def _mobilities(model: "Model", contact: "Contact") -> dict[str, Array]:
+    """Returns the inverse masses that slip, rolling and twist see, and that of the load, (env, 1) [1/kg]."""
+    radius = _radius(model, contact)
+    name = f"{contact.name}.torsion_radius"
+    arm = _columns(model[name]) if name in model else 0.0 * radius
+    reach = np.linalg.norm(contact.points.positions, axis=1).max() + radius
+    total = {key: np.zeros((model.envs, 1)) for key in ("load", "friction", "rolling", "torsion")}
+    for body in (contact.points.body, contact.surface.body):
+        if body is None:
+            continue
+        mass = model[f"{body.name}.mass"][:, None]
+        least = np.diagonal(model[f"{body.name}.inertia"], axis1=1, axis2=2).min(axis=1)[:, None]
+        lever = reach if body is contact.points.body else 0.0
+        total["load"] = total["load"] + 1.0 / mass
+        total["friction"] = total["friction"] + 1.0 / mass + lever**2 / least
+        total["rolling"] = total["rolling"] + radius**2 / least
+        total["torsion"] = total["torsion"] + arm**2 / least
+    with np.errstate(divide="ignore"):
+        return {key: np.maximum(values, np.finfo(np.float64).tiny) for key, values in total.items()}
+
+
+def _radius(model: "Model", contact: "Contact") -> Array:
+    return _columns(model[f"{contact.name}.radius"])
+
+
+def _columns(values: Array) -> Array:
+    return values[:, None] if values.ndim == 1 else values
