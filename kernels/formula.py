@@ -107,6 +107,8 @@ class Formula:
     exactly_one_of: ClassVar[tuple[str, ...]] = ()
     #: Names of the device coefficients; the parameters themselves if empty.
     device: ClassVar[tuple[str, ...]] = ()
+    #: What it is of a contact, as in the names of its parameters in a model; a friction may be others, too.
+    part: ClassVar[str] = "law"
     #: The device function.
     force: ClassVar[wp.Function]
     #: What it remembers, by name.
@@ -176,14 +178,15 @@ class Formula:
         for name, value in given.items():
             limits = self.limits(name)
             try:
-                values = np.asarray(value, dtype=np.float64)
-            except (TypeError, ValueError):
-                raise ValueError(f"{type(self).__name__}.{name} must be a number, got {value!r}") from None
+                values = np.asarray(value)
+            except ValueError:  # rows of different length
+                values = np.empty(0, object)
+            if values.dtype.kind not in "iuf":  # not text that reads like a number, nor True for 1
+                raise ValueError(f"{type(self).__name__}.{name} must be a number, got {value!r}")
             if values.ndim != 0:
                 raise ValueError(
-                    f"{type(self).__name__}.{name} must be one number, got shape {values.shape}; "
-                    "values per environment are set on the model: model['<contact>.law."
-                    f"{name}'] = values"
+                    f"{type(self).__name__}.{name} must be one number, got shape {values.shape}; values per "
+                    f"environment are set on the model: model['<contact>.{self.part}.{name}'] = values"
                 )
             check_values(f"{type(self).__name__}.{name}", values, limits)
 

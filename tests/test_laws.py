@@ -247,7 +247,11 @@ def test_no_law_pulls_unless_it_says_so(law, device):
         (lambda: wc.laws.Hooke(stiffness=-1.0), r"Hooke.stiffness must be greater than 0, got -1 N/m"),
         (lambda: wc.laws.Hooke(stiffness=np.nan), r"Hooke.stiffness must be greater than 0, got nan"),
         (lambda: wc.laws.Hooke(stiffness="stiff"), r"Hooke.stiffness must be a number, got 'stiff'"),
-        (lambda: wc.laws.Hooke(stiffness=[1, 2]), r"must be one number, got shape \(2,\); values per environment"),
+        (lambda: wc.laws.Hooke(stiffness=[1, 2]), r"shape \(2,\); .* model\['<contact>.law.stiffness'\] = values"),
+        (lambda: wc.frictions.Tanh(mu=[0.3, 0.4]), r"shape \(2,\); .* model\['<contact>.friction.mu'\] = values"),
+        (lambda: wc.frictions.Tanh(mu=[[0.3], [0.4, 0.5]]), r"Tanh.mu must be a number, got \[\[0.3\]"),
+        (lambda: wc.frictions.Tanh(mu="0.3"), r"Tanh.mu must be a number, got '0.3'"),
+        (lambda: wc.frictions.Tanh(mu=True), r"Tanh.mu must be a number, got True"),
         (
             lambda: wc.laws.HuntCrossley(stiffness=1.0, restitution=1.2),
             r"HuntCrossley.restitution must be at least 0.01 and at most 1, got 1.2",

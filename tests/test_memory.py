@@ -85,6 +85,24 @@ def test_friction_stays_in_its_cone_and_gives_back_no_more_than_it_stored(fricti
     assert (work > 0).any(axis=0).sum() > 12
 
 
+@pytest.mark.parametrize(
+    "friction",
+    [
+        F.CundallStrack(mu_static=0.2, mu_dynamic=0.4, stiffness=1e4),
+        F.Mindlin(mu_static=0.2, mu_dynamic=0.4, shear_modulus=1e5),
+        F.LuGre(mu_static=0.2, mu_dynamic=0.4, stribeck_speed=0.05, stiffness=1e3),
+    ],
+    ids=name_of,
+)
+def test_dynamic_friction_may_be_larger_than_static(friction, device):
+    """It then holds as much: a spring between the two that slid and stuck by turns would have no dashpot in half."""
+    work, _, _ = driven(friction, random_velocities(600, 24, seed=4), 1e-3, device)
+    given = np.cumsum(work, axis=0)
+    assert (given <= 1e-12 * np.abs(given).max(axis=0)).all()
+    _, forces, normals = driven(friction, np.full((400, 1, 2), 1.0), 1e-3, device)
+    np.testing.assert_allclose(np.linalg.norm(forces[-1], axis=1), 0.4 * normals[-1], rtol=1e-6)
+
+
 @pytest.mark.parametrize("friction", REMEMBERING, ids=name_of)
 def test_a_small_swing_of_slip_is_nearly_lossless(friction, device):
     """Presliding: slip below the reach of the springs does as much work on the way back."""

@@ -21,6 +21,8 @@ class Friction(Formula):
     The same model serves sliding, rolling and torsion; see ``Template``.
     """
 
+    part: ClassVar[str] = "friction"
+
     #: Whether it tells tangential directions apart, and needs ``s.axis``.
     directional: ClassVar[bool] = False
     #: Whether it works for spheres only, by ``s.patch_radius``.

@@ -8,7 +8,10 @@ from warpcontact.kernels.frictions.base import Friction
 
 
 class BengisuAkay(Friction):
-    """Friction that rises along a parabola to the static coefficient and decays to the dynamic one."""
+    """Friction that rises along a parabola to the static coefficient and decays to the dynamic one.
+
+    A μ_d above μ_s is allowed: friction then grows with speed.
+    """
 
     formula = "F = −μ(s) N v/s;  μ = μ_s [1 − (s − s₀)²/s₀²] below s₀, then μ_d + (μ_s − μ_d) exp[−η (s − s₀)]"
     reference = "Bengisu & Akay, J. Sound Vib. 171 (1994) 557; recalled"

@@ -14,11 +14,11 @@ def spring_and_slider(m: Any, s: Any, stiffness: Any, damping: Any, mu_static: A
     Sliding begins at μ_s N and lasts while the spring would pull more than μ_d N. Judged by μ_s alone, as often
     published, a steady slide would stick again after every step and pull anything between the two. The spring is
     returned to its own cone: to leave in it what the dashpot takes, as often published, stretches it backwards in
-    a fast slide, and it gives back what nobody put in.
+    a fast slide, and it gives back what nobody put in. A μ_d above μ_s counts for both: nothing slides below it.
     """
     zero = type(s.speed)(0.0)
     m.spring = m.spring + m.elapsed * s.velocity
-    limit = mu_static * s.normal_force
+    limit = wp.max(mu_static, mu_dynamic) * s.normal_force
     if m.sliding > zero:
         limit = mu_dynamic * s.normal_force
     m.sliding = zero
@@ -49,10 +49,14 @@ class CundallStrack(Friction):
     """A spring and a dashpot in series with a slider: sticks below μ_s N, and holds a body on a slope.
 
     The spring's stretch ξ begins at zero with the contact, follows the slip, and turns with the surface and its
-    normal. Half a period of a solid sphere in the tangent equals that along the normal if k_t = (2/7) k_n.
+    normal. Half a period of a solid sphere in the tangent equals that along the normal if k_t = (2/7) k_n. A μ_d
+    above μ_s is allowed: it then sticks below μ_d N, as with μ_s = μ_d.
     """
 
-    formula = "F = −k_t ξ − c_t v, dξ/dt = v; sliding |F| = μ_d N, from μ_s N until it would fall below μ_d N"
+    formula = (
+        "F = −k_t ξ − c_t v;  sticks with dξ/dt = v until |F| exceeds μ_s N,  "
+        "then slides with |F| = μ_d N until the spring, if it stuck, would pull less"
+    )
     reference = "Cundall & Strack, Géotechnique 29 (1979) 47; LAMMPS manual, pair granular"
     validity = "true stiction; explicit steps need dt < 2 √(m_t/k_t)"
     provenance = "S"

@@ -8,7 +8,10 @@ from warpcontact.kernels.frictions.base import Friction
 
 
 class Hollars(Friction):
-    """Friction that rises to exactly the static coefficient at a transition speed and falls to the dynamic one."""
+    """Friction that rises to exactly the static coefficient at a transition speed and falls to the dynamic one.
+
+    A μ_d above μ_s is allowed, up to 2 μ_s: friction then grows with speed; beyond, it would push at slow slip.
+    """
 
     formula = "F = −{N min(r, 1) [μ_d + 2 (μ_s − μ_d)/(1 + r²)] + b s} v/s,  r = s/v_t"
     reference = "Hollars, as in Simbody's HuntCrossleyForce"

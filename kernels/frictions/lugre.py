@@ -32,11 +32,15 @@ class LuGre(Friction):
     """Bristles of deflection z: presliding like a spring, hysteresis, stick–slip, the Stribeck effect.
 
     σ₀ and σ₁ refer to a coefficient of friction, so that z keeps its meaning when N varies. σ₁ falls with speed
-    if ``damping_speed`` is given, which keeps the model passive. The part of the bristles is cut at μ_s N: at the
-    first touch of a fast contact σ₁ would jump far above.
+    if ``damping_speed`` is given, which keeps the model passive. The part of the bristles is cut at the larger of
+    μ_s N and μ_d N: at the first touch of a fast contact σ₁ would jump far above. A μ_d above μ_s is allowed:
+    friction then grows with speed.
     """
 
-    formula = "F = −N (σ₀ z + σ₁ dz/dt) − σ₂ v, dz/dt = v − σ₀ s z/g, g = μ_d + (μ_s − μ_d) exp(−(s/v_s)²)"
+    formula = (
+        "F = −N (σ₀ z + σ₁(s) dz/dt) − σ₂ v,  dz/dt = v − σ₀ s z/g,  g = μ_d + (μ_s − μ_d) exp(−(s/v_s)²),  "
+        "σ₁(s) = σ₁ exp(−(s/v_d)²), or σ₁ without v_d"
+    )
     reference = "Canudas de Wit, Olsson, Åström & Lischinsky, IEEE Trans. Autom. Control 40 (1995) 419"
     validity = (
         "stiction with a small drift under a swinging force; its springs take in energy with a growing load; "
@@ -76,6 +80,7 @@ class LuGre(Friction):
         damping = p.damping * wp.exp(-x * x)
         pull = p.stiffness * m.deflection + damping * (s.velocity - relaxation(p, s) * m.deflection)
         size = wp.length(pull)
-        if size > p.mu_static:
-            pull = (p.mu_static / size) * pull
+        most = wp.max(p.mu_static, p.mu_dynamic)
+        if size > most:
+            pull = (most / size) * pull
         return -s.normal_force * pull - p.viscosity * s.velocity

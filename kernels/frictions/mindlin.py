@@ -13,12 +13,14 @@ class Mindlin(Friction):
 
     While the patch grows the force stays, as new area comes into touch unstretched, dF = 8 G* a dξ; while it
     shrinks the stretch stays, and the force falls with a. Either way the spring gains nothing from the load alone.
-    For contacts with a radius.
+    For contacts with a radius. A μ_d above μ_s is allowed, as in ``CundallStrack``.
     """
 
     formula = "F = −8 G* a ξ − c_t v, a = √(R δ), 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂; slides like CundallStrack"
     reference = "Mindlin, J. Appl. Mech. 16 (1949) 259; Yade; LAMMPS manual, mindlin_rescale/force"
-    validity = "no slip inside of the patch; explicit steps need dt < 2 √(m_t/(8 G* a))"
+    validity = (
+        "only contacts with a radius R; no slip inside of the patch; explicit steps need dt < 2 √(m_t/(8 G* a))"
+    )
     provenance = "S"
     needs_radius = True
 

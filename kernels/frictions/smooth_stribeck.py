@@ -8,7 +8,10 @@ from warpcontact.kernels.frictions.base import Friction
 
 
 class SmoothStribeck(Friction):
-    """Breakaway and Coulomb friction in an infinitely smooth curve: a bell over a hyperbolic tangent."""
+    """Breakaway and Coulomb friction in an infinitely smooth curve: a bell over a hyperbolic tangent.
+
+    A μ_d above μ_s is allowed: friction then grows with speed.
+    """
 
     formula = (
         "F = −N [√(2e) (μ_s − μ_d) exp(−(s/s_St)²) s/s_St + μ_d tanh(s/s_C)] v/s,  s_St = √2 s_b, s_C = s_b/10"

@@ -8,7 +8,10 @@ from warpcontact.kernels.frictions.base import Friction
 
 
 class StepFriction(Friction):
-    """Friction that rises to the static coefficient along a cubic and falls to the dynamic one along a step."""
+    """Friction that rises to the static coefficient along a cubic and falls to the dynamic one along a step.
+
+    A μ_d above μ_s is allowed: friction then grows with speed.
+    """
 
     formula = (
         "F = −μ(s) N v/s;  μ = μ_s (3x − x³)/2, x = s/s_s, below s_s; "

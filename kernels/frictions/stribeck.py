@@ -8,7 +8,10 @@ from warpcontact.kernels.frictions.base import Friction
 
 
 class Stribeck(Friction):
-    """Static friction that decays with slip speed to the dynamic one, smooth through zero; viscous friction."""
+    """Static friction that decays with slip speed to the dynamic one, smooth through zero; viscous friction.
+
+    A μ_d above μ_s is allowed: friction then grows with speed.
+    """
 
     formula = "F = −{N [μ_d + (μ_s − μ_d) exp(−(s/v_S)^p)] tanh(s/v_s) + b s} v/s"
     reference = "Andersson, Söderberg & Björklund, Tribol. Int. 40 (2007) 580"
