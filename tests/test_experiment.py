@@ -56,6 +56,7 @@ def test_example_leaves_complete_results(device, tmp_path):
     summary = json.loads(run.files["summary"].read_text())
     assert summary["state"] == "finished"
     assert (summary["envs"], summary["steps"], summary["seed"]) == (3, 300, 1)
+    assert summary["duration"] == 0.06  # as given, not with the rounding of a sum of steps
     assert all(str(path) in str(run) for path in run.files.values())
 
 

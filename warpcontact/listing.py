@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import inspect
 import textwrap
 from collections.abc import Sequence
 from typing import Any
@@ -69,11 +70,15 @@ def entry(formula: type[Formula]) -> Sequence[str]:
     def wrapped(begin: str, text: str) -> list[str]:
         return textwrap.wrap(text, WIDTH, initial_indent=begin, subsequent_indent=" " * len(begin))
 
-    lines = [f"  {formula.__name__}", *wrapped("    formula ", formula.formula)]
+    about = formula.formula or (inspect.getdoc(formula) or "").partition("\n\n")[0]
+    lines = [f"  {formula.__name__}", *(wrapped("    formula ", about) if about else [])]
     for field in dataclasses.fields(formula):
         limits = formula.limits(field.name)
-        optional = field.default is dataclasses.MISSING or field.default is None
-        given = "" if optional else f"default {field.default:g}"
+        given = ""
+        if field.default is None and field.name not in formula.exactly_one_of:
+            given = "optional"
+        elif field.default is not None and field.default is not dataclasses.MISSING:
+            given = f"default {field.default:g}"
         columns = f"    {field.name:<17} {limits['unit']:<8}{_range(limits):<14}{given:<14}"
         lines += wrapped(columns, limits["meaning"])
     one_of = f"exactly one of {' and '.join(formula.exactly_one_of)}" if formula.exactly_one_of else ""

@@ -118,7 +118,7 @@ def _execute(
     health = model.health()
     summary = summary | {
         "state": result.FINISHED,
-        "duration": simulation.time,
+        "duration": float(f"{simulation.time:.12g}"),  # a sum of steps
         "steps": simulation.steps,
         "wall_time": wall_time,
         "env_steps_per_second": settings.envs * simulation.steps / wall_time,
