@@ -37,8 +37,16 @@ PATIENCE = 60
 DAMPINGS = np.geomspace(1.0e-3, 30.0, 61)
 # Depths at which elastic forces are read, in terms of the depth that the impact is to have.
 DEPTHS = np.geomspace(1.0e-4, 1.0e2, 1201)
+# Depth of the undamped impact if neither a depth nor a law with an elastic parameter of its own is given [m].
+USUAL_DEPTH = 1.0e-3
 # Sphere in terms of the greatest depth: its centre has to stay above the plate.
 RADIUS = 50.0
+#: What the values of an impact may be.
+LIMITS = {
+    "mass": checks.limits("kg", above=0.0),
+    "speed": checks.limits("m/s", above=0.0),
+    "depth": checks.limits("m", above=0.0),
+}
 READINGS = ("penetration", "approach_speed", "normal_force")
 
 
@@ -49,19 +57,21 @@ class Impact:
     Attributes:
         mass: Mass of the sphere [kg].
         speed: Its speed at touch [m/s].
-        depth: Depth of the undamped impact that the elastic parameters of classes are set to [m].
+        depth: Depth of the undamped impact that the elastic parameters of classes are set to [m]; ``None``: that
+            of the first law whose elastic parameter is given, if there is one.
         device: Warp device.
     """
 
     mass: float
     speed: float
-    depth: float
+    depth: float | None
     device: str
 
     def __post_init__(self) -> None:
-        for name, unit in (("mass", "kg"), ("speed", "m/s"), ("depth", "m")):
-            value = checks.numbers(name, getattr(self, name), (), checks.limits(unit, above=0.0))
-            object.__setattr__(self, name, float(value))
+        for name, allowed in LIMITS.items():
+            value = getattr(self, name)
+            if value is not None or name != "depth":
+                object.__setattr__(self, name, float(checks.numbers(name, value, (), allowed)))
 
     @property
     def energy(self) -> float:
@@ -71,10 +81,18 @@ class Impact:
 
 @dataclass(frozen=True)
 class Case:
-    """A law, the depth of its undamped impact [m], and the parameter that decides what an impact loses."""
+    """A law in the impact.
+
+    Attributes:
+        law: The law.
+        depth: Depth of its undamped impact [m]; NaN if that is too deep to be found.
+        given: Whether its elastic parameter was given, not chosen for that depth.
+        varied: The parameter that decides what an impact loses; ``None`` if there is none, or it was given.
+    """
 
     law: Law
     depth: float
+    given: bool
     varied: str | None
 
 
@@ -94,30 +112,40 @@ class Run:
 
 
 def cases(laws: Any, impact: Impact) -> dict[str, Case]:
-    """Returns instances of ``laws`` by their labels; of a class one whose undamped impact has the depth asked for.
+    """Returns instances of ``laws`` by their labels.
+
+    The elastic parameter of a class is chosen for the depth of ``impact``, or for that of the first law whose
+    elastic parameter is given.
 
     Raises:
         TypeError: If a law is none.
         ValueError: If a class needs values that only its author knows.
     """
     given = samples.named(Law, laws)
-    unit = {
-        label: samples.law(law, 1.0, impact.depth) if isinstance(law, type) else law
-        for label, law in given.items()
+    stiff = {label: entry for label, entry in given.items() if samples.has_modulus(entry)}
+    usual = impact.depth or USUAL_DEPTH
+    made = {label: samples.law(entry, 1.0, usual) for label, entry in stiff.items()}
+    depths = DEPTHS * usual
+    own = {
+        label: float(np.interp(impact.energy, work, depths, right=np.nan))
+        for label, work in _works(made, depths, impact).items()
     }
-    depths = DEPTHS * impact.depth
+    depth = impact.depth or next((depth for depth in own.values() if depth > 0.0), USUAL_DEPTH)
+    free = {label: entry for label, entry in given.items() if label not in stiff}
+    unit = {label: samples.law(entry, 1.0, depth) for label, entry in free.items()}
+    for label, work in _works(unit, DEPTHS * depth, impact).items():
+        modulus = impact.energy / float(np.interp(depth, DEPTHS * depth, work))
+        made[label] = samples.law(free[label], modulus, depth)
     found = {}
-    for label, force in _loading(unit, depths, impact).items():
-        law = unit[label]
-        # Below the first depth the force is taken as linear; there is 1e-8 of the energy or less.
-        work = cumulative_trapezoid(force, depths, initial=0.0) + 0.5 * force[0] * depths[0]
-        depth = impact.depth
-        if isinstance(given[label], type):
-            modulus = impact.energy / float(np.interp(impact.depth, depths, work))
-            law = samples.law(type(law), modulus, impact.depth)
-        elif work[-1] > impact.energy:
-            depth = float(np.interp(impact.energy, work, depths))
-        found[label] = Case(law, depth, samples.loss_parameter(law))
+    for label, entry in given.items():
+        varied = samples.loss_parameter(made[label])
+        kept = samples.values_of(entry) or {}
+        found[label] = Case(
+            law=made[label],
+            depth=own.get(label, depth),
+            given=label in stiff,
+            varied=None if varied in kept else varied,
+        )
     return found
 
 
@@ -132,7 +160,7 @@ def loss_values(chosen: Mapping[str, Case], restitution: Array, impact: Impact) 
         return values
     series = {
         label: np.append(0.0, DAMPINGS)
-        * samples.damping_scale(case.law, case.varied or "", impact.mass, impact.speed, case.depth)
+        * samples.damping_scale(case.law, case.varied or "", impact.mass, impact.speed, _reach(case))
         for label, case in damped.items()
     }
     speeds = np.full(len(DAMPINGS) + 1, impact.speed)
@@ -171,12 +199,13 @@ def drop(
         patience: Contact times of the softest law to wait for.
         record: Whether to keep readings over time.
     """
-    shortest = min(case.depth for case in chosen.values()) / speeds.max()
-    longest = max(case.depth for case in chosen.values()) / speeds.min()
+    deepest = max(map(_reach, chosen.values()))
+    shortest = min(map(_reach, chosen.values())) / speeds.max()
+    longest = deepest / speeds.min()
     dt = CONTACT_TIME * shortest / steps
     # Touch falls into the middle of a step, whatever the speed, and some steps after the start.
     height = (2 * STRIDE + 0.5) * dt * speeds
-    model = _model({label: case.law for label, case in chosen.items()}, height, speeds, impact)
+    model = _model({label: case.law for label, case in chosen.items()}, height, speeds, deepest, impact)
     for label, value in values.items():
         model[f"touch_{_index(chosen, label)}.law.{chosen[label].varied}"] = value
     names = [f"touch_{k}.{name}" for k in range(len(chosen)) for name in READINGS] if record else []
@@ -220,15 +249,27 @@ def _left(model: Model, chosen: Sequence[Case]) -> NDArray[np.bool_]:
     return np.array(gone)
 
 
-def _loading(laws: Mapping[str, Law], depths: Array, impact: Impact) -> dict[str, Array]:
-    """Returns by label the force at rest at each of ``depths``, one environment per depth [N]."""
-    model = _model(laws, -depths, np.zeros_like(depths), impact)
-    return {label: model.reading(f"touch_{k}.normal_force") for k, label in enumerate(laws)}
+def _reach(case: Case) -> float:
+    """Returns the depth of an undamped impact, as far as it is known [m]."""
+    return case.depth if case.depth > 0.0 else USUAL_DEPTH
 
 
-def _model(laws: Mapping[str, Law], height: Array, speeds: Array, impact: Impact) -> Model:
-    """Returns spheres whose lowest points are at ``height`` and go down at ``speeds``, both (env,)."""
-    radius = RADIUS * max(impact.depth, float(-height.min()))
+def _works(laws: Mapping[str, Law], depths: Array, impact: Impact) -> dict[str, Array]:
+    """Returns by label the work of the force at rest up to each of ``depths``, one environment per depth [J]."""
+    if not laws:
+        return {}
+    model = _model(laws, -depths, np.zeros_like(depths), float(depths.max()), impact)
+    works = {}
+    for k, label in enumerate(laws):
+        force = model.reading(f"touch_{k}.normal_force")
+        # Below the first depth the force is taken as linear; there is 1e-8 of the energy or less.
+        works[label] = cumulative_trapezoid(force, depths, initial=0.0) + 0.5 * force[0] * depths[0]
+    return works
+
+
+def _model(laws: Mapping[str, Law], height: Array, speeds: Array, depth: float, impact: Impact) -> Model:
+    """Returns spheres for impacts of ``depth``, lowest points at ``height``, going down at ``speeds`` (env,)."""
+    radius = RADIUS * depth
     scene = Scene(gravity=(0.0, 0.0, 0.0))
     # Lowest points at the origin, where numbers are finest.
     plate = scene.add_surface(grid((10.0 * radius, 10.0 * radius)), position=(0.0, 0.0, -radius), name="plate")

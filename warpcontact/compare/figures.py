@@ -2,7 +2,7 @@
 
 import re
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +19,17 @@ MOST = 8
 #: Panels beside each other.
 COLUMNS = 4
 DPI = 120
+# Room that a legend takes for a letter, and for a line beside its text [in].
+LETTER, LINE = 0.085, 0.7
 # Characters per inch of the heading and of what stands at the foot.
 HEADING, FOOT = 8.0, 13.0
 
 
 def check_path(path: Any) -> Path:
-    """Returns ``path`` if a picture can be written there.
+    """Returns ``path`` if a picture can be written there, which is tried.
 
     Raises:
-        ValueError: If the suffix is not allowed, or it is a folder or in none that exists.
+        ValueError: If the suffix is not allowed, it is a folder or in none that exists, or cannot be written.
     """
     file = Path(path)
     if file.is_dir():
@@ -37,6 +39,13 @@ def check_path(path: Any) -> Path:
     if not file.parent.is_dir():
         wrong = "is not a folder" if file.parent.exists() else "does not exist"
         raise ValueError(f"{path}: {file.parent} {wrong}")
+    there = file.exists()
+    try:
+        file.open("ab").close()
+        if not there:
+            file.unlink()
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written: {error.strerror or error}") from None
     return file
 
 
@@ -70,11 +79,6 @@ def parts(figure: Figure, *heights: float) -> list[Any]:
     return list(made[:, 0])
 
 
-def lines_of(labels: Iterable[str], texts: Iterable[str]) -> list[str]:
-    """Returns what is said of each, a line each, left out where there is nothing to say."""
-    return [f"{label}: {text}" for label, text in zip(labels, texts, strict=True) if text]
-
-
 def save(figure: Figure, path: Path) -> None:
     """Writes a figure; the same one gives the same file."""
     if path.suffix.lower() == ".svg":
@@ -99,10 +103,14 @@ def width(index: int, count: int) -> float:
     return 1.2 + min(0.9, 2.4 / max(count - 1, 1)) * (count - 1 - index)
 
 
-def legend_below(figure: Any, colors: Sequence[Any], names: Sequence[str], title: str = "") -> None:
-    """Puts a legend of lines in a row below all panels of ``figure``."""
+def legend_below(figure: Any, colors: Sequence[Any], names: Sequence[str]) -> None:
+    """Puts a legend of lines below all panels of ``figure``, in as few rows as it fits into."""
     lines = [Line2D([], [], color=shade) for shade in colors]
-    figure.legend(lines, names, loc="outside lower center", ncols=len(names), title=title or None, frameon=False)
+    widest = LETTER * max(map(len, names)) + LINE
+    most = max(1, int(figure.bbox.width / figure.dpi / widest))
+    # As even as it gets: five in two rows are three and two, not four and one.
+    columns = -(-len(names) // -(-len(names) // most))
+    figure.legend(lines, names, loc="outside lower center", ncols=columns, frameon=False)
 
 
 def finish(axes: Any, title: str, x: str, y: str) -> None:

@@ -7,14 +7,17 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from warpcontact.compare import figures, samples
-from warpcontact.compare.labels import number, prefixed
-from warpcontact.compare.slip import own_speeds, slips, swings
+from warpcontact.compare.labels import number, prefixed, titled
+from warpcontact.compare.slip import breakaways, own_speeds, slips, swings
 from warpcontact.kernels.frictions.base import Friction
 
 # Slip speeds of the linear panel, in terms of the highest that a friction names.
 LINEAR = 4.0
 # Directions in which a friction that tells them apart is slid [°], and how they are drawn.
 DIRECTIONS = {0: "-", 45: "--", 90: ":"}
+# A friction that holds more at rest than it ever does in steady slip, by this factor, is shown with what it holds.
+HOLDS = 1.02
+HELD = "-."
 # Room about the curves.
 ROOM = 0.08
 # Coefficients are shown at least up to this: no friction at all is a line at zero, not noise.
@@ -25,7 +28,8 @@ def plot_frictions(frictions: Any, path: Any = None, *, load: float = 10.0, devi
     """Draws one friction, or several side by side; see ``slips`` and ``swings``.
 
     Args:
-        frictions: A friction, several, or a mapping from labels to frictions; instances or classes.
+        frictions: A friction, several, or a mapping from labels to frictions; instances, or classes with or
+            without values.
         path: The .svg or .png file; ``None``: none is written.
         load: Normal force [N].
         device: Warp device.
@@ -44,46 +48,75 @@ def plot_frictions(frictions: Any, path: Any = None, *, load: float = 10.0, devi
     swinging = swings(given, **options)
     # Close together where speeds are shown from zero, too.
     near_zero = np.linspace(0.0, LINEAR * own_speeds(given, load)[1], 301)[1:]
+    held = breakaways(given, load, device)
+    kinds = [samples.class_of(entry) for entry in given.values()]
     if len(given) == 1:
-        (entry,) = given.values()
-        turns = list(DIRECTIONS) if entry.directional else [0]
-        even, steady = (
+        turns = list(DIRECTIONS) if kinds[0].directional else [0]
+        evenly, steadily = (
             [slips(given, speeds, direction=np.radians(turn), **options) for turn in turns]
             for speeds in (near_zero, None)
         )
-        figure = _one(entry.formula, entry.validity, even, steady, swinging)
+        figure = _one(kinds[0], evenly, steadily, swinging, held)
     else:
-        figure = _several(slips(given, near_zero, **options), slips(given, **options), swinging)
+        chosen = samples.coefficients_chosen(given.values())
+        note = _slip(swinging) + (f"; where nothing else was given: {chosen}" if chosen else "")
+        steered = [label for label, kind in zip(given, kinds, strict=True) if kind.directional]
+        figure = _several(
+            note, slips(given, near_zero, **options), slips(given, **options), swinging, held, steered
+        )
     if file is not None:
         figures.save(figure, file)
     return figure
 
 
 def _one(
-    formula: str, validity: str, even: list[xr.Dataset], steady: list[xr.Dataset], swinging: xr.Dataset
+    kind: type[Friction],
+    even: list[xr.Dataset],
+    steady: list[xr.Dataset],
+    swinging: xr.Dataset,
+    held: dict[str, float],
 ) -> Figure:
     """Draws one friction, whose steady slip was measured in one direction or in all of ``DIRECTIONS``."""
-    foot = [_slip(swinging), *swinging["settings"].values, f"valid: {validity}" if validity else ""]
-    sheet = figures.sheet(15.0, 5.6, figures.heading(swinging["friction"].item(), formula), foot)
+    foot = [_slip(swinging), *swinging["settings"].values, f"valid: {kind.validity}" if kind.validity else ""]
+    sheet = figures.sheet(15.0, 5.6, figures.heading(_titles(swinging)[0], kind.formula), foot)
     (figure,) = figures.parts(sheet, 1.0)
     panels = figure.subplots(1, 3)
     for measured, axes in ((even, panels[0]), (steady, panels[1])):
         for data, (turn, line) in zip(measured, DIRECTIONS.items(), strict=False):
             curve = data["coefficient"].isel(friction=0)
             axes.plot(data["speed"], curve, color=figures.color(0), linestyle=line, label=f"{turn}° from x")
+    for greatest in _holding(held, steady).values():
+        for axes in panels[:2]:
+            line = axes.axhline(greatest, color=figures.color(0), linestyle=HELD)
+            axes.legend([line], [f"on the way from rest: {greatest:.2g}"], loc="lower right", fontsize="small")
     if len(even) > 1:
         panels[1].legend(title="direction of slip", loc="upper left", fontsize="small")
     colors = figures.shades(swinging.sizes["amplitude"])
     _draw_swings(panels[2], swinging.isel(friction=0), colors)
-    _finish(panels, even, steady, swinging)
+    _finish(panels, even, steady, swinging, held, along=" along x" if len(even) > 1 else "")
     figures.legend_below(figure, colors, _amplitudes(swinging))
     return sheet
 
 
-def _several(even: xr.Dataset, steady: xr.Dataset, swinging: xr.Dataset) -> Figure:
+def _several(
+    note: str,
+    even: xr.Dataset,
+    steady: xr.Dataset,
+    swinging: xr.Dataset,
+    held: dict[str, float],
+    directional: list[str],
+) -> Figure:
+    """Draws frictions over each other, and the loops of each beside each other; ``directional`` slide along x."""
     labels = steady["friction"].values.tolist()
     rows = -(-len(labels) // figures.COLUMNS)
-    foot = [_slip(swinging), *figures.lines_of(labels, steady["settings"].values)]
+    holding = _holding(held, [steady])
+    foot = [note, *_lines(swinging)]
+    if holding:
+        foot.insert(1, "dash-dotted: greatest force on a slow way from rest to steady slip")
+    if directional:
+        foot.insert(
+            1, f"all slip is along the x axis of the surface; other ways are other for {' and '.join(directional)}"
+        )
     height = 5.6 + 3.2 * rows + 0.15 * len(foot)
     sheet = figures.sheet(16.0, height, ["The same slip:  " + ", ".join(labels)], foot)
     upper, lower = figures.parts(sheet, 4.2, 0.6 + 3.2 * rows)
@@ -95,7 +128,9 @@ def _several(even: xr.Dataset, steady: xr.Dataset, swinging: xr.Dataset) -> Figu
         panels[0].plot(even["speed"], even["coefficient"].isel(friction=k), **style)
         panels[1].plot(steady["speed"], steady["coefficient"].isel(friction=k), **style)
         _draw_swings(panels[2], largest.isel(friction=k), [shade], linewidth=style["linewidth"])
-    _finish(panels, [even], [steady], largest)
+        for axes in panels[:2] if labels[k] in holding else ():
+            axes.axhline(holding[labels[k]], linestyle=HELD, **style)
+    _finish(panels, [even], [steady], largest, holding, along=" along x" if directional else "")
     figures.legend_below(upper, colors, labels)
     shades = figures.shades(swinging.sizes["amplitude"])
     for k, axes in enumerate(figures.family(lower, len(labels))):
@@ -116,16 +151,32 @@ def _draw_swings(axes: Any, friction: xr.Dataset, colors: Any, **style: Any) -> 
         axes.plot(factor * swing["displacement"], swing["coefficient"], color=colors[k], **style)
 
 
-def _finish(panels: Any, even: list[xr.Dataset], steady: list[xr.Dataset], swinging: xr.Dataset) -> None:
+def _holding(held: dict[str, float], steady: list[xr.Dataset]) -> dict[str, float]:
+    """Returns what frictions hold at rest, of those for which it is more than ever in steady slip."""
+    most = {label: max(float(data["coefficient"].sel(friction=label).max()) for data in steady) for label in held}
+    return {label: greatest for label, greatest in held.items() if greatest > HOLDS * most[label]}
+
+
+def _finish(
+    panels: Any,
+    even: list[xr.Dataset],
+    steady: list[xr.Dataset],
+    swinging: xr.Dataset,
+    held: dict[str, float],
+    along: str,
+) -> None:
     """Labels the three panels."""
     y = "friction coefficient F/N [-]"
-    top = (1.0 + ROOM) * max(LEAST, *(float(data["coefficient"].max()) for data in (*even, *steady)))
+    greatest = max(LEAST, *held.values(), *(float(data["coefficient"].max()) for data in (*even, *steady)))
+    top = (1.0 + ROOM) * greatest
     panels[0].set(xlim=(0.0, float(even[0]["speed"].max())), ylim=(-0.02 * top, top))
     panels[0].locator_params(axis="x", nbins=6)
     panels[1].set(xscale="log", ylim=(-0.02 * top, top))
-    figures.finish(panels[0], "steady slip", "slip speed [m/s]", y)
-    figures.finish(panels[1], "steady slip, logarithmic", "slip speed [m/s]", y)
-    _finish_swings(panels[2], swinging, "slip to and fro")
+    # Of one friction that tells directions apart, the steady slip is shown in several.
+    steadily = "steady slip" + (along if len(even) == 1 else "")
+    figures.finish(panels[0], steadily, "slip speed [m/s]", y)
+    figures.finish(panels[1], f"{steadily}, logarithmic", "slip speed [m/s]", y)
+    _finish_swings(panels[2], swinging, f"slip to and fro{along}")
 
 
 def _finish_swings(axes: Any, swinging: xr.Dataset, title: str) -> None:
@@ -143,6 +194,15 @@ def _amplitudes(swinging: xr.Dataset) -> list[str]:
         f"amplitude {number(factor * value, unit)}, up to {number(fast * value / largest, 'm/s')}"
         for value in swinging["amplitude"].values
     ]
+
+
+def _titles(data: xr.Dataset) -> list[str]:
+    return [titled(*pair) for pair in zip(data["friction"].values, data["class"].values, strict=True)]
+
+
+def _lines(data: xr.Dataset) -> list[str]:
+    """Returns a line of parameters for every friction that has some."""
+    return [f"{title}: {text}" for title, text in zip(_titles(data), data["settings"].values, strict=True) if text]
 
 
 def _slip(swinging: xr.Dataset) -> str:

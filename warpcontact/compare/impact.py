@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact._version import __version__
@@ -21,23 +20,26 @@ ALLOWED = checks.limits("-", at_least=0.01, at_most=1.0)
 
 def impacts(
     laws: Any,
-    restitution: ArrayLike = RESTITUTIONS,
+    restitution: Any = RESTITUTIONS,
     *,
     mass: float = 1.0,
     speed: float = 1.0,
-    depth: float = 1.0e-3,
+    depth: float | None = None,
     device: str = "cpu",
 ) -> xr.Dataset:
     """Runs the same impact of a sphere on a plate with every law, one environment per restitution.
 
     Args:
         laws: A law, several, or a mapping from labels to laws; each an instance, or a class, whose elastic
-            parameter is then set so that the undamped impact has the depth ``depth``.
+            parameter is then set so that the undamped impact has the depth ``depth``. With some of its values,
+            ``functools.partial(Class, stiffness=1e6)``, these are kept and the rest is chosen.
         restitution: Coefficients of restitution to ask for [-]. A law without this parameter gets the damping
-            that returns it, as far as it can; an elastic law is the same in every environment.
+            that returns it, as far as it can. An elastic law, one that loses by what it remembers, and a class
+            with a restitution or damping of its own are the same in every environment.
         mass: Mass of the sphere [kg].
         speed: Its speed at touch [m/s].
-        depth: Greatest depth of the undamped impact on a law that is given as a class [m].
+        depth: Greatest depth of the undamped impact on a law that is given as a class [m]; if not given, that
+            of the first instance, or 1 mm.
         device: Warp device.
 
     Returns:
@@ -46,7 +48,9 @@ def impacts(
         the sphere did not leave), ``contact_time`` [s] until the force is zero for good,
         ``greatest_penetration`` [m], ``greatest_force`` [N], ``energy_loss`` [J], the area of the loop, and
         ``parameter``, the value of what was varied. Coordinates of the laws are ``varied``, the name of that
-        parameter (empty if elastic), its ``unit``, and ``settings``, the parameters that all runs share.
+        parameter (empty if there is none), its ``unit``, ``class``, and ``settings``, the parameters that all
+        runs share. Attributes are ``mass``, ``speed``, ``depth``, that of undamped impacts on classes, and
+        ``depth_of``, the law that it is of (empty if of none).
 
     Raises:
         TypeError: If a law is none.
@@ -62,12 +66,12 @@ def impacts(
 
 def rebounds(
     laws: Any,
-    restitution: ArrayLike = (0.3, 0.6, 0.9),
-    speeds: ArrayLike | None = None,
+    restitution: Any = (0.3, 0.6, 0.9),
+    speeds: Any = None,
     *,
     mass: float = 1.0,
     speed: float = 1.0,
-    depth: float = 1.0e-3,
+    depth: float | None = None,
     device: str = "cpu",
 ) -> xr.Dataset:
     """Runs impacts of different speeds: does the restitution depend on the speed?
@@ -78,7 +82,8 @@ def rebounds(
         speeds: Impact speeds [m/s]; from a tenth of ``speed`` to ten times that if not given.
         mass: Mass of the sphere [kg].
         speed: Speed for which elastic parameters and dampings are chosen [m/s].
-        depth: Greatest depth of the undamped impact at ``speed`` on a law that is given as a class [m].
+        depth: Greatest depth of the undamped impact at ``speed`` on a law that is given as a class [m]; if not
+            given, that of the first instance, or 1 mm.
         device: Warp device.
 
     Returns:
@@ -115,10 +120,10 @@ def rebounds(
     )
 
 
-def asked_restitutions(given: ArrayLike) -> Array:
+def asked_restitutions(given: Any) -> Array:
     """Returns coefficients of restitution as an array, checked."""
-    values = np.atleast_1d(np.asarray(given))
-    return checks.numbers("restitution", values, (values.size,), ALLOWED)
+    values = np.asarray(given)
+    return np.atleast_1d(checks.numbers("restitution", values, (values.size,) if values.ndim else (), ALLOWED))
 
 
 def _dataset(
@@ -166,15 +171,26 @@ def _dataset(
             "time": ("time", run.time, notes("s", "time since touch")),
             "varied": ("law", np.array(varied, object)),
             "unit": ("law", np.array(units, object)),
+            "class": ("law", np.array([type(case.law).__name__ for case in chosen.values()], object)),
             "settings": ("law", np.array(texts, object)),
         },
         attrs={
             "source": f"warpcontact {__version__}",
             "mass": impact.mass,
             "speed": impact.speed,
+            **_depth(chosen, impact),
             "precision": "float64",
         },
     )
+
+
+def _depth(chosen: Mapping[str, Case], impact: Impact) -> dict[str, Any]:
+    """Returns the depth that the elastic parameters of classes were chosen for, and the law that it is of."""
+    depth = next((case.depth for case in chosen.values() if not case.given), np.nan)
+    if impact.depth is not None or np.isnan(depth):
+        return {"depth": depth, "depth_of": ""}
+    same = (label for label, case in chosen.items() if case.given and case.depth == depth)
+    return {"depth": depth, "depth_of": next(same, "")}
 
 
 def _area(force: Array, delta: Array) -> Array:

@@ -26,6 +26,11 @@ def settings(formula: Formula, without: str | None = None) -> str:
     )
 
 
+def titled(label: str, kind: str) -> str:
+    """Returns a label with the name of the class, where that is another."""
+    return label if label == kind else f"{label} ({kind})"
+
+
 def prefixed(largest: float, unit: str) -> tuple[float, str]:
     """Returns the factor and the unit with a prefix in which ``largest`` is easy to read."""
     factor = next((factor for factor in PREFIXES if largest >= LEAST * factor), 1.0)

@@ -23,7 +23,6 @@ class Scales:
         self.depth_label = f"penetration δ [{depth}]"
         self.force_label = f"normal force N [{force}]"
         self.time_label = f"time since touch [{time}]"
-        self.end = (1.0 + AFTER) * float(data["contact_time"].max()) * self.time
 
 
 def draw_loop(axes: Any, case: xr.Dataset, scales: Scales, **style: Any) -> None:
@@ -35,7 +34,6 @@ def draw_loop(axes: Any, case: xr.Dataset, scales: Scales, **style: Any) -> None
 def draw_force(axes: Any, case: xr.Dataset, scales: Scales, **style: Any) -> None:
     """Draws force over time of one impact."""
     axes.plot(scales.time * case["time"], scales.force * case["normal_force"], **style)
-    axes.set_xlim(-0.5 * AFTER * scales.end, scales.end)
 
 
 def finish_loops(axes: Any, scales: Scales, title: str) -> None:
@@ -43,8 +41,10 @@ def finish_loops(axes: Any, scales: Scales, title: str) -> None:
     figures.finish(axes, title, scales.depth_label, scales.force_label)
 
 
-def finish_forces(axes: Any, scales: Scales, title: str) -> None:
-    """Labels a panel of forces over time."""
+def finish_forces(axes: Any, cases: xr.Dataset, scales: Scales, title: str) -> None:
+    """Labels a panel of forces over time, which ends a little after the longest of ``cases``."""
+    end = scales.time * float(cases["contact_time"].max())
+    axes.set_xlim(-0.5 * AFTER * end, (1.0 + AFTER) * end)
     figures.finish(axes, title, scales.time_label, scales.force_label)
 
 

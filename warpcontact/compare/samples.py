@@ -1,14 +1,16 @@
-"""Laws and frictions to look at: instances are taken as they are, classes get values that suit the experiment."""
+"""Laws and frictions to look at: instances are taken as they are, classes get values that suit the experiment.
+
+A class may come with some of its values, as ``functools.partial``: these are kept, and only the rest is chosen.
+"""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
-from typing import Any, TypeVar
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions.base import Friction
 from warpcontact.kernels.laws.base import Law
-
-FormulaType = TypeVar("FormulaType", bound=Formula)
 
 # Parameters in proportion to which the elastic force grows.
 MODULI = ("stiffness", "modulus", "k1")
@@ -19,19 +21,34 @@ DAMPING_UNITS = ("N·s/m", "N·s/m³", "s/m", "s")
 DAMPING_RATIO = "ratio"
 
 # What classes of friction are shown with [-].
-COEFFICIENTS = {"mu": 0.4, "mu_static": 0.5, "mu_dynamic": 0.3, "mu_1": 0.5, "mu_2": 0.25}
+# All slide, along x, with the same.
+COEFFICIENTS = {"mu": 0.4, "mu_dynamic": 0.4, "mu_1": 0.4, "mu_static": 0.5, "mu_2": 0.2}
 # Slip after which a tangential spring, of whatever unit, would pull as much as the load [m].
 STRETCH = 1.0e-4
 # Slip speed at which a drag would be as large as the load, and speed of a parameter without a default [m/s].
 DRAG_SPEED, SPEED = 0.2, 1.0e-2
 
 
-def named(kind: type[FormulaType], given: Any) -> dict[str, FormulaType | type[FormulaType]]:
+class MissingValues(ValueError):
+    """A class that needs values which only its author knows.
+
+    Attributes:
+        kind: Its name.
+        parameters: Names of the parameters.
+    """
+
+    def __init__(self, kind: str, parameters: Sequence[str]) -> None:
+        self.kind, self.parameters = kind, parameters
+        needed = " and ".join(parameters)
+        super().__init__(f"{kind} needs {needed}: give an instance with its values, not the class")
+
+
+def named(kind: type[Formula], given: Any) -> dict[str, Any]:
     """Returns what is to be compared by its label.
 
     Args:
         kind: ``Law`` or ``Friction``.
-        given: One instance or class, several, or a mapping from labels to them.
+        given: One instance, class or ``functools.partial`` of a class, several, or a mapping from labels to them.
 
     Raises:
         TypeError: If one is something else.
@@ -42,10 +59,10 @@ def named(kind: type[FormulaType], given: Any) -> dict[str, FormulaType | type[F
         entries: Iterable[tuple[Any, Any]] = given.items()
     else:
         several = given if isinstance(given, Iterable) and not isinstance(given, str) else [given]
-        entries = ((_class_of(entry).__name__, entry) for entry in several)
+        entries = ((class_of(entry).__name__, entry) for entry in several)
     result: dict[str, Any] = {}
     for label, entry in entries:
-        if not issubclass(_class_of(entry), kind) or _class_of(entry) is kind:
+        if not issubclass(class_of(entry), kind) or class_of(entry) is kind:
             raise TypeError(f"a {word} must be a class or an instance of wc.{kind.__name__}, got {entry!r}")
         if label in result:
             raise ValueError(f"two {word}s are called {label!r}: give them as a dict, {{'first': …, 'second': …}}")
@@ -55,16 +72,41 @@ def named(kind: type[FormulaType], given: Any) -> dict[str, FormulaType | type[F
     return result
 
 
-def _class_of(entry: Any) -> type:
+def class_of(entry: Any) -> Any:
+    """Returns the class of an instance, of a ``functools.partial`` of a class, or the class that it is itself."""
+    if isinstance(entry, functools.partial):
+        return entry.func if isinstance(entry.func, type) else type(entry)
     return entry if isinstance(entry, type) else type(entry)
 
 
-def law(kind: type[Law], modulus: float, depth: float) -> Law:
-    """Returns an instance of ``kind`` with elastic parameter ``modulus``, for impacts of ``depth`` [m].
+def values_of(entry: Any) -> dict[str, Any] | None:
+    """Returns the values that a class comes with, none if it is bare; ``None`` for an instance."""
+    if isinstance(entry, functools.partial):
+        return {name: value for name, value in entry.keywords.items() if value is not None}
+    return {} if isinstance(entry, type) else None
+
+
+def has_modulus(entry: Any) -> bool:
+    """Returns whether the elastic parameter of a law is given, not to be chosen."""
+    given = values_of(entry)
+    return given is None or not any(name in MODULI for name in _chosen(class_of(entry), given))
+
+
+def law(entry: Any, modulus: float, depth: float) -> Law:
+    """Returns an instance of a law for impacts of ``depth`` [m]; one that is an instance as it is.
+
+    Args:
+        entry: Instance, class, or ``functools.partial`` of a class.
+        modulus: Elastic parameter, unless that is given.
+        depth: Depth that lengths among the parameters are to suit.
 
     Raises:
         ValueError: If it has parameters without a default whose meaning cannot be guessed.
     """
+    given = values_of(entry)
+    if given is None:
+        return entry
+    kind = class_of(entry)
     sizes = {
         # A sphere may stand for a piece of a pad or for the end of a pin; validity asks for depth ≪ clearance.
         "area": 1.0e-4,
@@ -74,20 +116,25 @@ def law(kind: type[Law], modulus: float, depth: float) -> Law:
         "restitution": 0.5,
         **dict.fromkeys(MODULI, modulus),
     }
-    chosen = _required(kind)
-    for name in kind.exactly_one_of:
-        if name == "restitution" or (name == kind.exactly_one_of[-1] and "restitution" not in kind.exactly_one_of):
-            chosen.append(name)
-    values = {name: 0.0 if is_damping(kind, name) else sizes.get(name) for name in chosen}
-    return _made(kind, values)
+    values = {name: 0.0 if is_damping(kind, name) else sizes.get(name) for name in _chosen(kind, given)}
+    return _made(kind, values | given)
 
 
-def friction(kind: type[Friction], load: float, patch_radius: float) -> Friction:
-    """Returns an instance of ``kind`` for a normal force ``load`` [N] on a patch of ``patch_radius`` [m].
+def friction(entry: Any, load: float, patch_radius: float) -> Friction:
+    """Returns an instance of a friction; one that is an instance as it is.
+
+    Args:
+        entry: Instance, class, or ``functools.partial`` of a class.
+        load: Normal force [N].
+        patch_radius: Radius of the patch of contact [m].
 
     Raises:
         ValueError: If it has parameters without a default whose meaning cannot be guessed.
     """
+    given = values_of(entry)
+    if given is None:
+        return entry
+    kind = class_of(entry)
     by_unit = {
         "N/m": load / STRETCH,
         "1/m": 1.0 / STRETCH,
@@ -96,20 +143,39 @@ def friction(kind: type[Friction], load: float, patch_radius: float) -> Friction
         "N·s/m": load / DRAG_SPEED,
         "m/s": SPEED,
     }
-    values = {name: COEFFICIENTS.get(name, by_unit.get(kind.limits(name)["unit"])) for name in _required(kind)}
-    return _made(kind, values)
+    chosen = _chosen(kind, given)
+    values = {name: COEFFICIENTS.get(name, by_unit.get(kind.limits(name)["unit"])) for name in chosen}
+    return _made(kind, values | given)
 
 
-def _required(kind: type[Formula]) -> list[str]:
-    return [field.name for field in dataclasses.fields(kind) if field.default is dataclasses.MISSING]
+def coefficients_chosen(entries: Iterable[Any]) -> str:
+    """Returns the coefficients that frictions are shown with because none were given, as a text."""
+    chosen = {
+        name
+        for entry in entries
+        if (given := values_of(entry)) is not None
+        for name in _chosen(class_of(entry), given)
+    }
+    by_value: dict[float, list[str]] = {}
+    for name, value in COEFFICIENTS.items():
+        if name in chosen:
+            by_value.setdefault(value, []).append(name)
+    return ", ".join(f"{' = '.join(names)} = {value:g}" for value, names in by_value.items())
 
 
-def _made(kind: type[FormulaType], values: Mapping[str, float | None]) -> FormulaType:
+def _chosen(kind: type[Formula], given: Mapping[str, Any]) -> list[str]:
+    """Returns the parameters without a value that need one; of those of which one is needed, one."""
+    names = [field.name for field in dataclasses.fields(kind) if field.default is dataclasses.MISSING]
+    group = kind.exactly_one_of
+    if group and not any(name in given for name in group):
+        names.append(next((name for name in group if name in ("restitution", *MODULI)), group[-1]))
+    return [name for name in names if name not in given]
+
+
+def _made(kind: Any, values: Mapping[str, float | None]) -> Any:
     unknown = [name for name, value in values.items() if value is None]
     if unknown:
-        raise ValueError(
-            f"{kind.__name__} needs {' and '.join(unknown)}: give an instance with its values, not the class"
-        )
+        raise MissingValues(kind.__name__, unknown)
     return kind(**values)
 
 

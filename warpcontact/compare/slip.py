@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact._version import __version__
@@ -39,6 +38,10 @@ SWINGS = (0.1, 0.3, 1.0)
 YIELDS = 6.0
 # Slip distances that a friction may need to yield [m], and the growth from step to step.
 SHORTEST, LONGEST, GROWTH = 1.0e-9, 1.0e-1, 1.2
+# Growth where the greatest force is looked for, and from and up to where, in terms of the distance to yield.
+FINE_GROWTH, BEFORE, BEYOND = 1.005, 0.3, 5.0
+#: What a normal force may be.
+LOAD = checks.limits("N", above=0.0)
 # Steps per swing, and number of swings.
 SWING_STEPS = 1000
 PERIODS = 2.0
@@ -46,7 +49,7 @@ PERIODS = 2.0
 
 def slips(
     frictions: Any,
-    speeds: ArrayLike | None = None,
+    speeds: Any = None,
     *,
     direction: float = 0.0,
     load: float = 10.0,
@@ -56,15 +59,16 @@ def slips(
 
     Args:
         frictions: A friction, several, or a mapping from labels to frictions; each an instance, or a class,
-            which is then shown with μ = 0.4, or μ_s = 0.5 and μ_d = 0.3.
+            which then slides with 0.4, and holds with μ_s = 0.5. With some of its values,
+            ``functools.partial(Class, mu=0.3)``, these are kept and the rest is chosen.
         speeds: Slip speeds [m/s]; around those that the frictions name if not given.
         direction: Direction of the slip, from the surface's x axis about its normal [rad].
         load: Normal force [N].
         device: Warp device.
 
     Returns:
-        A data set with ``coefficient``, F/N against the slip [-], over (friction, speed), and
-        ``settings``, the parameters, over friction.
+        A data set with ``coefficient``, F/N against the slip [-], over (friction, speed), and over friction
+        ``class`` and ``settings``, the parameters.
 
     Raises:
         TypeError: If a friction is none.
@@ -91,7 +95,7 @@ def slips(
 
 def swings(
     frictions: Any,
-    amplitude: ArrayLike | None = None,
+    amplitude: Any = None,
     *,
     speed: float | None = None,
     load: float = 10.0,
@@ -122,7 +126,7 @@ def swings(
     fast = 3.0 * own_speeds(chosen, load)[1] if speed is None else speed
     fast = float(checks.numbers("speed", fast, (), checks.limits("m/s", above=0.0)))
     if amplitude is None:
-        largest = YIELDS * _yield_distance(chosen, load, device) or USUAL_AMPLITUDE
+        largest = YIELDS * max(_yield_distances(chosen, load, device).values()) or USUAL_AMPLITUDE
         sizes = np.array(SWINGS) * float(f"{largest:.0e}")  # a round number
     else:
         sizes = np.atleast_1d(np.asarray(amplitude))
@@ -167,13 +171,27 @@ def swings(
 
 
 def _chosen(frictions: Any, load: float) -> tuple[dict[str, Friction], float]:
-    load = float(checks.numbers("load", load, (), checks.limits("N", above=0.0)))
+    load = float(checks.numbers("load", load, (), LOAD))
     given = samples.named(Friction, frictions)
     patch = float(np.sqrt(RADIUS * DEPTH))
-    return {
-        label: samples.friction(friction, load, patch) if isinstance(friction, type) else friction
-        for label, friction in given.items()
-    }, load
+    return {label: samples.friction(friction, load, patch) for label, friction in given.items()}, load
+
+
+def breakaways(frictions: Any, load: float, device: str) -> dict[str, float]:
+    """Returns by label the greatest coefficient on a slow way from rest, of frictions that do not yield at once.
+
+    What holds a body at rest does not show in steady slip.
+    """
+    chosen, load = _chosen(frictions, load)
+    reach = _yield_distances(chosen, load, device)
+    yielding = {label: friction for label, friction in chosen.items() if reach[label] > 0.0}
+    if not yielding:
+        return {}
+    first, last = (extreme(reach[label] for label in yielding) for extreme in (min, max))
+    count = np.log(BEYOND * last / (BEFORE * first)) / np.log(FINE_GROWTH)
+    distances = BEFORE * first * FINE_GROWTH ** np.arange(count)
+    greatest = _from_rest(yielding, load, device, distances).max(axis=0)
+    return dict(zip(yielding, greatest.tolist(), strict=True))
 
 
 def own_speeds(frictions: Any, load: float) -> tuple[float, float]:
@@ -188,8 +206,8 @@ def own_speeds(frictions: Any, load: float) -> tuple[float, float]:
     return (min(own), max(own)) if own else USUAL_SPEEDS
 
 
-def _yield_distance(chosen: Mapping[str, Friction], load: float, device: str) -> float:
-    """Returns the longest slip from rest after which a friction reaches 2/3 of its force; 0: all do at once.
+def _from_rest(chosen: Mapping[str, Friction], load: float, device: str, distances: Array) -> Array:
+    """Returns the coefficients of frictions that have slid ``distances`` [m] from rest, (distance, friction).
 
     The slip is slow against the speeds that the frictions name, but for those that follow it at once it does not
     matter how slow.
@@ -197,21 +215,25 @@ def _yield_distance(chosen: Mapping[str, Friction], load: float, device: str) ->
     speed = own_speeds(chosen, load)[0]
     model = _model(chosen, load, np.array([[speed, 0.0, 0.0]]), device)
     forces = []
-    distances = np.append(0.0, SHORTEST * GROWTH ** np.arange(np.log(LONGEST / SHORTEST) / np.log(GROWTH)))
-    for travel in np.diff(distances):
+    for travel in np.diff(distances, prepend=0.0):
         Simulation(model, float(travel / speed)).step()
         forces.append([np.linalg.norm(model.reading(f"touch_{k}.friction_force")) for k in range(len(chosen))])
-    longest = 0.0
-    for force in np.array(forces).T:
+    return np.array(forces) / load
+
+
+def _yield_distances(chosen: Mapping[str, Friction], load: float, device: str) -> dict[str, float]:
+    """Returns by label the slip from rest after which a friction reaches 2/3 of its force; 0: it does at once."""
+    distances = SHORTEST * GROWTH ** np.arange(np.log(LONGEST / SHORTEST) / np.log(GROWTH))
+    reach = {}
+    for label, force in zip(chosen, _from_rest(chosen, load, device, distances).T, strict=True):
         first = int(np.argmax(force >= 2.0 / 3.0 * force.max()))
-        if first:
-            longest = max(longest, float(distances[first + 1]))
-    return longest
+        reach[label] = float(distances[first]) if first else 0.0
+    return reach
 
 
 def _settling(chosen: Mapping[str, Friction], load: float, device: str) -> float:
     """Returns the slip distance after which all frictions are steady [m]."""
-    return 30.0 * _yield_distance(chosen, load, device)
+    return 30.0 * max(_yield_distances(chosen, load, device).values())
 
 
 def _slide(model: Model, duration: float, fastest: float) -> None:
@@ -241,4 +263,5 @@ def _model(chosen: Mapping[str, Friction], load: float, velocity: Array, device:
 
 def _coordinates(chosen: Mapping[str, Friction]) -> dict[str, Any]:
     texts = np.array([settings(friction) for friction in chosen.values()], object)
-    return {"friction": list(chosen), "settings": ("friction", texts)}
+    kinds = np.array([type(friction).__name__ for friction in chosen.values()], object)
+    return {"friction": list(chosen), "class": ("friction", kinds), "settings": ("friction", texts)}
