@@ -1,13 +1,10 @@
 """The command line: what it prints, where it prints it, and its exit codes."""
 
-import dataclasses
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
 
-import matplotlib
 import pytest
 
 import warpcontact as wc
@@ -179,114 +176,6 @@ def test_inspect_prints_the_report_and_says_whether_it_is_usable(tmp_path, capsy
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith(f"warpcontact: {broken}: ")
-
-
-def test_laws_lists_the_whole_catalogue(capsys):
-    assert main(["laws"]) == 0
-    out = capsys.readouterr().out
-    words = " ".join(out.split())
-    for formula in (*wc.laws.CATALOGUE, *wc.frictions.CATALOGUE):
-        for text in (formula.__name__, formula.formula, formula.validity, formula.reference):
-            assert " ".join(text.split()) in words, formula
-        for field in dataclasses.fields(formula):
-            limits = formula.limits(field.name)
-            assert f"{field.name} {limits['unit']} " in words
-            assert limits["meaning"] in words
-        assert formula.provenance in ("S", "D", "R", "S, D", "S, R"), formula
-    assert max(map(len, out.splitlines())) <= 100
-
-
-def test_laws_say_in_words_how_sure_a_formula_is(capsys):
-    assert main(["laws"]) == 0
-    out = capsys.readouterr().out
-    legend = " ".join(out[: out.index("LAWS")].split())
-    for text in ("S: read in a public source", "D: derived and confirmed", "R: recalled from the literature"):
-        assert text in legend
-    entries = dict(zip(*[iter(re.split(r"\n  (\w+)\n", out)[1:])] * 2, strict=True))
-    for formula in (*wc.laws.CATALOGUE, *wc.frictions.CATALOGUE):
-        known = " ".join(entries[formula.__name__].partition("    known ")[2].split())
-        assert ("recalled from the literature (R)" in known) == ("R" in formula.provenance), formula
-        assert ("read in a public source (S)" in known) == ("S" in formula.provenance), formula
-        assert ("derived and confirmed by integration (D)" in known) == ("D" in formula.provenance), formula
-
-
-def test_laws_of_a_name_shows_that_entry_only(capsys):
-    assert main(["laws", "HuGuo"]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("  HuGuo\n    formula N = K δⁿ (1 + d δ̇/v₀),  d = 3(1−e)/(2e)\n")
-    assert "known   recalled from the literature (R)" in out
-    assert "Hertz\n" not in out
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["HuntCrosley"], "there is no law or friction 'HuntCrosley'; did you mean 'HuntCrossley'?"),
-        (["tanh"], "there is no law or friction 'tanh'; did you mean 'Tanh'?"),
-        (["Xyzzy"], "there is no law or friction 'Xyzzy'; 'warpcontact laws' lists them"),
-        (["Hooke", "--plot", "a.pdf"], "a.pdf: must end in .svg or .png, got .pdf"),
-        (["Hooke", "--plot", "a"], "a: must end in .svg or .png, got no suffix"),
-        (["Hooke", "--plot", "none/a.svg"], "none/a.svg: none does not exist"),
-        (["Hooke", "--plot", "file/a.svg"], "file/a.svg: file is not a folder"),
-        (["Hooke", "--plot", "folder.svg"], "folder.svg: is a folder; the picture needs the name of a file"),
-        (["--plot", "a.svg"], "--plot needs the NAME of a law or friction, or --compare NAME NAME …"),
-        (["--compare", "Hooke", "Hertz"], "--compare draws a picture: say where by --plot FILE"),
-        (
-            ["--compare", "Hooke", "Hooke", "--plot", "a.svg"],
-            "--compare needs at least two names, got Hooke Hooke",
-        ),
-        (["Hooke", "--compare", "Tanh", "Hollars"], "give Hooke to --compare, or leave --compare out"),
-        (
-            ["--compare", "Hooke", "Tanh", "Hertz", "--plot", "a.svg"],
-            "laws and frictions cannot be compared with each other: Hooke, Hertz with Tanh",
-        ),
-        (["--compare", "Hooke", "Herz", "--plot", "a.svg"], "no law or friction 'Herz'; did you mean 'Hertz'?"),
-        (
-            ["--plot", "a.svg", "--compare", *(law.__name__ for law in wc.laws.CATALOGUE[:9])],
-            "a picture shows at most 8 laws, got 9: Hooke, Hertz,",
-        ),
-        (["Hooke", "--mass", "2"], "--mass is of the picture: say where it goes by --plot FILE"),
-        (["Tanh", "--mass", "2", "--plot", "a.svg"], "--mass is an option of laws, and not of Tanh"),
-        (["Hooke", "--load", "2", "--plot", "a.svg"], "--load is an option of frictions, and not of Hooke"),
-        (["Hooke", "--speed", "0", "--plot", "a.svg"], "speed must be greater than 0, got 0 m/s"),
-        (
-            ["Gonthier", "--restitution", "0.5", "2", "--plot", "a.svg"],
-            "restitution[1] must be at least 0.01 and at most 1, got 2",
-        ),
-    ],
-    ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else None,
-)
-def test_wrong_use_of_laws_is_one_message_and_draws_nothing(words, message, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("file").write_text("")
-    Path("folder.svg").mkdir()
-    assert main(["laws", *words]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert message in err
-    assert "Traceback" not in err
-    assert not Path("a.svg").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["Hertz", "--mass", "2", "--speed", "3", "--depth", "0.002"], "sphere of 2 kg on a plate at 3 m/s"),
-        (["--compare", "Hertz", "Flores", "--restitution", "0.5"], "force over time, e = 0.5"),
-        (["Tanh", "--load", "25"], "pressed on a plate with 25 N"),
-        (["--compare", "Tanh", "Hollars"], "friction force F/N against +x [-]"),
-    ],
-    ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else None,
-)
-def test_laws_draws_what_is_asked_for(words, said, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    # With texts as texts, so that they can be looked for.
-    with matplotlib.rc_context({"svg.fonttype": "none"}):
-        assert main(["laws", *words, "--plot", "a.svg"]) == 0
-    assert capsys.readouterr().out == "picture: a.svg\n"
-    assert said in Path("a.svg").read_text()
-    assert main(["laws", *words, "--plot", "a.PNG"]) == 0
-    assert Path("a.PNG").read_bytes().startswith(b"\x89PNG")
 
 
 def test_output_may_be_cut_off():

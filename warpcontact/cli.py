@@ -7,17 +7,12 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-from warpcontact import __version__
+from warpcontact import __version__, laws_command
 
 FAILED = 1  # the answer is no: an unusable mesh
 WRONG_USE = 2  # the command could not be carried out, as argparse has it
 INTERRUPTED = 130  # the shell's number for Ctrl-C
-
-# Options of the pictures of the one and of the other.
-OF_LAWS = ("restitution", "mass", "speed", "depth")
-OF_FRICTIONS = ("load",)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -79,27 +74,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     inspect.set_defaults(command=_inspect)
 
-    _add_laws(commands)
+    laws_command.add_to(commands)
+    commands.choices["laws"].set_defaults(command=_laws)
     return parser
-
-
-def _add_laws(commands: Any) -> None:
-    laws = commands.add_parser(
-        "laws",
-        help="list the laws and frictions, or draw some",
-        description="List the laws and frictions that come with it, or draw what they do in one impact or slip.",
-    )
-    laws.add_argument("name", metavar="NAME", nargs="?", help="show this one only")
-    laws.add_argument("--plot", metavar="FILE", help="draw it into an .svg or .png file")
-    laws.add_argument("--compare", metavar="NAME", nargs="+", help="draw these laws, or frictions, side by side")
-    laws.add_argument(
-        "--restitution", metavar="E", nargs="+", type=float, help="loops to draw of laws (default: 0.2 … 1)"
-    )
-    laws.add_argument("--mass", metavar="KG", type=float, help="mass of the sphere that hits (default: 1)")
-    laws.add_argument("--speed", metavar="M/S", type=float, help="impact speed (default: 1)")
-    laws.add_argument("--depth", metavar="M", type=float, help="depth without damping (default: 0.001)")
-    laws.add_argument("--load", metavar="N", type=float, help="normal force on a friction (default: 10)")
-    laws.set_defaults(command=_laws)
 
 
 def _fail(message: str) -> int:
@@ -179,63 +156,8 @@ def _inspect(arguments: argparse.Namespace) -> int:
 
 
 def _laws(arguments: argparse.Namespace) -> int:
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
-    from warpcontact import listing
-
-    options = {name: getattr(arguments, name) for name in (*OF_LAWS, *OF_FRICTIONS)}
-    options = {name: value for name, value in options.items() if value is not None}
     try:
-        _check_laws(arguments, options)
-        names = list(dict.fromkeys(arguments.compare or ([arguments.name] if arguments.name else [])))
-        chosen = [listing.find(name) for name in names]
-        if arguments.plot:
-            _plot(chosen, arguments.plot, options)
-            print(f"picture: {arguments.plot}")
-        elif chosen:
-            print("\n".join(listing.entry(chosen[0])))
-        else:
-            print(listing.catalogue())
+        laws_command.run(arguments)
     except ValueError as error:
         return _fail(str(error))
     return 0
-
-
-def _check_laws(arguments: argparse.Namespace, options: dict[str, Any]) -> None:
-    """Raises ``ValueError`` if options of ``laws`` do not go together."""
-    if arguments.compare is not None:
-        if arguments.name:
-            raise ValueError(f"give {arguments.name} to --compare, or leave --compare out")
-        if len(set(arguments.compare)) < 2:
-            raise ValueError(f"--compare needs at least two names, got {' '.join(arguments.compare)}")
-        if not arguments.plot:
-            raise ValueError("--compare draws a picture: say where by --plot FILE")
-    elif arguments.plot and not arguments.name:
-        raise ValueError("--plot needs the NAME of a law or friction, or --compare NAME NAME …")
-    if options and not arguments.plot:
-        raise ValueError(f"--{next(iter(options))} is of the picture: say where it goes by --plot FILE")
-
-
-def _plot(chosen: Sequence[type[Any]], file: str, options: dict[str, Any]) -> None:
-    """Draws laws or frictions.
-
-    Raises:
-        ValueError: If they are mixed, or an option or the file is not allowed.
-    """
-    from warpcontact import compare, frictions, laws
-
-    ours = [formula.__name__ for formula in chosen if formula in laws.CATALOGUE]
-    others = [formula.__name__ for formula in chosen if formula in frictions.CATALOGUE]
-    if ours and others:
-        raise ValueError(
-            f"laws and frictions cannot be compared with each other: {', '.join(ours)} with {', '.join(others)}"
-        )
-    for name in options:
-        if name in (OF_FRICTIONS if ours else OF_LAWS):
-            kind = "frictions" if ours else "laws"
-            raise ValueError(f"--{name} is an option of {kind}, and not of {', '.join(ours or others)}")
-    compare.check_path(file)
-    print("running impacts …" if ours else "running slips …", file=sys.stderr, flush=True)
-    draw = compare.plot_laws if ours else compare.plot_frictions
-    draw(chosen, file, **options)

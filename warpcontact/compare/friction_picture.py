@@ -115,7 +115,7 @@ def _several(
         foot.insert(1, "dash-dotted: greatest force on a slow way from rest to steady slip")
     if directional:
         foot.insert(
-            1, f"all slip is along the x axis of the surface; other ways are other for {' and '.join(directional)}"
+            1, f"all slip is along the x axis of the surface, on which depends {' and '.join(directional)}"
         )
     height = 5.6 + 3.2 * rows + 0.15 * len(foot)
     sheet = figures.sheet(16.0, height, ["The same slip:  " + ", ".join(labels)], foot)

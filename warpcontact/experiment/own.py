@@ -13,7 +13,7 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,13 +77,13 @@ class OwnFiles:
             raise ValueError(self._failures[name])
         return self._files[name]
 
-    def find(self, file: str, name: str, base: type[Formula]) -> Any:
+    def find(self, file: str, name: str, *bases: type[Formula]) -> Any:
         """Returns class ``name`` of a file.
 
         Args:
             file: The file, relative to the folder.
             name: Name of the class.
-            base: What the class has to be: ``Law`` or ``Friction``.
+            bases: What the class may be: ``Law``, ``Friction`` or both.
 
         Raises:
             ValueError: If there is none; the message continues the key ``type``.
@@ -91,12 +91,13 @@ class OwnFiles:
         defined = vars(self.file(file).module)
         given = defined.get(name)
         if given is None:
-            known = [key for key, value in defined.items() if _is_formula(value, base) and value is not base]
+            known = [key for key, value in defined.items() if _is_formula(value, bases) and value not in bases]
             hint = suggestion(name, known) or f"; there are: {', '.join(known) or 'none'}"
-            raise ValueError(f": {file} has no {_word(base)} {name!r}{hint}")
-        if not _is_formula(given, base):
-            kinds = [_word(kind) for kind in (Law, Friction) if _is_formula(given, kind)]
-            fact = f"a {kinds[0]} and no {_word(base)}" if kinds else f"no class derived from wc.{base.__name__}"
+            raise ValueError(f": {file} has no {_words(bases)} {name!r}{hint}")
+        if not _is_formula(given, bases):
+            kinds = [kind for kind in (Law, Friction) if _is_formula(given, (kind,))]
+            derived = " or ".join(f"wc.{base.__name__}" for base in bases)
+            fact = f"a {_words(kinds)} and no {_words(bases)}" if kinds else f"no class derived from {derived}"
             raise ValueError(f": {name!r} in {file} is {fact}")
         if not isinstance(getattr(given, "force", None), wp.Function):
             raise ValueError(f": {name}.force in {file} must be a wp.func of {given.arguments()}")
@@ -148,12 +149,12 @@ class OwnFiles:
         return path
 
 
-def _word(base: type[Formula]) -> str:
-    return base.__name__.lower()
+def _words(bases: Iterable[type[Formula]]) -> str:
+    return " or ".join(base.__name__.lower() for base in bases)
 
 
-def _is_formula(value: object, base: type[Formula]) -> bool:
-    return isinstance(value, type) and issubclass(value, base)
+def _is_formula(value: object, bases: tuple[type[Formula], ...]) -> bool:
+    return isinstance(value, type) and issubclass(value, bases)
 
 
 def _line_of(error: BaseException, path: Path) -> int | None:
