@@ -114,9 +114,8 @@ def _several(
     if holding:
         foot.insert(1, "dash-dotted: greatest force on a slow way from rest to steady slip")
     if directional:
-        foot.insert(
-            1, f"all slip is along the x axis of the surface, on which depends {' and '.join(directional)}"
-        )
+        names = " and ".join(directional)
+        foot.insert(1, f"slip is along the x axis of the surface; for {names} other directions differ")
     height = 5.6 + 3.2 * rows + 0.15 * len(foot)
     sheet = figures.sheet(16.0, height, ["The same slip:  " + ", ".join(labels)], foot)
     upper, lower = figures.parts(sheet, 4.2, 0.6 + 3.2 * rows)
