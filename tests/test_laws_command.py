@@ -154,7 +154,7 @@ def test_wrong_use_of_laws_is_one_message_and_draws_nothing(words, message, tmp_
         (["Tanh", "--set", "mu=0.8"], "mu 0.8, velocity_scale 0.01 m/s"),
         (["KelvinVoigt", "--set", "damping=300"], "damping 300 N·s/m"),
         (["../my_laws.py:Cubic"], "Cubic"),
-        (["--compare", "../my_laws.py:Cubic", "Hertz", "--set", "stiffness=1e8"], "Cubic: stiffness 1e+08 N/m³"),
+        (["--compare", "../my_laws.py:Cubic", "Hertz"], "Cubic: stiffness 2e+12 N/m³"),
         (["../my_laws.py:Lubricated", "--set", "drag=2"], "drag 2 s/m"),
     ],
     ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else None,

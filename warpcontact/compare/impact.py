@@ -14,6 +14,8 @@ from warpcontact.compare.labels import notes, settings
 
 #: Restitutions that are asked for if none are given.
 RESTITUTIONS = tuple(round(0.05 * k, 2) for k in range(1, 21))
+# Laws whose depths are within this factor are run together where nothing is recorded over time.
+ALIKE = 2.0
 # As the laws have it.
 ALLOWED = checks.limits("-", at_least=0.01, at_most=1.0)
 
@@ -101,8 +103,11 @@ def rebounds(
     chosen = cases(laws, impact)
     shape = len(asked), len(every)
     values = {label: np.repeat(value, len(every)) for label, value in loss_values(chosen, asked, impact).items()}
-    run = drop(chosen, values, np.tile(every, len(asked)), impact, record=False)
-    rebound = np.array([run.rebound[label].reshape(shape) for label in chosen])
+    found: dict[str, Array] = {}
+    for part in _alike(chosen):
+        given = {label: value for label, value in values.items() if label in part}
+        found |= drop(part, given, np.tile(every, len(asked)), impact, record=False).rebound
+    rebound = np.array([found[label].reshape(shape) for label in chosen])
     return xr.Dataset(
         {
             "effective_restitution": (
@@ -124,6 +129,16 @@ def asked_restitutions(given: Any) -> Array:
     """Returns coefficients of restitution as an array, checked."""
     values = np.asarray(given)
     return np.atleast_1d(checks.numbers("restitution", values, (values.size,) if values.ndim else (), ALLOWED))
+
+
+def _alike(chosen: Mapping[str, Case]) -> list[dict[str, Case]]:
+    """Returns ``chosen`` in parts of similar depth: the stiffest decides on the step, the softest on the end."""
+    parts: list[dict[str, Case]] = []
+    for label, case in sorted(chosen.items(), key=lambda item: item[1].depth):
+        if not parts or not case.depth <= ALIKE * next(iter(parts[-1].values())).depth:
+            parts.append({})
+        parts[-1][label] = case
+    return parts
 
 
 def _dataset(
