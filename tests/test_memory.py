@@ -95,7 +95,7 @@ def test_friction_stays_in_its_cone_and_gives_back_no_more_than_it_stored(fricti
     ids=name_of,
 )
 def test_dynamic_friction_may_be_larger_than_static(friction, device):
-    """It then holds as much: a spring that slid and stuck by turns between the two would give back what it took."""
+    """It then holds as much: a spring that slid and stuck between the two by turns would give energy away."""
     work, _, _ = driven(friction, random_velocities(600, 24, seed=4), 1e-3, device)
     given = np.cumsum(work, axis=0)
     assert (given <= 1e-12 * np.abs(given).max(axis=0)).all()
