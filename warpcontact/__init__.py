@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from warpcontact.kernels.formula import memory, parameter
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
-    from warpcontact.meshes import Mesh, MeshError, MeshReport, load_mesh
+    from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
     from warpcontact.recorder import Recording
     from warpcontact.scene import Body, Contact, Points, Scene, Surface, Template
@@ -47,6 +47,7 @@ _HOME = {
     "Simulation": "warpcontact.simulation",
     "Status": "warpcontact.status",
     "Surface": "warpcontact.scene",
+    "SurfaceSamples": "warpcontact.meshes",
     "Template": "warpcontact.scene",
     "compare": "warpcontact.compare",
     "export_usd": "warpcontact.usd",
@@ -57,6 +58,7 @@ _HOME = {
     "memory": "warpcontact.kernels.formula",
     "meshes": "warpcontact.meshes",
     "parameter": "warpcontact.kernels.formula",
+    "sample_surface": "warpcontact.meshes",
 }
 
 __all__ = [
@@ -78,6 +80,7 @@ __all__ = [
     "Simulation",
     "Status",
     "Surface",
+    "SurfaceSamples",
     "Template",
     "__version__",
     "compare",
@@ -89,6 +92,7 @@ __all__ = [
     "memory",
     "meshes",
     "parameter",
+    "sample_surface",
 ]
 
 

@@ -7,15 +7,18 @@ from warpcontact.meshes.generate import box, grid, icosphere, sinusoidal_terrain
 from warpcontact.meshes.load import examine_file, load_mesh
 from warpcontact.meshes.mesh import Mesh, MeshError
 from warpcontact.meshes.report import MeshReport
+from warpcontact.meshes.sample import SurfaceSamples, sample_surface
 
 __all__ = [
     "Mesh",
     "MeshError",
     "MeshReport",
+    "SurfaceSamples",
     "box",
     "examine_file",
     "grid",
     "icosphere",
     "load_mesh",
+    "sample_surface",
     "sinusoidal_terrain",
 ]
