@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from warpcontact import checks
 from warpcontact.meshes import SurfaceSamples, sample_surface
 from warpcontact.scene import Contact, Scene, Surface, Template
@@ -73,9 +75,7 @@ def sample_of(surface: Surface, amount: Any, seed: int, label: str) -> SurfaceSa
         seed: Of the random numbers that spread them.
         label: What to call ``amount`` in messages.
     """
-    if isinstance(amount, bool) or not (amount in COUNTED if isinstance(amount, str) else _is_count(amount)):
-        options = ", ".join(map(repr, COUNTED))
-        raise ValueError(f"{label} must be a number of points, at least 1, or one of {options}, got {amount!r}")
+    amount = check_amount(label, amount)
     if not surface.active_faces.any():
         raise ValueError(f"{label}: {surface.name!r} has no active face to make points of")
     if isinstance(amount, str):
@@ -83,8 +83,14 @@ def sample_of(surface: Surface, amount: Any, seed: int, label: str) -> SurfaceSa
     return sample_surface(surface.mesh, amount, seed=seed, faces=surface.active_faces)
 
 
-def _is_count(value: Any) -> bool:
-    return hasattr(value, "__index__") and value >= 1
+def check_amount(label: str, amount: Any) -> int | str:
+    """Returns ``amount`` if it is a number of points or one of ``COUNTED``, or raises ``ValueError``."""
+    if isinstance(amount, str) and amount in COUNTED:
+        return amount
+    if isinstance(amount, int | np.integer) and not isinstance(amount, bool) and amount >= 1:
+        return int(amount)
+    options = " or ".join(map(repr, COUNTED))
+    raise ValueError(f"{label} must be a whole number of points, at least 1, or {options}, got {amount!r}")
 
 
 def _pair(name: str, samples: Any, sides: str) -> tuple[Any, Any]:
