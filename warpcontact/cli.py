@@ -161,7 +161,8 @@ def _inspect(arguments: argparse.Namespace) -> int:
             plot_file(arguments.mesh, arguments.plot, scale=arguments.scale)
             print(f"picture: {arguments.plot}")
         except ValueError as error:
-            return _fail(str(error))
+            code = _fail(str(error))
+            return code if report.usable else FAILED
     return 0 if report.usable else FAILED
 
 

@@ -40,20 +40,24 @@ def blue_noise(
         seed: Of the random numbers.
     """
     rng = np.random.default_rng(seed)
-    positions, face = _scatter(corners, areas, rng.random((CANDIDATES * count, 2)), rng.random())
+    number = CANDIDATES * count
+    positions, face = _scatter(corners, areas, np.sort(rng.random(number)), rng.random((number, 2)))
     kept = _eliminate(positions, normals[face], float(areas.sum()), count)
     positions, face = positions[kept], face[kept]
     return positions, _measure(corners, areas, normals, positions, face, rng), face
 
 
-def _scatter(corners: Array, areas: Array, unit: Array, phase: float) -> tuple[Array, npt.NDArray[np.intp]]:
-    """Returns a point for each row of ``unit`` (n, 2), a place in the unit square, and the face of each.
+def _scatter(corners: Array, areas: Array, marks: Array, unit: Array) -> tuple[Array, npt.NDArray[np.intp]]:
+    """Returns points on triangles, and the face of each.
 
-    Faces are taken in turn, each as often as its area asks for: no area of A/n is left without a point.
+    Args:
+        corners: Corners of each triangle, (F, 3, 3).
+        areas: Their areas, (F,).
+        marks: Of each point the part of the whole area that lies before its face, or on it, (n,), from 0 to 1.
+        unit: Of each point a place in the unit square, (n, 2).
     """
     ends = np.cumsum(areas)
-    marks = (np.arange(len(unit)) + phase) / len(unit) * ends[-1]
-    face = np.minimum(np.searchsorted(ends, marks, side="right"), len(areas) - 1)
+    face = np.minimum(np.searchsorted(ends, marks * ends[-1], side="right"), len(areas) - 1)
     # The half of the square beyond the diagonal is folded over.
     u, v = np.where(unit.sum(axis=1, keepdims=True) > 1.0, 1.0 - unit, unit).T[:, :, None]
     a, b, c = corners[face].swapaxes(0, 1)
@@ -115,7 +119,8 @@ def _measure(
     hits = np.zeros(count)
     offset, phase = rng.random(2), rng.random()
     unit = (offset + np.arange(1, probes + 1)[:, None] * PLASTIC) % 1.0
-    probe, on = _scatter(corners, areas, unit, phase)
+    # Evenly by area: no face is missed that is larger than the part of one probe.
+    probe, on = _scatter(corners, areas, (np.arange(probes) + phase) / probes, unit)
     for start in range(0, probes, PROBES_AT_ONCE):
         part = slice(start, start + PROBES_AT_ONCE)
         normal = normals[on[part]]
