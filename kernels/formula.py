@@ -204,7 +204,7 @@ class Formula:
             return False  # another parameter stands in its place
         for field in dataclasses.fields(self):
             if field.name == "area" and field.metadata["unit"] == "m²" and field.default is None:
-                return self.area is None  # type: ignore[attr-defined]
+                return self.area is None
         return False
 
     @classmethod

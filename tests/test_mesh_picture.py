@@ -203,6 +203,15 @@ def test_the_same_mesh_gives_the_same_file(tmp_path):
         assert first.read_bytes() == second.read_bytes()
 
 
+def test_faces_of_no_size_and_names_like_formulas_are_drawn(tmp_path):
+    write_obj(tmp_path / "a$_b$.obj", np.ones((3, 3)), np.array([[0, 1, 2]]))
+    report = plot_file(tmp_path / "a$_b$.obj", tmp_path / "point.svg")
+    assert report.degenerate_face_count == 1
+    text = (tmp_path / "point.svg").read_text()
+    assert "<!-- a$_b$:" in text
+    assert "degenerate: 1 face" in text
+
+
 def test_inspect_draws_a_file(tmp_path, capsys, shared):
     picture = tmp_path / "soup.png"
     assert main(["inspect", str(shared / "data" / "meshes" / "soup.stl"), "--plot", str(picture)]) == 0

@@ -234,6 +234,16 @@ def test_points_without_areas_are_refused_by_name():
     np.testing.assert_array_equal(scene.add_points(None, samples, name="hull").areas, samples.areas)
 
 
+def test_laws_and_frictions_per_area_can_be_compared(device):
+    bed = laws.ElasticFoundation(stiffness=1e9, damping=0.1)
+    given = {"bed": bed, "with": laws.ElasticFoundation(stiffness=1e9, damping=0.1, area=1e-4)}
+    impacts = wc.compare.impacts(given, [0.5], device=device)
+    force = impacts["greatest_force"]
+    np.testing.assert_allclose(force.sel(law="bed"), force.sel(law="with"))
+    slips = wc.compare.slips({"felt": Felt(drag=1e3)}, device=device)
+    assert slips.sizes["friction"] == 1
+
+
 def test_points_of_a_surface_move_with_it(device):
     """They lie on it whatever its pose, in each environment: at distance zero from a twin that has the same."""
     scene = wc.Scene(gravity=(0, 0, 0))

@@ -102,7 +102,9 @@ def plot_arrays(
         depth = _draw_surface(axes, view, corners, cross, shown, defects, active)
         draw_marks(axes, view, depth, v, f, defects)
         axes.set_title(in_words(eye), fontsize="medium")
-    figure.suptitle(_heading(report, corners), fontsize="large", y=1.0 - 0.1 * DPI / height, va="top")
+    figure.suptitle(
+        _heading(report, corners), fontsize="large", y=1.0 - 0.1 * DPI / height, va="top", parse_math=False
+    )
     _legend(figure, report, defects, active, shown)
     save(figure, file)
 

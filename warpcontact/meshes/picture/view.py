@@ -48,7 +48,8 @@ class View:
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
         flat = (points - middle) @ np.stack([right, up], axis=1)
         low, high = flat.min(axis=0), flat.max(axis=0)
-        extent = np.maximum(high - low, 1e-9 * np.ptp(points, axis=0).max())
+        # What is seen from its edge, or has no size at all, is shown as well.
+        extent = np.maximum(high - low, 1e-3 * (np.ptp(points, axis=0).max() or 1.0))
         scale = FILLED * min(size[1] / extent[0], size[0] / extent[1])
         offset = 0.5 * (low + high) - (0.0, RAISED * size[0] / scale)
         return cls(eye, right, up, middle + offset[0] * right + offset[1] * up, float(scale), size)
