@@ -13,6 +13,7 @@ from warpcontact._version import __version__
 if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes
     from warpcontact.advice import ContactWarning
+    from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
     from warpcontact.kernels import frictions, laws
@@ -22,15 +23,15 @@ if TYPE_CHECKING:
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
     from warpcontact.recorder import Recording
-    from warpcontact.scene import Body, Contact, Points, Scene, Surface, Template
+    from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.status import Status
     from warpcontact.usd import export_usd
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
-    "Body": "warpcontact.scene",
-    "Contact": "warpcontact.scene",
+    "Body": "warpcontact.elements",
+    "Contact": "warpcontact.elements",
     "ContactWarning": "warpcontact.advice",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
@@ -41,14 +42,14 @@ _HOME = {
     "MeshError": "warpcontact.meshes",
     "MeshReport": "warpcontact.meshes",
     "Model": "warpcontact.model",
-    "Points": "warpcontact.scene",
+    "Points": "warpcontact.elements",
     "Recording": "warpcontact.recorder",
     "Scene": "warpcontact.scene",
     "Simulation": "warpcontact.simulation",
     "Status": "warpcontact.status",
-    "Surface": "warpcontact.scene",
+    "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
-    "Template": "warpcontact.scene",
+    "Template": "warpcontact.elements",
     "compare": "warpcontact.compare",
     "export_usd": "warpcontact.usd",
     "frictions": "warpcontact.kernels.frictions",

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from warpcontact import checks
-from warpcontact import scene as limits_of
+from warpcontact import elements as limits_of
 from warpcontact.checks import Array, limits
 from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group

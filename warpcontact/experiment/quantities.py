@@ -13,8 +13,8 @@ from pydantic import PlainValidator
 
 from warpcontact import checks
 from warpcontact.checks import limits
+from warpcontact.elements import AREA
 from warpcontact.experiment.errors import shown
-from warpcontact.scene import AREA
 from warpcontact.surface_contact import check_amount
 
 

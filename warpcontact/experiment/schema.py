@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, model_validator
 
-from warpcontact import scene as limits_of
+from warpcontact import elements as limits_of
 from warpcontact.build import PRECISIONS
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
