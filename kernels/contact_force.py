@@ -222,6 +222,11 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
                 )  # fmt: skip
                 torque_W += arm * torsion_W
 
+        # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
+        normal_force *= geometry.share
+        friction_W *= geometry.share
+        torque_W *= geometry.share
+
         contacts.approach_speed[env, contact] = approach
         contacts.normal_force[env, contact] = normal_force
         contacts.friction_force[env, contact] = friction_W

@@ -190,10 +190,22 @@ class Formula:
                 )
             check_values(f"{type(self).__name__}.{name}", values, limits)
 
-    def parameters(self) -> dict[str, float]:
-        """Returns the parameters that have a value."""
+    def parameters(self, area: Any = None) -> dict[str, Any]:
+        """Returns the parameters that have a value; an area that was left to the points is ``area``."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        if self.takes_area:
+            values["area"] = area
         return {name: value for name, value in values.items() if value is not None}
+
+    @property
+    def takes_area(self) -> bool:
+        """Whether the points say what ``area`` is: a parameter in m² that may be left out, and was."""
+        if self.exactly_one_of and "area" in self.exactly_one_of:
+            return False  # another parameter stands in its place
+        for field in dataclasses.fields(self):
+            if field.name == "area" and field.metadata["unit"] == "m²" and field.default is None:
+                return self.area is None
+        return False
 
     @classmethod
     def limits(cls, name: str) -> Mapping[str, Any]:

@@ -60,6 +60,7 @@ def structs(real: type) -> SimpleNamespace:
         max_depth: real  # deepest penetration that still counts as contact [m]
         search_radius: real  # surfaces farther from the point are not seen [m]
         torsion_radius: real  # arm at which torsion acts [m]; unused with HERTZ_PATCH
+        share: real  # factor on forces and couples [-]
         enabled: wp.int32  # 0 or 1
 
     @wp.struct

@@ -76,3 +76,12 @@ def test_cube_tosses_says_what_is_wrong_with_the_file(tmp_path, capsys):
         with pytest.raises(SystemExit):
             example.main(["--data", str(path)])
         assert message in capsys.readouterr().err
+
+
+def test_surface_on_surface_converges_to_its_closed_forms(device, capsys):
+    errors = load("surface_on_surface").main(["--device", device])
+    assert "2513.3" in capsys.readouterr().out
+    for values in errors.values():
+        # With 250 points on the whole sphere 10 of them touch, with 4000 it is 160.
+        assert values[0] < 0.05
+        assert values[-1] < 0.005

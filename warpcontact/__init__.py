@@ -13,24 +13,25 @@ from warpcontact._version import __version__
 if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes
     from warpcontact.advice import ContactWarning
+    from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
     from warpcontact.kernels import frictions, laws
     from warpcontact.kernels.formula import memory, parameter
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
-    from warpcontact.meshes import Mesh, MeshError, MeshReport, load_mesh
+    from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
     from warpcontact.recorder import Recording
-    from warpcontact.scene import Body, Contact, Points, Scene, Surface, Template
+    from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.status import Status
     from warpcontact.usd import export_usd
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
-    "Body": "warpcontact.scene",
-    "Contact": "warpcontact.scene",
+    "Body": "warpcontact.elements",
+    "Contact": "warpcontact.elements",
     "ContactWarning": "warpcontact.advice",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
@@ -41,13 +42,14 @@ _HOME = {
     "MeshError": "warpcontact.meshes",
     "MeshReport": "warpcontact.meshes",
     "Model": "warpcontact.model",
-    "Points": "warpcontact.scene",
+    "Points": "warpcontact.elements",
     "Recording": "warpcontact.recorder",
     "Scene": "warpcontact.scene",
     "Simulation": "warpcontact.simulation",
     "Status": "warpcontact.status",
-    "Surface": "warpcontact.scene",
-    "Template": "warpcontact.scene",
+    "Surface": "warpcontact.elements",
+    "SurfaceSamples": "warpcontact.meshes",
+    "Template": "warpcontact.elements",
     "compare": "warpcontact.compare",
     "export_usd": "warpcontact.usd",
     "frictions": "warpcontact.kernels.frictions",
@@ -57,6 +59,7 @@ _HOME = {
     "memory": "warpcontact.kernels.formula",
     "meshes": "warpcontact.meshes",
     "parameter": "warpcontact.kernels.formula",
+    "sample_surface": "warpcontact.meshes",
 }
 
 __all__ = [
@@ -78,6 +81,7 @@ __all__ = [
     "Simulation",
     "Status",
     "Surface",
+    "SurfaceSamples",
     "Template",
     "__version__",
     "compare",
@@ -89,6 +93,7 @@ __all__ = [
     "memory",
     "meshes",
     "parameter",
+    "sample_surface",
 ]
 
 

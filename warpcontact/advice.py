@@ -35,7 +35,7 @@ def advice(model: "Model", dt: float) -> list[str]:
     for group, contact, first in model.grouped_contacts():
         sentences += friction_advice(model, contact, group, first, dt)
         law = type(contact.template.law)
-        names = contact.template.law.parameters()
+        names = contact.parameters("law")
         elastic = law.elastic({name: _column(model, f"{contact.name}.law.{name}") for name in names})
         if elastic is None:
             continue

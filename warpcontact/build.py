@@ -7,8 +7,9 @@ import numpy as np
 import warp as wp
 
 from warpcontact import checks
-from warpcontact import scene as limits_of
+from warpcontact import elements as limits_of
 from warpcontact.checks import Array, limits
+from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
@@ -64,8 +65,8 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
     upload = parameters.upload(arrays.model, "gravity", t.vec3, lambda: gravity.values)
     parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [upload], tail=(3,))
     _add_bodies(scene, arrays, parameters, t)
-    _add_points(scene, arrays, parameters, t)
     _add_surfaces(scene, arrays, parameters, t)
+    _add_points(scene, arrays, parameters, t)
     patch_of, meshes = upload_patches(contacts, arrays.model, t, where)
     _add_contacts(contacts, start_of, patch_of, arrays, parameters, t)
     made = [make_group(group, start_of[group[0]], parameters, t.real) for group in groups]
@@ -140,7 +141,24 @@ def _add_points(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
         [_body_index(points) for points in sets for _ in points.positions], parameters.device
     )
     position = Field(np.concatenate([np.zeros((0, 3)), *(points.positions for points in sets)]))
-    upload = parameters.upload(arrays.model, "point_position", t.vec3, lambda: position.values)
+    pose_of = {
+        points: [parameters.by_name[f"{points.surface.name}.{key}"] for key in ("position", "orientation")]
+        for points in sets
+        if points.surface is not None
+    }
+
+    def places() -> Array:
+        values = position.values
+        for points, pose in pose_of.items():
+            items = slice(points.start, points.start + len(points.positions))
+            moved = placed(position.values[:, items], *(part.field.values[:, part.items.start] for part in pose))
+            values = np.repeat(values, len(moved) if len(values) == 1 else 1, axis=0)
+            values[:, items] = moved
+        return values
+
+    upload = parameters.upload(arrays.model, "point_position", t.vec3, places)
+    for part in {id(part): part for pose in pose_of.values() for part in pose}.values():
+        part.uploads.append(upload)
     for points in sets:
         items = slice(points.start, points.start + len(points.positions))
         parameters.add(
@@ -187,6 +205,7 @@ def _add_contacts(
         "max_depth": limits_of.MAX_DEPTH,
         "search_radius": limits_of.SEARCH_RADIUS,
         "torsion_radius": limits_of.TORSION_RADIUS,
+        "share": limits_of.SHARE,
         "enabled": limits_of.ENABLED,
     }
     # A torsion radius that is not given follows from the overlap.

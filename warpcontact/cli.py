@@ -72,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     inspect.add_argument(
         "--scale", type=float, default=1.0, metavar="X", help="m per unit of the file (default: 1)"
     )
+    inspect.add_argument("--plot", metavar="FILE", help="draw it, defects marked, into an .svg or .png file")
     inspect.set_defaults(command=_inspect)
 
     laws_command.add_to(commands)
@@ -141,9 +142,12 @@ def _blaming(option: str, source: str) -> Iterator[None]:
 
 
 def _inspect(arguments: argparse.Namespace) -> int:
-    from warpcontact.meshes import MeshError, examine_file
+    from warpcontact.meshes import MeshError, examine_file, plot_file
+    from warpcontact.picture_file import check_path
 
     try:
+        if arguments.plot:
+            check_path(arguments.plot)
         report = examine_file(arguments.mesh, scale=arguments.scale)
     except (MeshError, ValueError) as error:
         return _fail(str(error))
@@ -152,6 +156,13 @@ def _inspect(arguments: argparse.Namespace) -> int:
             print(f"warpcontact: {arguments.mesh}: {problem}", file=sys.stderr)
         return FAILED
     print(report.to_text())
+    if arguments.plot:
+        try:
+            plot_file(arguments.mesh, arguments.plot, scale=arguments.scale)
+            print(f"picture: {arguments.plot}")
+        except ValueError as error:
+            code = _fail(str(error))
+            return code if report.usable else FAILED
     return 0 if report.usable else FAILED
 
 

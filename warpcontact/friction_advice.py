@@ -85,7 +85,7 @@ def _mobilities(model: "Model", contact: "Contact") -> dict[str, Array]:
     radius = _radius(model, contact)
     name = f"{contact.name}.torsion_radius"
     arm = _columns(model[name]) if name in model else 0.0 * radius
-    reach = np.linalg.norm(contact.points.positions, axis=1).max() + radius
+    reach = np.linalg.norm(contact.points.places, axis=1).max() + radius
     total = {key: np.zeros((model.envs, 1)) for key in ("load", "friction", "rolling", "torsion")}
     for body in (contact.points.body, contact.surface.body):
         if body is None:

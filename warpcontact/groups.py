@@ -138,10 +138,7 @@ def _add_formula(
     """Adds the parameters of one part of ``contacts``, and the array of their coefficients."""
     struct = coefficient_struct(formula, real)
     fields: dict[Contact, dict[str, Field]] = {
-        contact: {
-            name: Field(np.full(contact.count, value))
-            for name, value in getattr(contact.template, part).parameters().items()
-        }
+        contact: {name: Field(np.full(contact.count, value)) for name, value in contact.parameters(part).items()}
         for contact in contacts
     }
 

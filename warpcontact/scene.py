@@ -2,7 +2,7 @@
 
 import copy
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,137 +10,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
-from warpcontact.kernels.contact_force import Parts
-from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.frictions import Friction, Frictionless
-from warpcontact.kernels.laws import Law
-from warpcontact.meshes import Mesh
+from warpcontact.elements import (
+    AREA,
+    KAPPA,
+    MASS,
+    MAX_DEPTH,
+    RADIUS,
+    SEARCH_RADIUS,
+    SHARE,
+    TORSION_RADIUS,
+    Body,
+    Contact,
+    Points,
+    Surface,
+    Template,
+    needs_radius,
+)
+from warpcontact.kernels.frictions import Frictionless
+from warpcontact.meshes import Mesh, SurfaceSamples
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
 
-MASS = limits("kg", above=0.0)
-RADIUS = limits("m", at_least=0.0)
-KAPPA = limits("-", at_least=0.0, at_most=1.0)
-MAX_DEPTH = limits("m", above=0.0, may_be_infinite=True)
-SEARCH_RADIUS = limits("m", above=0.0, may_be_infinite=True)
-TORSION_RADIUS = limits("m", at_least=0.0)
-ENABLED = limits("-", at_least=0.0, at_most=1.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Template:
-    """The force of a contact: a normal-force law and up to three friction models; any number of contacts share it.
-
-    A friction model says what opposes a velocity under the normal force N. Sliding, that is the tangential
-    velocity at the point K where the force acts. Rolling, it is the velocity R (ω₁ − ω₂) × n at which the point
-    of contact of a sphere of radius R travels, and the model's F acts as the couple R n × F: its coefficient is
-    the rolling resistance μ_r, of which M = μ_r R N. In torsion it is r_t (ω₁ − ω₂)·n, with the couple r_t F; see
-    ``torsion_radius`` of ``add_contact``.
-
-    Args:
-        law: Normal-force law, an instance of a class of ``wc.laws`` or of your own ``wc.Law``.
-        friction: Friction model, of ``wc.frictions`` or your own ``wc.Friction``; ``None``: frictionless.
-        rolling: Friction model of the resistance to rolling; ``None``: none.
-        torsion: Friction model of the resistance to spinning about the normal; ``None``: none.
-    """
-
-    law: Law
-    friction: Friction = field(default_factory=Frictionless)
-    rolling: Friction = field(default_factory=Frictionless)
-    torsion: Friction = field(default_factory=Frictionless)
-
-    def __post_init__(self) -> None:
-        for name in Parts._fields:
-            kind = Law if name == "law" else Friction
-            if name != "law" and getattr(self, name) is None:
-                object.__setattr__(self, name, Frictionless())
-            if not isinstance(getattr(self, name), kind):
-                raise TypeError(
-                    f"Template.{name} must be an instance of wc.{kind.__name__}, got {getattr(self, name)!r}"
-                )
-        if self.torsion.directional:
-            raise ValueError(
-                f"Template.torsion must be a friction without directions, got {type(self.torsion).__name__}: "
-                "there is one axis to spin about"
-            )
-
-    @property
-    def formulas(self) -> dict[str, Formula]:
-        """The law and the frictions by the name of their part."""
-        return {name: getattr(self, name) for name in Parts._fields}
-
-    @property
-    def parts(self) -> Parts:
-        """Their classes: contacts that agree in them are computed by the same code."""
-        return Parts(*(type(formula) for formula in self.formulas.values()))
-
-
-@dataclass(frozen=True, eq=False)
-class Body:
-    """A rigid body. Its frame sits at the centre of mass."""
-
-    name: str
-    index: int
-    mass: Array
-    inertia: Array  # (3, 3), body axes
-    position: Array
-    orientation: Array
-    linear_velocity: Array
-    angular_velocity: Array
-    color: Array | None
-
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """An oriented mesh fixed to a body or to the world."""
-
-    name: str
-    index: int
-    mesh: Mesh
-    body: Body | None
-    position: Array
-    orientation: Array
-    active_faces: NDArray[np.bool_]  # (F,)
-    color: Array | None
-    visible: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Points:
-    """One point, or a set of them, fixed to a body or to the world."""
-
-    name: str
-    start: int  # index of the first
-    body: Body | None
-    positions: Array  # (n, 3), frame of the body
-    single: bool  # made by add_point: no item axis
-
-
-@dataclass(frozen=True, eq=False)
-class Contact:
-    """Points (with a radius: spheres) that touch a surface."""
-
-    name: str
-    points: Points
-    surface: Surface
-    template: Template
-    radius: Array
-    kappa: Array
-    max_depth: Array
-    search_radius: Array
-    torsion_radius: Array | None
-    enabled: Array
-    search: str
-    entry: str
-    rim: str
-    color: Array | None
-    visible: bool
-
-    @property
-    def count(self) -> int:
-        """Number of contacts, one per point."""
-        return len(self.points.positions)
+_LISTS = ("bodies", "surfaces", "points", "contacts")
 
 
 class Scene:
@@ -263,30 +155,61 @@ class Scene:
         self._elements[name] = surface
         return surface
 
-    def add_point(self, body: Body | None, position: ArrayLike, *, name: str | None = None) -> Points:
-        """Adds a point fixed to ``body`` (``None``: the world) at ``position`` in its frame [m]."""
+    def add_point(self, body: Body | Surface | None, position: ArrayLike, *, name: str | None = None) -> Points:
+        """Adds a point fixed to ``body`` (``None``: the world) at ``position`` in its frame [m].
+
+        On a surface it is in the frame of the mesh, and moves with that.
+        """
         name = checks.new_name("point", name, self._elements)
         place = checks.numbers(f"{name}.position", position, (3,), limits("m"))
-        return self._add_points(name, body, place[None], single=True)
+        return self._add_points(name, body, place[None], None, single=True)
 
-    def add_points(self, body: Body | None, positions: ArrayLike, *, name: str | None = None) -> Points:
-        """Adds a set of points fixed to ``body`` at ``positions`` (n, 3) in its frame [m].
+    def add_points(
+        self,
+        body: Body | Surface | None,
+        positions: ArrayLike | SurfaceSamples,
+        *,
+        areas: ArrayLike | None = None,
+        name: str | None = None,
+    ) -> Points:
+        """Adds a set of points. Readings of its contacts have one more axis, ``item``.
 
-        Readings of its contacts have one more axis, ``item``.
+        Args:
+            body: What carries them: a body, ``None`` for the world, or a surface, with which they move.
+            positions: Where they are in its frame, (n, 3) [m], of a surface in that of its mesh; or points with
+                their areas, from ``wc.sample_surface``.
+            areas: The area that each stands for, (n,) [m²], for laws that leave it to the points.
+            name: Name in parameters and readings; made up if not given.
+
+        Raises:
+            ValueError: If a value is out of range; the message names it.
         """
         name = checks.new_name("points", name, self._elements)
+        if isinstance(positions, SurfaceSamples):
+            if areas is not None:
+                raise ValueError(f"{name}.areas must be left out: the points of wc.sample_surface have theirs")
+            areas, positions = positions.areas, positions.positions
         shape = np.shape(positions)
         if len(shape) != 2 or shape[0] < 1 or shape[1] != 3:
             raise ValueError(f"{name}.position must have shape (n, 3) with n ≥ 1, got {shape}")
         places = checks.numbers(f"{name}.position", positions, shape, limits("m"))
-        return self._add_points(name, body, places, single=False)
+        sizes = None if areas is None else checks.numbers(f"{name}.areas", areas, shape[:1], AREA)
+        return self._add_points(name, body, places, sizes, single=False)
 
-    def _add_points(self, name: str, body: Body | None, positions: Array, single: bool) -> Points:
+    def _add_points(
+        self, name: str, body: Body | Surface | None, positions: Array, areas: Array | None, single: bool
+    ) -> Points:
+        surface = None
+        if isinstance(body, Surface):
+            surface = self._surface(f"{name}.body", body)
+            body = surface.body
         points = Points(
             name=name,
             start=sum(len(p.positions) for p in self.points),
             body=self._body(f"{name}.body", body),
+            surface=surface,
             positions=positions,
+            areas=areas,
             single=single,
         )
         self.points.append(points)
@@ -307,6 +230,7 @@ class Scene:
         rim: str = "off",
         search_radius: float = math.inf,
         torsion_radius: float | None = None,
+        share: float = 1.0,
         enabled: bool = True,
         name: str | None = None,
         color: ArrayLike | None = None,
@@ -332,6 +256,7 @@ class Scene:
             torsion_radius: Arm r_t at which the template's torsion acts [m]: 2/3 of the radius of a patch under
                 uniform pressure. ``None``: that of the overlap of a sphere under the pressure of Hertz,
                 (3π/16) √(R δ).
+            share: Factor on the forces and couples of this contact: ½ each for two that describe the same touch.
             enabled: Whether it acts.
             name: Name in parameters and readings; made up if not given.
             color: Colour of its arrows, RGB in 0…1.
@@ -343,8 +268,7 @@ class Scene:
         name = checks.new_name("contact", name, self._elements)
         if not isinstance(points, Points) or self._elements.get(points.name) is not points:
             raise ValueError(f"points of {name!r} must come from add_point or add_points of this scene")
-        if not isinstance(surface, Surface) or self._elements.get(surface.name) is not surface:
-            raise ValueError(f"surface of {name!r} must come from add_surface of this scene")
+        surface = self._surface(f"surface of {name!r}", surface)
         if points.body is surface.body:
             where = f"body {points.body.name!r}" if points.body else "the world"
             raise ValueError(f"{name}: points and surface are both fixed to {where}; one must move")
@@ -352,6 +276,7 @@ class Scene:
             raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
         size = checks.numbers(f"{name}.radius", radius, (), RADIUS)
         _check_arms(name, template, size, torsion_radius)
+        _check_areas(name, template, points)
         contact = Contact(
             name=name,
             points=points,
@@ -366,6 +291,7 @@ class Scene:
             torsion_radius=None
             if torsion_radius is None
             else checks.numbers(f"{name}.torsion_radius", torsion_radius, (), TORSION_RADIUS),
+            share=checks.numbers(f"{name}.share", share, (), SHARE),
             enabled=np.array(float(bool(enabled))),
             search=checks.choice(f"{name}.search", search, ("whole", "active")),
             entry=checks.choice(f"{name}.entry", entry, ("literal", "latched")),
@@ -379,6 +305,49 @@ class Scene:
         self._elements[name] = contact
         return contact
 
+    def add_surface_contact(
+        self,
+        surface_a: Surface,
+        surface_b: Surface,
+        template: Template,
+        *,
+        samples: int | str | Sequence[int | str] = 500,
+        seed: int = 0,
+        sides: str = "first",
+        name: str | None = None,
+        **options: Any,
+    ) -> tuple[Contact, ...]:
+        """Adds the contact of two surfaces: points of one, with the area that each stands for, touch the other.
+
+        The points are those of the active faces, fixed to their surface. Whatever the bookkeeping of sides, both
+        bodies get the same force at the same point.
+
+        Args:
+            surface_a: From ``add_surface``.
+            surface_b: From ``add_surface``, on another body.
+            template: Law and friction. Laws with an area, such as ``ElasticFoundation`` and ``ContactRange``, take
+                that of each point; the force then does not depend on how many there are.
+            samples: Number of points, spread evenly, or ``"vertices"`` or ``"centroids"``: see
+                ``wc.sample_surface``. With two sides a pair gives each its own.
+            seed: Of the random numbers that spread them.
+            sides: ``"first"``: points of ``surface_a`` touch ``surface_b``. ``"average"``: points of each touch
+                the other, in two contacts with the share ½.
+            name: Name of the contact; of two, ``<name>_first`` and ``<name>_second``. The points are called like
+                their contact, with ``_points`` behind. Made up if not given.
+            **options: Others of ``add_contact``: ``radius``, ``kappa``, ``search``, ``max_depth``, …
+
+        Returns:
+            The contacts, one or two: that of the points of ``surface_a`` is the first.
+
+        Raises:
+            ValueError: If a value is out of range; the message names it, and the scene is as before.
+        """
+        from warpcontact.surface_contact import add_surface_contact
+
+        return add_surface_contact(
+            self, surface_a, surface_b, template, samples, seed=seed, sides=sides, name=name, options=options
+        )
+
     def build(self, envs: int = 1, device: str = "auto", precision: str = "float32") -> "Model":
         """Builds ``envs`` environments of this scene on a device; see ``warpcontact.build.build``."""
         from warpcontact.build import build
@@ -389,30 +358,32 @@ class Scene:
         """Returns the names of all elements."""
         return tuple(self._elements)
 
+    def new_name(self, kind: str, name: str | None) -> str:
+        """Returns ``name`` if an element can have it, or one made from ``kind`` if it is ``None``."""
+        return checks.new_name(kind, name, self._elements)
+
+    def restore(self, earlier: "Scene") -> None:
+        """Takes back what was added since the snapshot ``earlier``."""
+        for name in (*_LISTS, "_elements"):
+            setattr(self, name, getattr(earlier, name))
+
     def snapshot(self) -> "Scene":
         """Returns a copy that what is added to this scene later does not change."""
         copied = copy.copy(self)
-        for name in ("bodies", "surfaces", "points", "contacts"):
+        for name in _LISTS:
             setattr(copied, name, list(getattr(self, name)))
         copied._elements = dict(self._elements)
         return copied
+
+    def _surface(self, label: str, surface: Surface) -> Surface:
+        if not isinstance(surface, Surface) or self._elements.get(surface.name) is not surface:
+            raise ValueError(f"{label} must come from add_surface of this scene")
+        return surface
 
     def _body(self, name: str, body: Body | None) -> Body | None:
         if body is not None and (not isinstance(body, Body) or self._elements.get(body.name) is not body):
             raise ValueError(f"{name} must be a body of this scene or None (the world), got {body!r}")
         return body
-
-
-def needs_radius(template: Template, has_torsion_radius: bool) -> str | None:
-    """Returns the part of ``template`` that a contact without a radius cannot have; ``None``: there is none."""
-    if template.friction.needs_radius:
-        return "friction"
-    if not isinstance(template.rolling, Frictionless):
-        return "rolling"
-    torsion = template.torsion
-    if not isinstance(torsion, Frictionless) and (not has_torsion_radius or torsion.needs_radius):
-        return "torsion"
-    return None
 
 
 def _check_arms(name: str, template: Template, radius: Array, torsion_radius: float | None) -> None:
@@ -424,6 +395,17 @@ def _check_arms(name: str, template: Template, radius: Array, torsion_radius: fl
         kind = type(getattr(template, part)).__name__
         cure = " or a torsion_radius" if part == "torsion" else ""
         raise ValueError(f"{name}: the {part} of its template, {kind}, needs a radius{cure}, got a radius of 0 m")
+
+
+def _check_areas(name: str, template: Template, points: Points) -> None:
+    """Raises ``ValueError`` if a part of the template takes the areas of points that have none."""
+    for part, formula in template.formulas.items():
+        if points.areas is None and formula.takes_area:
+            raise ValueError(
+                f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and the "
+                f"points {points.name!r} have none; make them with wc.sample_surface, give add_points areas, or "
+                f"give the {part} an area"
+            )
 
 
 def _face_mask(name: str, faces: ArrayLike | None, count: int) -> NDArray[np.bool_]:

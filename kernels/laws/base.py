@@ -25,7 +25,8 @@ class Law(Formula):
     (> 0 on approach) [m/s], ``entry_speed`` (δ̇ at entry, or the largest since) [m/s] and, with ``needs_mass``,
     the effective ``mass`` along the normal [kg]; ``dt`` is the step that the force acts over [s], 0 for the
     force of an instant (a reading). Constants take the precision of the simulation when written as
-    ``type(c.delta)(1.5)``. The force must depend on nothing else.
+    ``type(c.delta)(1.5)``. The force must depend on nothing else. A parameter ``area`` in m² with the default
+    ``None`` is the area that each point stands for, where it is left out.
 
     A law that remembers (the deepest penetration so far, a creep) declares what, with ``wc.memory``, and has two
     functions of ``(p, c, m)``: ``advance`` returns the memory ``m`` after the time ``m.elapsed`` [s] since it last

@@ -12,7 +12,8 @@ class ContactRange(Law):
     """Spring and dashpot per area on the surface offset by a range: keeps bodies apart before they touch.
 
     The range d₀ is the ``radius`` of the contact, so δ = d₀ − d for a point at the distance d. A body of weight W
-    hovers at d₀ − W/(Σ a k₁).
+    hovers at d₀ − W/(Σ a k₁). An area that is left out is that of each point, from ``wc.sample_surface`` or
+    ``areas`` of ``add_points``.
     """
 
     formula = "N = a max(0, k₁ (d₀ − d) − k₂ ḋ),  d₀ = radius of the contact"
@@ -23,7 +24,7 @@ class ContactRange(Law):
 
     k1: float = parameter("N/m³", "elastic coefficient k₁", above=0.0)
     k2: float = parameter("N·s/m³", "damping coefficient k₂", default=0.0, at_least=0.0)
-    area: float = parameter("m²", "area a of the point", above=0.0)
+    area: float | None = parameter("m²", "area a of the point, its own if left out", default=None, above=0.0)
 
     @classmethod
     def elastic(cls, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:

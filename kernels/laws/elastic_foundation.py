@@ -11,8 +11,9 @@ from warpcontact.kernels.laws.base import Law
 class ElasticFoundation(Law):
     """Bed of independent springs, one behind each point of a set, with the area that the point stands for.
 
-    Set the areas per point: ``model["hull.law.area"] = areas[None]``. The pressure does not depend on how fine
-    the set is. For an elastic layer of thickness h on a rigid base k = (1−ν)E/((1+ν)(1−2ν)h).
+    An area that is left out is that of each point, from ``wc.sample_surface`` or ``areas`` of ``add_points``. The
+    pressure does not depend on how fine the set is. For an elastic layer of thickness h on a rigid base
+    k = (1−ν)E/((1+ν)(1−2ν)h).
     """
 
     formula = "N = max(0, k a δ (1 + χ δ̇))"
@@ -21,12 +22,12 @@ class ElasticFoundation(Law):
     validity = "layers much thinner than the contact is wide"
 
     stiffness: float = parameter("Pa/m", "foundation modulus k", above=0.0)
-    area: float = parameter("m²", "area a of the point", above=0.0)
+    area: float | None = parameter("m²", "area a of the point, its own if left out", default=None, above=0.0)
     damping: float = parameter("s/m", "damping χ", default=0.0, at_least=0.0)
 
     @classmethod
     def from_layer(
-        cls, *, E: float, nu: float, thickness: float, area: float, damping: float = 0.0
+        cls, *, E: float, nu: float, thickness: float, area: float | None = None, damping: float = 0.0
     ) -> "ElasticFoundation":
         """Returns the law of an elastic layer: Young's modulus [Pa], Poisson's ratio < 0.5, thickness [m]."""
         if not (E > 0.0 and -1.0 < nu < 0.5 and thickness > 0.0):

@@ -3,7 +3,6 @@
 import re
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -12,8 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-#: Kinds of files that a picture can be written to.
-SUFFIXES = (".svg", ".png")
+from warpcontact.picture_file import check_path, save
+
+__all__ = ["check_path", "save"]  # and what follows
+
 #: More laws or frictions than this in one picture cannot be told apart.
 MOST = 8
 #: Panels beside each other.
@@ -23,30 +24,6 @@ DPI = 120
 LETTER, LINE = 0.085, 0.7
 # Characters per inch of the heading and of what stands at the foot.
 HEADING, FOOT = 8.0, 13.0
-
-
-def check_path(path: Any) -> Path:
-    """Returns ``path`` if a picture can be written there, which is tried.
-
-    Raises:
-        ValueError: If the suffix is not allowed, it is a folder or in none that exists, or cannot be written.
-    """
-    file = Path(path)
-    if file.is_dir():
-        raise ValueError(f"{path}: is a folder; the picture needs the name of a file")
-    if file.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"{path}: must end in {' or '.join(SUFFIXES)}, got {file.suffix or 'no suffix'}")
-    if not file.parent.is_dir():
-        wrong = "is not a folder" if file.parent.exists() else "does not exist"
-        raise ValueError(f"{path}: {file.parent} {wrong}")
-    there = file.exists()
-    try:
-        file.open("ab").close()
-        if not there:
-            file.unlink()
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be written: {error.strerror or error}") from None
-    return file
 
 
 def check_count(kind: str, labels: Sequence[str]) -> None:
@@ -77,15 +54,6 @@ def parts(figure: Figure, *heights: float) -> list[Any]:
     """Returns parts of a figure of relative ``heights``; a legend below one stays clear of what is at the foot."""
     made: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
     return list(made[:, 0])
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Writes a figure; the same one gives the same file."""
-    if path.suffix.lower() == ".svg":
-        with mpl.rc_context({"svg.hashsalt": "warpcontact"}):
-            figure.savefig(path, format="svg", metadata={"Date": None})
-    else:
-        figure.savefig(path, format="png")
 
 
 def shades(count: int) -> Any:

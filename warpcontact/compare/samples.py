@@ -27,6 +27,8 @@ COEFFICIENTS = {"mu": 0.4, "mu_dynamic": 0.4, "mu_1": 0.4, "mu_static": 0.5, "mu
 STRETCH = 1.0e-4
 # Slip speed at which a drag would be as large as the load, and speed of a parameter without a default [m/s].
 DRAG_SPEED, SPEED = 0.2, 1.0e-2
+# A sphere may stand for a piece of a pad [m²].
+AREA = 1.0e-4
 
 
 class MissingValues(ValueError):
@@ -105,11 +107,11 @@ def law(entry: Any, modulus: float, depth: float) -> Law:
     """
     given = values_of(entry)
     if given is None:
-        return entry
+        return _with_area(entry)
     kind = class_of(entry)
     sizes = {
-        # A sphere may stand for a piece of a pad or for the end of a pin; validity asks for depth ≪ clearance.
-        "area": 1.0e-4,
+        # A sphere may stand for the end of a pin; validity asks for depth ≪ clearance.
+        "area": AREA,
         "length": 0.05,
         "clearance": min(10.0 * depth, 1.0e-2),
         "depth": 0.1 * depth,
@@ -117,7 +119,7 @@ def law(entry: Any, modulus: float, depth: float) -> Law:
         **dict.fromkeys(MODULI, modulus),
     }
     values = {name: 0.0 if is_damping(kind, name) else sizes.get(name) for name in _chosen(kind, given)}
-    return _made(kind, values | given)
+    return _with_area(_made(kind, values | given))
 
 
 def friction(entry: Any, load: float, patch_radius: float) -> Friction:
@@ -133,7 +135,7 @@ def friction(entry: Any, load: float, patch_radius: float) -> Friction:
     """
     given = values_of(entry)
     if given is None:
-        return entry
+        return _with_area(entry)
     kind = class_of(entry)
     by_unit = {
         "N/m": load / STRETCH,
@@ -145,7 +147,7 @@ def friction(entry: Any, load: float, patch_radius: float) -> Friction:
     }
     chosen = _chosen(kind, given)
     values = {name: COEFFICIENTS.get(name, by_unit.get(kind.limits(name)["unit"])) for name in chosen}
-    return _made(kind, values | given)
+    return _with_area(_made(kind, values | given))
 
 
 def coefficients_chosen(entries: Iterable[Any]) -> str:
@@ -177,6 +179,11 @@ def _made(kind: Any, values: Mapping[str, float | None]) -> Any:
     if unknown:
         raise MissingValues(kind.__name__, unknown)
     return kind(**values)
+
+
+def _with_area(made: Any) -> Any:
+    """Returns ``made`` with an area of its own, if it leaves that to the points."""
+    return dataclasses.replace(made, area=AREA) if made.takes_area else made
 
 
 def is_damping(kind: type[Formula], name: str) -> bool:

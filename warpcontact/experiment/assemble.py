@@ -1,6 +1,6 @@
 """From the parts of an experiment to a scene; whatever cannot be added is reported with its key and left out."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,14 +8,17 @@ from warpcontact.experiment.catalogue import FileMesh, FormulaSettings
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import (
+    ContactOptions,
     ContactSettings,
     PointSettings,
     PointsSettings,
+    SurfaceContactSettings,
     SurfaceSettings,
     TemplateSettings,
 )
 from warpcontact.meshes import Mesh, MeshError, load_mesh
 from warpcontact.scene import Scene, Template
+from warpcontact.surface_contact import sample_of
 
 # Of what kind a reference is, and the sections in which its target may be.
 _BODY = ("body", ("body",))
@@ -55,6 +58,7 @@ class Assembler:
             "points": lambda path, entry: self._points(scene, path, entry, problems),
             "template": lambda path, entry: self._template(entry),
             "contact": lambda path, entry: self._contact(scene, path, entry, problems),
+            "surface_contact": lambda path, entry: self._surface_contact(scene, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:
@@ -89,10 +93,14 @@ class Assembler:
         return self.loaded.get(path)
 
     def _points(self, scene: Scene, path: str, entry: PointSettings | PointsSettings, problems: Problems) -> Any:
-        body = self._find(f"{path}.body", entry.body, _BODY, problems)
+        key, kind = ("body", _BODY) if entry.surface is None else ("surface", _SURFACE)
+        carrier = self._find(f"{path}.{key}", getattr(entry, key), kind, problems)
         if isinstance(entry, PointSettings):
-            return scene.add_point(body, entry.position, name=entry.name)
-        return scene.add_points(body, entry.positions, name=entry.name)
+            return scene.add_point(carrier, entry.position, name=entry.name)
+        if entry.positions is not None:
+            return scene.add_points(carrier, entry.positions, areas=entry.areas, name=entry.name)
+        samples = sample_of(carrier, entry.samples, entry.seed or 0, f"{entry.name}.samples")
+        return scene.add_points(carrier, samples, name=entry.name)
 
     def _template(self, entry: TemplateSettings) -> Template:
         if entry.name in self.made["template"]:
@@ -100,17 +108,31 @@ class Assembler:
         return Template(**{key: table.make() for key, table in entry if isinstance(table, FormulaSettings)})
 
     def _contact(self, scene: Scene, path: str, entry: ContactSettings, problems: Problems) -> Any:
-        options = entry.model_dump(exclude={"points", "surface", "template"}, exclude_none=True)
-        references = (("points", _POINTS), ("surface", _SURFACE), ("template", _TEMPLATE))
+        references = {"points": _POINTS, "surface": _SURFACE, "template": _TEMPLATE}
+        targets = self._find_all(path, entry, references, problems)
+        return scene.add_contact(*targets, **entry.model_dump(exclude=set(references), exclude_none=True))
+
+    def _surface_contact(self, scene: Scene, path: str, entry: SurfaceContactSettings, problems: Problems) -> Any:
+        references = {"surface_a": _SURFACE, "surface_b": _SURFACE, "template": _TEMPLATE}
+        targets = self._find_all(path, entry, references, problems)
+        return scene.add_surface_contact(*targets, **entry.model_dump(exclude=set(references), exclude_none=True))
+
+    def _find_all(
+        self,
+        path: str,
+        entry: ContactOptions,
+        references: Mapping[str, tuple[str, tuple[str, ...]]],
+        problems: Problems,
+    ) -> list[Any]:
         targets, missing = [], False
-        for key, kind in references:  # all three are looked up before giving up
+        for key, kind in references.items():  # all are looked up before giving up
             try:
                 targets.append(self._find(f"{path}.{key}", getattr(entry, key), kind, problems))
             except _Unresolved:
                 missing = True
         if missing:
             raise _Unresolved
-        return scene.add_contact(*targets, **options)
+        return targets
 
     def _find(self, path: str, name: str | None, kind: tuple[str, tuple[str, ...]], problems: Problems) -> Any:
         if name is None:

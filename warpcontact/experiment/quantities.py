@@ -13,7 +13,9 @@ from pydantic import PlainValidator
 
 from warpcontact import checks
 from warpcontact.checks import limits
+from warpcontact.elements import AREA
 from warpcontact.experiment.errors import shown
+from warpcontact.surface_contact import check_amount
 
 
 def plain(value: Any, what: str, advice: str = "") -> Any:
@@ -146,6 +148,27 @@ def _rows(value: Any) -> tuple[Any, ...]:
     return rows
 
 
+def _amount(value: Any) -> int | str:
+    return check_amount("", value)
+
+
+def _amounts(value: Any) -> Any:
+    if not isinstance(value, list | tuple):
+        return _amount(value)
+    if len(value) != 2:
+        raise ValueError(f"must be one entry or two, one for each surface, got {shown(value)}")
+    return tuple(check_amount(f"[{i}]", entry) for i, entry in enumerate(value))
+
+
+def _areas(value: Any) -> tuple[float, ...]:
+    what = f"a list of numbers [{AREA['unit']}]"
+    entries = plain(value, what)
+    if not isinstance(entries, tuple) or not entries or np.ndim(entries) != 1:
+        raise ValueError(f"must be {what}, got {shown(value)}")
+    checks.numbers("", entries, (len(entries),), AREA)
+    return entries
+
+
 def _pair(rule: str, holds: Callable[[Any, Any], Any]) -> PlainValidator:
     """Returns the validator of two numbers or vectors for which ``rule`` holds in each component."""
     what = "two numbers, or two lists of numbers of the same length"
@@ -179,6 +202,9 @@ color = numbers((3,), what="red, green and blue from 0 to 1", check=checks.color
 faces = PlainValidator(_faces)
 title = PlainValidator(_title)
 positions = PlainValidator(_positions)
+areas = PlainValidator(_areas)
+amount = PlainValidator(_amount)
+amounts = PlainValidator(_amounts)
 rows = PlainValidator(_rows)
 pair = _pair("", lambda first, second: True)
 interval = _pair("[low, high] with low ≤ high", lambda low, high: low <= high)

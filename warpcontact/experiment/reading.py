@@ -93,6 +93,9 @@ class Parts:
 
     def may_name(self, name: str) -> bool:
         """Whether ``name`` is, or may be, that of an entry of any section."""
+        # A contact of two surfaces gives several elements names that begin with its own.
+        if any(name.startswith(f"{whole}_") for whole in self.names["surface_contact"]):
+            return True
         return bool(self.unnamed) or any(name in names for names in self.names.values())
 
     def __iter__(self) -> Iterator[tuple[str, str, Any]]:

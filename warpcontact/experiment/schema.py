@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, model_validator
 
-from warpcontact import scene as limits_of
+from warpcontact import elements as limits_of
 from warpcontact.build import PRECISIONS
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
@@ -21,6 +21,7 @@ from warpcontact.experiment.catalogue import (
 )
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.kernels.frictions import Frictionless
+from warpcontact.surface_contact import SIDES
 
 Row = TypeVar("Row")
 # TOML has lists only; tuples keep what is read as it is.
@@ -61,21 +62,48 @@ class BodySettings(Section):
 
 
 class PointSettings(Section):
-    """``[[point]]``: a point of a body, or of the world."""
+    """``[[point]]``: a point of a body or of a surface, or of the world."""
 
     name: Name
     body: str | None = None
+    surface: str | None = None
     position: Position = Field(description="3 numbers [m]")
+
+    @model_validator(mode="after")
+    def _one_carrier(self) -> "PointSettings":
+        _check_carrier(self)
+        return self
 
 
 class PointsSettings(Section):
-    """``[[points]]``: a set of points of a body, or of the world."""
+    """``[[points]]``: a set of points of a body or of a surface, or of the world."""
 
     name: Name
     body: str | None = None
-    positions: Annotated[tuple[tuple[float, ...], ...], q.positions] = Field(
-        description="a list of 3 numbers each [m]"
-    )
+    surface: str | None = None
+    positions: Annotated[tuple[tuple[float, ...], ...] | None, q.positions] = None
+    areas: Annotated[tuple[float, ...] | None, q.areas] = None
+    samples: Annotated[int | str | None, q.amount] = None
+    seed: int | None = Field(default=None, ge=0)
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "PointsSettings":
+        _check_carrier(self)
+        if (self.positions is None) == (self.samples is None):
+            got = "none" if self.positions is None else "both"
+            raise ValueError(f"must have exactly one of positions and samples; got {got}")
+        if self.samples is None and self.seed is not None:
+            raise ValueError(".seed is of samples, and there are positions")
+        if self.samples is not None and self.areas is not None:
+            raise ValueError(".areas must be left out: samples have theirs")
+        if self.samples is not None and self.surface is None:
+            raise ValueError(".surface is missing: samples are points of a surface")
+        return self
+
+
+def _check_carrier(entry: PointSettings | PointsSettings) -> None:
+    if entry.body is not None and entry.surface is not None:
+        raise ValueError(f" must be on a body or on a surface, got {entry.body!r} and {entry.surface!r}")
 
 
 class TemplateSettings(Section):
@@ -88,12 +116,10 @@ class TemplateSettings(Section):
     torsion: TemplateFormula | None = None
 
 
-class ContactSettings(Section):
-    """``[[contact]]``: points, or spheres about them, that touch a surface."""
+class ContactOptions(Section):
+    """What all kinds of contact have."""
 
     name: Name
-    points: str = Field(description="the name of a point or of points")
-    surface: str = Field(description="the name of a surface")
     template: str = Field(description="the name of a template")
     radius: Annotated[float, q.numbers((), allowed=limits_of.RADIUS)] = 0.0
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
@@ -103,9 +129,27 @@ class ContactSettings(Section):
     rim: Annotated[str, q.one_of(("off", "outer"))] = "off"
     search_radius: Annotated[float | None, q.numbers((), allowed=limits_of.SEARCH_RADIUS)] = None
     torsion_radius: Annotated[float | None, q.numbers((), allowed=limits_of.TORSION_RADIUS)] = None
+    share: Annotated[float, q.numbers((), allowed=limits_of.SHARE)] = 1.0
     enabled: bool = True
     color: Color | None = None
     visible: bool = True
+
+
+class ContactSettings(ContactOptions):
+    """``[[contact]]``: points, or spheres about them, that touch a surface."""
+
+    points: str = Field(description="the name of a point or of points")
+    surface: str = Field(description="the name of a surface")
+
+
+class SurfaceContactSettings(ContactOptions):
+    """``[[surface_contact]]``: points of a surface, or of two, that touch the other."""
+
+    surface_a: str = Field(description="the name of a surface")
+    surface_b: str = Field(description="the name of a surface")
+    samples: Annotated[Any, q.amounts] = 500
+    seed: int = Field(default=0, ge=0)
+    sides: Annotated[str, q.one_of(SIDES)] = "first"
 
 
 class SolidSphere(Section):
@@ -168,6 +212,7 @@ class Settings(Section):
     points: Rows[PointsSettings] = ()
     template: Rows[TemplateSettings] = ()
     contact: Rows[ContactSettings] = ()
+    surface_contact: Rows[SurfaceContactSettings] = ()
     variation: dict[str, VariationSettings] = Field(default_factory=dict)
     record: RecordSettings = Field(default_factory=RecordSettings)
     output: OutputSettings = Field(default_factory=OutputSettings)
@@ -181,6 +226,7 @@ SECTIONS: dict[str, type[Section]] = {
     "points": PointsSettings,
     "template": TemplateSettings,
     "contact": ContactSettings,
+    "surface_contact": SurfaceContactSettings,
 }
 
 

@@ -77,7 +77,7 @@ def _own_formulas(parts: Parts) -> Iterator[tuple[int, str, Formula]]:
 def _fault(key: str, formula: Formula, precision: str) -> str | None:
     """Returns why ``formula``, as ``key`` of a template, cannot be computed or compiled; ``None`` if it can."""
     cls = type(formula)
-    values = {name: np.full((1, 1), value) for name, value in formula.parameters().items()}
+    values = {name: np.full((1, 1), value) for name, value in formula.parameters(area=1.0).items()}
     try:
         missing = set(cls.device_names()) - set(cls.coefficients(values))
     except Exception as error:
@@ -91,7 +91,8 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
         template = Template(**{"law": Hooke(stiffness=1.0), key: formula})
     except ValueError as error:
         return str(error)
-    scene.add_contact(scene.add_point(ball, (0.0, 0.0, 0.0)), ground, template, radius=0.1)
+    # A set, because it has areas for a formula that asks for them.
+    scene.add_contact(scene.add_points(ball, [(0.0, 0.0, 0.0)], areas=[1.0]), ground, template, radius=0.1)
     _, failure = _built(scene, precision)
     if failure is None:
         return None

@@ -3,6 +3,7 @@
 from functools import cached_property, partial
 from math import inf, nan
 from numbers import Real
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -133,6 +134,30 @@ class Mesh:
             MeshError: If the result is too large, or so small that faces vanish.
         """
         return Mesh(self._vertices * positive("factor", factor), self._faces, name=self.name)
+
+    def plot(
+        self,
+        path: str | PathLike[str],
+        *,
+        active_faces: npt.ArrayLike | None = None,
+        direction: npt.ArrayLike | None = None,
+    ) -> None:
+        """Draw the mesh, shaded and with its defects marked, into an .svg or .png file.
+
+        Args:
+            path: The picture.
+            active_faces: Mask (F,) of the part that can touch, as a surface has it; ``None``: all.
+            direction: Where the eye is in the left view, as a vector (3,) from the mesh; the right view is the
+                opposite one. ``None``: where most of the outer side is seen from.
+
+        Raises:
+            ValueError: If the picture cannot be written there, or an argument is not allowed.
+        """
+        from warpcontact.meshes.picture import plot_arrays
+
+        plot_arrays(
+            self._vertices, self._faces, self._report, path, active_faces=active_faces, direction=direction
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         # NumPy forgets the read-only flag in copies and pickles; the constructor restores it.

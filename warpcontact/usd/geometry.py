@@ -43,7 +43,7 @@ class Spheres:
     @property
     def positions(self) -> Array:
         """Centres in the frame of the body, (item, 3) [m]."""
-        return self.contacts[0].points.positions
+        return self.contacts[0].points.places
 
     @property
     def are_points(self) -> bool:

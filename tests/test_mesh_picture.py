@@ -1,0 +1,242 @@
+"""Pictures of meshes: who hides whom, what is marked, and what the command says."""
+
+import re
+
+import numpy as np
+import pytest
+
+import warpcontact as wc
+from warpcontact.cli import main
+from warpcontact.meshes import examine_file, load_mesh, plot_file
+from warpcontact.meshes.picture.defects import find_defects
+from warpcontact.meshes.picture.marks import _split
+from warpcontact.meshes.picture.painter import paint
+from warpcontact.meshes.picture.sheet import length_unit
+from warpcontact.meshes.picture.view import View, best_direction
+
+PNG = b"\x89PNG"
+
+
+def brute_force(corners, size):
+    """The same as ``paint``, triangle by triangle: barycentric coordinates of all pixels."""
+    rows, columns = size
+    y, x = np.mgrid[:rows, :columns] + 0.5
+    depth, seen = np.full(size, np.inf), np.full(size, -1)
+    for number, (a, b, c) in enumerate(corners):
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        u = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+        v = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+        z = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
+        nearer = (u >= 0) & (v >= 0) & (u + v <= 1) & (z <= depth)
+        depth[nearer], seen[nearer] = z[nearer], number
+    return seen, depth
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_triangles_hide_each_other_as_they_do_one_by_one(seed):
+    rng = np.random.default_rng(seed)
+    # Some of them reach out of the picture on all sides.
+    corners = rng.uniform((-20, -20, 0), (90, 70, 50), (60, 3, 3))
+    seen, depth = paint(corners, (50, 70))
+    expected, distance = brute_force(corners, (50, 70))
+    np.testing.assert_array_equal(seen, expected)
+    np.testing.assert_allclose(depth, distance, rtol=1e-9)
+    assert (seen >= 0).any()
+
+
+def test_neighbours_leave_no_gap_and_none_covers_a_pixel_of_the_other():
+    mesh = wc.meshes.grid((1, 1), (37, 23))
+    angle = 0.4
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    flat = mesh.vertices[:, :2] @ turn * 200 + 150
+    corners = np.dstack([flat[mesh.faces], np.zeros(mesh.faces.shape)])
+    seen, _ = paint(corners, (300, 300))
+    # Whatever lies inside of the square is covered, whatever lies outside is not.
+    y, x = np.mgrid[:300, :300] + 0.5
+    inside = np.abs(np.stack([x - 150, y - 150], axis=-1) @ turn.T).max(axis=-1)
+    assert (seen[inside < 100 - 1e-9] >= 0).all()
+    assert (seen[inside > 100 + 1e-9] < 0).all()
+
+
+def test_of_faces_at_the_same_place_the_last_is_seen():
+    corners = np.repeat([[[1.0, 1.0, 5.0], [9.0, 1.0, 5.0], [1.0, 9.0, 7.0]]], 3, axis=0)
+    assert set(np.unique(paint(corners, (10, 10))[0])) == {-1, 2}
+
+
+def test_lines_are_split_where_the_surface_hides_them():
+    wall = np.array([[[-1, 0, -1], [1, 0, -1], [1, 0, 1]], [[-1, 0, -1], [1, 0, 1], [-1, 0, 1]]], dtype=float)
+    line = np.array([[-2.0, 1.0, 0.1], [2.0, 1.0, 0.1]])  # behind the wall, and out on both sides of it
+    points = np.concatenate([wall.reshape(-1, 3), line])
+    view = View.towards(np.array([0.0, -1.0, 0.0]), points, (400, 400))
+    _, depth = paint(view.project(wall), view.size)
+    seen, hidden = _split(view.project(line)[None], view, depth)
+    assert len(seen) == 2
+    assert len(hidden) == 1
+    # The wall is half as long as the line.
+    ends = view.project(np.array([[-1.0, 0, 0], [1.0, 0, 0]]))[:, 0]
+    np.testing.assert_allclose(np.sort(hidden[0][:, 0]), ends, atol=5.0)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["bunny.ply", "busted.STL", "cycloidal.ply", "not_convex.obj", "soup.stl", "multibody.stl", "featuretype.STL"],
+)
+def test_defects_are_as_many_as_the_report_counts(name, shared):
+    path = shared / "data" / "meshes" / name
+    report = examine_file(path)
+    from warpcontact.meshes.load import _examined
+
+    vertices, faces, _ = _examined(path, 1.0, None)
+    check_counts(find_defects(vertices, faces), report)
+
+
+def edges(ends):
+    return len(np.unique(np.sort(ends, axis=1), axis=0))
+
+
+def check_counts(defects, report):
+    assert edges(defects.border) == report.border_edge_count
+    assert edges(defects.non_manifold) == report.non_manifold_edge_count
+    assert edges(defects.inconsistent) == report.inconsistent_edge_count
+    assert defects.degenerate.sum() == report.degenerate_face_count
+    # Of duplicates the picture shows the copies and the original.
+    assert (defects.duplicate.sum() > 0) == (report.duplicate_face_count > 0)
+    assert defects.inward.any() == (report.inward_component_count > 0)
+
+
+def broken():
+    """A box with a hole and a doubled face, beside a ball that is inside out; a sliver, and faces to nowhere."""
+    ball, box = wc.meshes.icosphere(0.5, 2).flipped(), wc.meshes.box((1, 1, 1))
+    start = len(box.vertices) + len(ball.vertices)
+    loose = [[0, 0, 0.9], [0.2, 0, 0.9], [0.1, 0, 0.9 + 1e-9], [np.nan, 0, 0]]
+    vertices = np.concatenate([box.vertices, ball.vertices + np.array([1.6, 0, 0]), loose])
+    bad = [[start, start + 1, start + 2], box.faces[3], [0, 1, start + 3], [0, 1, 99999]]
+    return vertices, np.concatenate([box.faces[:-1], ball.faces + len(box.vertices), bad])
+
+
+def write_obj(path, vertices, faces):
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces.tolist()]
+    path.write_text("\n".join(lines))
+
+
+def test_all_kinds_of_defects_are_found_and_named_in_the_legend(tmp_path):
+    vertices, faces = broken()
+    defects = find_defects(vertices, faces)
+    box = len(wc.meshes.box().faces) - 1
+    assert np.flatnonzero(~defects.drawable).tolist() == [len(faces) - 2, len(faces) - 1]
+    assert np.flatnonzero(defects.degenerate).tolist() == [len(faces) - 4]
+    assert np.flatnonzero(defects.duplicate).tolist() == [3, len(faces) - 3]
+    assert np.flatnonzero(defects.inward).tolist() == list(range(box, len(faces) - 4))
+    assert edges(defects.border) == 6  # of the hole and of the sliver
+
+    write_obj(tmp_path / "broken.obj", vertices, faces)
+    report = plot_file(tmp_path / "broken.obj", tmp_path / "broken.svg")
+    assert not report.usable
+    text = (tmp_path / "broken.svg").read_text()
+    said = "\n".join(re.findall(r"<!-- (.*?) -->", text))
+    for words in (
+        "broken:  2.6 × 1 × 1.4 m (x, y, z),  335 faces",
+        "outer side",
+        "inner side",
+        "closed parts that face inward: 320 faces",
+        "duplicates: 2 faces",
+        "open border: 6 edges",
+        "degenerate: 1 face",
+        "2 faces without a finite place not shown",
+        "500 mm",
+    ):
+        assert words in said
+
+
+def test_a_picture_shows_outer_inner_and_idle_faces(tmp_path):
+    from matplotlib.image import imread
+
+    grid = wc.meshes.grid((1, 1), (10, 10))
+    active = grid.vertices[grid.faces].mean(axis=1)[:, 0] > 0
+    grid.plot(tmp_path / "grid.png", active_faces=active, direction=(0, 0, 1))
+    image = imread(tmp_path / "grid.png")[..., :3]
+    middle = image.shape[0] // 2
+
+    def colour(part):
+        return image[middle, int(part * image.shape[1])]
+
+    # Left view, from above: blue where active, which is the side of +x, and grey where not.
+    grey, blue = colour(0.17), colour(0.33)
+    assert np.ptp(grey) < 0.02
+    assert blue[2] > blue[0] + 0.15
+    # Right view, from below: orange where active. Its x runs to the left.
+    sides = colour(0.67), colour(0.83)
+    assert max(side[0] - side[2] for side in sides) > 0.3
+
+
+def test_the_view_is_one_that_shows_the_outer_side():
+    for mesh, axis in ((wc.meshes.grid(), 2), (wc.meshes.grid().flipped(), 2)):
+        corners = mesh.vertices[mesh.faces]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        assert best_direction(cross) @ cross[0] > 0
+        assert abs(best_direction(cross)[axis]) > 0.4
+
+
+def test_lengths_are_true_in_the_picture():
+    points = np.array([[0, 0, 0], [3.0, 1, 2], [-1, 4, 0.5]])
+    view = View.towards(np.array([0.3, -0.5, 0.8]), points, (400, 600))
+    places = view.project(points) / view.scale
+    np.testing.assert_allclose(
+        np.linalg.norm(places[1] - places[2]), np.linalg.norm(points[1] - points[2]), rtol=1e-12
+    )
+    assert (view.project(points)[:, :2] > 0).all()
+    assert (view.project(points)[:, :2] < (600, 400)).all()
+
+
+@pytest.mark.parametrize(("length", "unit"), [(2e3, "km"), (1.0, "m"), (0.02, "mm"), (5e-6, "µm"), (2e-8, "nm")])
+def test_units_suit_the_size(length, unit):
+    assert length_unit(length)[0] == unit
+
+
+def test_the_same_mesh_gives_the_same_file(tmp_path):
+    mesh = wc.meshes.icosphere(0.1, 2)
+    for suffix in ("svg", "png"):
+        first, second = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+        mesh.plot(first)
+        mesh.plot(second)
+        assert first.read_bytes() == second.read_bytes()
+
+
+def test_faces_of_no_size_and_names_like_formulas_are_drawn(tmp_path):
+    write_obj(tmp_path / "a$_b$.obj", np.ones((3, 3)), np.array([[0, 1, 2]]))
+    report = plot_file(tmp_path / "a$_b$.obj", tmp_path / "point.svg")
+    assert report.degenerate_face_count == 1
+    text = (tmp_path / "point.svg").read_text()
+    assert "<!-- a$_b$:" in text
+    assert "degenerate: 1 face" in text
+
+
+def test_inspect_draws_a_file(tmp_path, capsys, shared):
+    picture = tmp_path / "soup.png"
+    assert main(["inspect", str(shared / "data" / "meshes" / "soup.stl"), "--plot", str(picture)]) == 0
+    out, _ = capsys.readouterr()
+    assert "mesh 'soup'" in out
+    assert f"picture: {picture}" in out
+    assert picture.read_bytes().startswith(PNG)
+
+
+def test_inspect_draws_an_unusable_file_and_still_says_no(tmp_path, capsys):
+    vertices, faces = broken()
+    write_obj(tmp_path / "broken.obj", vertices, faces)
+    assert main(["inspect", str(tmp_path / "broken.obj"), "--plot", str(tmp_path / "broken.png")]) == 1
+    assert (tmp_path / "broken.png").read_bytes().startswith(PNG)
+
+
+def test_inspect_says_what_cannot_be_drawn(tmp_path, capsys):
+    (tmp_path / "empty.obj").write_text("v 0 0 0\n")
+    assert main(["inspect", str(tmp_path / "empty.obj"), "--plot", str(tmp_path / "x.png")]) == 1
+    assert "'empty' has no face that can be drawn" in capsys.readouterr().err
+    (tmp_path / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert main(["inspect", str(tmp_path / "one.obj"), "--plot", str(tmp_path / "x.gif")]) == 2
+    assert "must end in .svg or .png, got .gif" in capsys.readouterr().err
+    mesh = load_mesh(tmp_path / "one.obj")
+    with pytest.raises(ValueError, match=r"active_faces must be a mask of 1 booleans, got int64 of shape \(2,\)"):
+        mesh.plot(tmp_path / "x.png", active_faces=[0, 1])
+    with pytest.raises(ValueError, match="direction must be 3 numbers that are not all 0, got"):
+        mesh.plot(tmp_path / "x.png", direction=(0, 0, 0))

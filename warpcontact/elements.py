@@ -1,0 +1,166 @@
+"""The elements of a scene: bodies, surfaces, points, contacts, templates, and the ranges of their values."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact import frames
+from warpcontact.checks import Array, limits
+from warpcontact.kernels.contact_force import Parts
+from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.frictions import Friction, Frictionless
+from warpcontact.kernels.laws import Law
+from warpcontact.meshes import Mesh
+
+MASS = limits("kg", above=0.0)
+AREA = limits("m²", above=0.0)
+RADIUS = limits("m", at_least=0.0)
+KAPPA = limits("-", at_least=0.0, at_most=1.0)
+MAX_DEPTH = limits("m", above=0.0, may_be_infinite=True)
+SEARCH_RADIUS = limits("m", above=0.0, may_be_infinite=True)
+TORSION_RADIUS = limits("m", at_least=0.0)
+SHARE = limits("-", at_least=0.0)
+ENABLED = limits("-", at_least=0.0, at_most=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Template:
+    """The force of a contact: a normal-force law and up to three friction models; any number of contacts share it.
+
+    A friction model says what opposes a velocity under the normal force N. Sliding, that is the tangential
+    velocity at the point K where the force acts. Rolling, it is the velocity R (ω₁ − ω₂) × n at which the point
+    of contact of a sphere of radius R travels, and the model's F acts as the couple R n × F: its coefficient is
+    the rolling resistance μ_r, of which M = μ_r R N. In torsion it is r_t (ω₁ − ω₂)·n, with the couple r_t F; see
+    ``torsion_radius`` of ``add_contact``.
+
+    Args:
+        law: Normal-force law, an instance of a class of ``wc.laws`` or of your own ``wc.Law``.
+        friction: Friction model, of ``wc.frictions`` or your own ``wc.Friction``; ``None``: frictionless.
+        rolling: Friction model of the resistance to rolling; ``None``: none.
+        torsion: Friction model of the resistance to spinning about the normal; ``None``: none.
+    """
+
+    law: Law
+    friction: Friction = field(default_factory=Frictionless)
+    rolling: Friction = field(default_factory=Frictionless)
+    torsion: Friction = field(default_factory=Frictionless)
+
+    def __post_init__(self) -> None:
+        for name in Parts._fields:
+            kind = Law if name == "law" else Friction
+            if name != "law" and getattr(self, name) is None:
+                object.__setattr__(self, name, Frictionless())
+            if not isinstance(getattr(self, name), kind):
+                raise TypeError(
+                    f"Template.{name} must be an instance of wc.{kind.__name__}, got {getattr(self, name)!r}"
+                )
+        if self.torsion.directional:
+            raise ValueError(
+                f"Template.torsion must be a friction without directions, got {type(self.torsion).__name__}: "
+                "there is one axis to spin about"
+            )
+
+    @property
+    def formulas(self) -> dict[str, Formula]:
+        """The law and the frictions by the name of their part."""
+        return {name: getattr(self, name) for name in Parts._fields}
+
+    @property
+    def parts(self) -> Parts:
+        """Their classes: contacts that agree in them are computed by the same code."""
+        return Parts(*(type(formula) for formula in self.formulas.values()))
+
+
+def needs_radius(template: Template, has_torsion_radius: bool) -> str | None:
+    """Returns the part of ``template`` that a contact without a radius cannot have; ``None``: there is none."""
+    if template.friction.needs_radius:
+        return "friction"
+    if not isinstance(template.rolling, Frictionless):
+        return "rolling"
+    torsion = template.torsion
+    if not isinstance(torsion, Frictionless) and (not has_torsion_radius or torsion.needs_radius):
+        return "torsion"
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body. Its frame sits at the centre of mass."""
+
+    name: str
+    index: int
+    mass: Array
+    inertia: Array  # (3, 3), body axes
+    position: Array
+    orientation: Array
+    linear_velocity: Array
+    angular_velocity: Array
+    color: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """An oriented mesh fixed to a body or to the world."""
+
+    name: str
+    index: int
+    mesh: Mesh
+    body: Body | None
+    position: Array
+    orientation: Array
+    active_faces: NDArray[np.bool_]  # (F,)
+    color: Array | None
+    visible: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """One point, or a set of them, fixed to a body or to the world, or to a surface and moved with that."""
+
+    name: str
+    start: int  # index of the first
+    body: Body | None
+    surface: Surface | None
+    positions: Array  # (n, 3), frame of the surface's mesh if they are fixed to one, else of the body [m]
+    areas: Array | None  # (n,) the area that each stands for [m²]
+    single: bool  # made by add_point: no item axis
+
+    @property
+    def places(self) -> Array:
+        """Where they are in the frame of the body, or of the world, (n, 3) [m]."""
+        if self.surface is None:
+            return self.positions
+        return frames.placed(self.positions, self.surface.position, self.surface.orientation)
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """Points (with a radius: spheres) that touch a surface."""
+
+    name: str
+    points: Points
+    surface: Surface
+    template: Template
+    radius: Array
+    kappa: Array
+    max_depth: Array
+    search_radius: Array
+    torsion_radius: Array | None
+    share: Array
+    enabled: Array
+    search: str
+    entry: str
+    rim: str
+    color: Array | None
+    visible: bool
+
+    @property
+    def count(self) -> int:
+        """Number of contacts, one per point."""
+        return len(self.points.positions)
+
+    def parameters(self, part: str) -> dict[str, Any]:
+        """Returns the values of the parameters of one part of the template, one number each or one per point."""
+        return self.template.formulas[part].parameters(area=self.points.areas)

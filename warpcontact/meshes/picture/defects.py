@@ -1,0 +1,95 @@
+"""Where the defects of a mesh are that its report counts."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from warpcontact.meshes.report import COORDINATE_LIMIT, SLIVER_LIMIT
+from warpcontact.meshes.topology import representatives, slenderness
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Defects:
+    """Faces as masks over all faces, (F,); edges as vertex indices, (n, 2).
+
+    Topology is that of the report: of the welded surface and its sound faces.
+    """
+
+    drawable: Mask  # all corners exist and are finite and near
+    degenerate: Mask
+    duplicate: Mask
+    inward: Mask  # of closed parts that face inward
+    border: npt.NDArray[np.int64]
+    non_manifold: npt.NDArray[np.int64]
+    inconsistent: npt.NDArray[np.int64]
+
+
+def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any]) -> Defects:
+    """Returns the defects of any arrays (V, 3) and (F, 3), usable as a mesh or not."""
+    near: Mask = np.all(np.abs(vertices) <= COORDINATE_LIMIT, axis=1)  # false for NaN
+    known: Mask = np.all((faces >= 0) & (faces < len(vertices)), axis=1)
+    index = np.where(known[:, None], faces, 0).astype(np.int64)
+    drawable: Mask = known & np.all(near[index], axis=1)
+    degenerate = np.zeros(len(faces), dtype=bool)
+    degenerate[drawable] = slenderness(vertices[index[drawable]]) < SLIVER_LIMIT
+
+    corners = representatives(vertices)[index]
+    sound = np.flatnonzero(drawable & (corners != corners[:, [1, 2, 0]]).all(axis=1))
+    duplicate = np.zeros(len(faces), dtype=bool)
+    first = representatives(np.sort(corners[sound], axis=1))
+    duplicate[sound] = np.bincount(first, minlength=len(sound))[first] > 1
+    # A copy in the other direction has edges of its own, as in the report.
+    turn = (corners[sound].argmin(axis=1)[:, None] + np.arange(3)) % 3
+    sound = sound[representatives(np.take_along_axis(corners[sound], turn, axis=1)) == np.arange(len(sound))]
+
+    ends = np.stack((corners[sound], corners[sound][:, [1, 2, 0]]), axis=2).reshape(-1, 2)
+    edge = representatives(np.sort(ends, axis=1))
+    count = np.bincount(edge, minlength=len(edge))
+    balance = np.bincount(edge, np.where(ends[:, 0] < ends[:, 1], 1.0, -1.0), len(edge))
+    inward = np.zeros(len(faces), dtype=bool)
+    inward[sound] = _inward(vertices, corners[sound], edge, (count % 2 == 1) | (balance != 0.0))
+    return Defects(
+        drawable=drawable,
+        degenerate=degenerate,
+        duplicate=duplicate,
+        inward=inward,
+        border=ends[count == 1],
+        non_manifold=ends[count > 2],
+        inconsistent=ends[(count == 2) & (balance != 0.0)],
+    )
+
+
+def _inward(
+    vertices: npt.NDArray[np.float64],
+    corners: npt.NDArray[np.int64],
+    edge: npt.NDArray[np.intp],
+    open_edge: Mask,
+) -> Mask:
+    """Returns the faces of connected parts that are closed and whose volume is negative.
+
+    Args:
+        vertices: Positions, (V, 3).
+        corners: Vertices of each face, (F, 3).
+        edge: The first half-edge of the same edge, for each half-edge, (3 F,).
+        open_edge: Whether an edge bounds nothing, by its first half-edge, (3 F,).
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(corners):
+        return np.zeros(0, dtype=bool)
+    half = np.arange(len(edge))
+    links = coo_array((np.ones(len(edge), dtype=bool), (half // 3, edge // 3)), shape=(len(corners),) * 2)
+    parts, part = connected_components(links, directed=False)
+    p = vertices[corners]
+    p = p - 0.5 * (p.min(axis=(0, 1)) + p.max(axis=(0, 1)))
+    cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    volume = np.bincount(part, np.einsum("ij,ij->i", cross, p[:, 0]) / 6.0, parts)
+    nothing = 1e-12 * 0.5 * np.linalg.norm(cross, axis=1).sum() * np.abs(p).max()  # rounding of a volume of zero
+    bounding = np.ones(parts, dtype=bool)
+    bounding[part[half[open_edge[edge]] // 3]] = False
+    return (bounding & (volume < -nothing))[part]

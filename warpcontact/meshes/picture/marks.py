@@ -1,0 +1,148 @@
+"""What is drawn over the surface: lines along its defects, the axes, and a bar of known length."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from warpcontact.meshes.picture.defects import Defects
+from warpcontact.meshes.picture.view import View
+
+Array = npt.NDArray[np.float64]
+
+# Width of the lines where they are seen and where they are hidden [pt], and how strong they are there.
+SEEN, HIDDEN, FAINT = 2.0, 1.2, 0.4
+# Connected lines smaller than this are easily overlooked and get a ring [pixels of the painter].
+SMALL = 24.0
+# Rings are not closer to each other than this [pixels].
+RING = 24.0
+# Distance of the points along a line whose visibility is asked [pixels], and most of them per line.
+STEP, MOST = 4.0, 400
+# Part of the width of a view that the bar of known length takes at most.
+BAR = 0.25
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Defects of one kind that are lines."""
+
+    what: str
+    noun: str  # of one
+    color: Any
+    ends: npt.NDArray[np.int64]  # (n, 2) vertices
+    count: int
+
+
+def line_kinds(defects: Defects, faces: npt.NDArray[Any] | None = None) -> list[Kind]:
+    """Returns the kinds that a mesh has; ``faces`` gives those of degenerate faces their lines."""
+    slivers = np.zeros((0, 2), dtype=np.int64)
+    if faces is not None:
+        corners = faces[defects.degenerate].astype(np.int64)
+        slivers = np.stack((corners, corners[:, [1, 2, 0]]), axis=2).reshape(-1, 2)
+    border, several, clash = (
+        (edges, len(np.unique(np.sort(edges, axis=1), axis=0)))
+        for edges in (defects.border, defects.non_manifold, defects.inconsistent)
+    )
+    found = (
+        Kind("open border", "edge", (0.85, 0.08, 0.08), *border),
+        Kind("non-manifold", "edge", (0.85, 0.0, 0.75), *several),
+        Kind("wound inconsistently", "edge", (0.0, 0.5, 0.15), *clash),
+        Kind("degenerate", "face", (0.0, 0.0, 0.0), slivers, int(defects.degenerate.sum())),
+    )
+    return [kind for kind in found if kind.count]
+
+
+def draw_marks(
+    axes: Any, view: View, depth: Array, vertices: Array, faces: npt.NDArray[Any], defects: Defects
+) -> None:
+    """Draws the defects that are lines, the axes and the bar over a view."""
+    from matplotlib.collections import LineCollection
+
+    for kind in line_kinds(defects, faces):
+        edges = np.unique(np.sort(kind.ends, axis=1), axis=0)
+        places = view.project(vertices[edges])
+        seen, hidden = _split(places, view, depth)
+        for lines, width, strength in ((hidden, HIDDEN, FAINT), (seen, SEEN, 1.0)):
+            axes.add_collection(
+                LineCollection(lines, colors=[kind.color], linewidths=width, alpha=strength, capstyle="round")
+            )
+        spots = _small(places, edges)
+        clear = view.visible(spots, depth)
+        for chosen, strength in ((~clear, FAINT), (clear, 1.0)):
+            at = _apart(spots[chosen, :2])
+            axes.scatter(*at.T, s=70.0, facecolors="none", edgecolors=[kind.color], linewidths=1.1, alpha=strength)
+    _draw_axes(axes, view)
+    _draw_bar(axes, view)
+
+
+def _split(places: Array, view: View, depth: Array) -> tuple[list[Array], list[Array]]:
+    """Returns the parts of lines (n, 2, 3) that are seen and that are hidden, each as points (2, 2)."""
+    length = np.linalg.norm(places[:, 1, :2] - places[:, 0, :2], axis=1)
+    counts = np.clip(np.ceil(length / STEP), 1, MOST).astype(np.int64)
+    line = np.repeat(np.arange(len(places)), counts)
+    step = np.arange(len(line)) - np.repeat(np.cumsum(counts) - counts, counts)
+    start, run = places[line, 0], places[line, 1] - places[line, 0]
+    size = counts[line][:, None]
+    middle = start + run * ((step[:, None] + 0.5) / size)
+    visible = view.visible(middle, depth)
+    # Neighbouring pieces that agree are one line.
+    new = np.ones(len(line), dtype=bool)
+    new[1:] = (line[1:] != line[:-1]) | (visible[1:] != visible[:-1])
+    first = np.flatnonzero(new)
+    last = np.append(first[1:], len(line)) - 1
+    begin = (start + run * (step[:, None] / size))[first, :2]
+    end = (start + run * ((step[:, None] + 1.0) / size))[last, :2]
+    parts = np.stack([begin, end], axis=1)
+    return list(parts[visible[first]]), list(parts[~visible[first]])
+
+
+def _small(places: Array, edges: npt.NDArray[np.int64]) -> Array:
+    """Returns the middles (m, 3) of those connected lines that together are small."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    used, link = np.unique(edges, return_inverse=True)
+    link = link.reshape(-1, 2)
+    graph = coo_array((np.ones(len(link), dtype=bool), link.T), shape=(len(used),) * 2)
+    parts, part = connected_components(graph, directed=False)
+    of_line = part[link[:, 0]]
+    low, high = np.full((parts, 3), np.inf), np.full((parts, 3), -np.inf)
+    np.minimum.at(low, of_line, places.min(axis=1))
+    np.maximum.at(high, of_line, places.max(axis=1))
+    small = (high - low)[:, :2].max(axis=1) < SMALL
+    return 0.5 * (low + high)[small]
+
+
+def _apart(spots: Array) -> Array:
+    """Returns ``spots`` (n, 2) thinned out to one per cell of a coarse grid."""
+    _, first = np.unique(np.round(spots / RING), axis=0, return_index=True)
+    return spots[np.sort(first)]
+
+
+def _draw_axes(axes: Any, view: View) -> None:
+    rows, columns = view.size
+    origin, length = np.array([0.095 * columns, 0.90 * rows]), 0.055 * columns
+    for name, color, axis in zip("xyz", ("#b00000", "#007000", "#0000b0"), np.eye(3), strict=True):
+        arrow = length * np.array([axis @ view.right, -(axis @ view.up)])
+        if np.linalg.norm(arrow) < 0.1 * length:
+            continue
+        tip = origin + arrow
+        axes.annotate("", tip, origin, arrowprops={"arrowstyle": "->", "color": color, "lw": 1.4})
+        axes.text(*(origin + 1.28 * arrow), name, color=color, ha="center", va="center", fontsize="medium")
+
+
+def _draw_bar(axes: Any, view: View) -> None:
+    from warpcontact.meshes.picture.sheet import length_unit
+
+    rows, columns = view.size
+    longest = BAR * columns / view.scale
+    decade = 10.0 ** np.floor(np.log10(longest))
+    length = decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= longest)
+    unit, factor = length_unit(float(length) * (1.0 + 1e-9))
+    right, y = 0.95 * columns, 0.94 * rows
+    left, tick = right - length * view.scale, 0.008 * rows
+    axes.plot(
+        [left, left, left, right, right, right], [y - tick, y + tick, y, y, y - tick, y + tick], "k-", lw=1.4
+    )
+    axes.text(0.5 * (left + right), y - 1.5 * tick, f"{length / factor:g} {unit}", ha="center", va="bottom")

@@ -1,0 +1,91 @@
+"""Which of many triangles is seen in each pixel of a picture, and how far away it is there.
+
+Rows of pixels are filled between the edges of each triangle, for many triangles at once; a depth buffer decides
+between them. A pixel belongs to the triangle that its centre lies in, and neighbours leave no gap.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+# Rows, or pixels, that are worked on at a time.
+AT_ONCE = 2_000_000
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+
+def paint(corners: Array, size: tuple[int, int]) -> tuple[Index, Array]:
+    """Returns the triangle seen in each pixel, −1 where there is none, and its depth, infinite there.
+
+    Of triangles at the same depth the one with the highest number is seen.
+
+    Args:
+        corners: Corners of each triangle in the picture, (F, 3, 3): column, row and depth. The pixel in column i
+            and row j has its centre at (i + ½, j + ½). Smaller depths are nearer.
+        size: Numbers of rows and columns.
+    """
+    height, width = size
+    depth = np.full(height * width, np.inf)
+    seen = np.full(height * width, -1, dtype=np.int64)
+    # From low to high rows: both triangles at an edge then compute the same points of it.
+    order = np.lexsort((corners[..., 0], corners[..., 1]), axis=1)
+    corners = np.take_along_axis(corners, order[..., None], axis=1)
+    first = np.clip(np.ceil(corners[:, 0, 1] - 0.5), 0, height).astype(np.int64)
+    last = np.clip(np.ceil(corners[:, 2, 1] - 0.5), 0, height).astype(np.int64)
+    for face, row in _ranges(np.arange(len(corners)), first, last):
+        left, right, start, end = _ends(corners[face], row.astype(np.float64) + 0.5)
+        begin = np.clip(np.ceil(left - 0.5), 0, width).astype(np.int64)
+        stop = np.clip(np.ceil(right - 0.5), 0, width).astype(np.int64)
+        slope = (end - start) / np.maximum(right - left, 1e-300)
+        for span, column in _ranges(np.arange(len(face)), begin, stop):
+            pixel = row[span] * width + column
+            z = start[span] + slope[span] * (column + 0.5 - left[span])
+            np.minimum.at(depth, pixel, z)
+            front = z == depth[pixel]
+            seen[pixel[front]] = face[span[front]]
+    return seen.reshape(size), depth.reshape(size)
+
+
+def _ends(corners: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+    """Returns where lines enter and leave triangles, and the depths there: left, right, depth left, depth right.
+
+    Args:
+        corners: Sorted by row, (n, 3, 3).
+        y: The row of each line, between the first and the last corner, (n,).
+    """
+    low, middle, high = corners.swapaxes(0, 1)
+    x_long, z_long = _along(low, high, y)
+    below = y <= middle[:, 1]
+    x_low, z_low = _along(low, middle, y)
+    x_high, z_high = _along(middle, high, y)
+    x_short, z_short = np.where(below, x_low, x_high), np.where(below, z_low, z_high)
+    swap = x_short < x_long
+    left, right = np.where(swap, x_short, x_long), np.where(swap, x_long, x_short)
+    start, end = np.where(swap, z_short, z_long), np.where(swap, z_long, z_short)
+    return left, right, start, end
+
+
+def _along(a: Array, b: Array, y: Array) -> tuple[Array, Array]:
+    """Returns column and depth of the points of the edges a–b in row ``y``."""
+    run = b[:, 1] - a[:, 1]
+    part = np.where(run > 0.0, (y - a[:, 1]) / np.where(run > 0.0, run, 1.0), 0.0)
+    return a[:, 0] + part * (b[:, 0] - a[:, 0]), a[:, 2] + part * (b[:, 2] - a[:, 2])
+
+
+def _ranges(items: Index, begin: Index, stop: Index) -> Iterator[tuple[Index, Index]]:
+    """Iterates over parts of all pairs of an item and a number from its ``begin`` to before its ``stop``."""
+    counts = np.maximum(stop - begin, 0)
+    ends = np.cumsum(counts)
+    start = 0
+    while start < len(items):
+        before = ends[start - 1] if start else 0
+        # At least one item, however long it is.
+        after = max(start + 1, int(np.searchsorted(ends, before + AT_ONCE, side="right")))
+        part = slice(start, after)
+        item = np.repeat(items[part], counts[part])
+        within = np.arange(len(item)) - np.repeat(ends[part] - counts[part] - before, counts[part])
+        if len(item):
+            yield item, np.repeat(begin[part], counts[part]) + within
+        start = after

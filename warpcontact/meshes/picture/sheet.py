@@ -1,0 +1,254 @@
+"""The picture of a mesh: shaded from two opposite sides, with its defects marked."""
+
+from os import PathLike
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from warpcontact.meshes.picture.defects import Defects, find_defects
+from warpcontact.meshes.picture.marks import draw_marks, line_kinds
+from warpcontact.meshes.picture.painter import paint
+from warpcontact.meshes.picture.view import View, best_direction, in_words
+from warpcontact.meshes.report import MeshReport
+from warpcontact.picture_file import check_path, save
+
+Array = npt.NDArray[np.float64]
+
+# Pixels of each view, and by how many of the painter's each is averaged.
+ROWS, COLUMNS, FINE = 560, 640, 2
+DPI = 120
+# Red, green and blue.
+OUTER, INNER = (0.52, 0.66, 0.82), (0.93, 0.62, 0.35)
+IDLE_OUTER, IDLE_INNER = (0.80, 0.80, 0.80), (0.90, 0.82, 0.72)
+DUPLICATE, INWARD = (0.95, 0.85, 0.20), (0.66, 0.45, 0.80)
+# Direction of the light in the picture: right, up, towards the eye.
+LIGHT = np.array([-0.40, 0.45, 0.80])
+SHADE = 0.48
+COLUMNS_OF_LEGEND = 4
+# Faces of more pixels than this, on average, show their edges.
+LARGE = 250
+# How dark edges of large faces are, and creases of more than 40°.
+EDGE, CREASE, CREASE_COSINE = 0.80, 0.72, 0.77
+
+
+def plot_file(path: str | PathLike[str], picture: str | PathLike[str], *, scale: float = 1.0) -> MeshReport:
+    """Draws a mesh file, usable or not, into an .svg or .png file, and returns the report on it.
+
+    Args:
+        path: The mesh file, as for :func:`load_mesh`.
+        picture: The picture.
+        scale: Factor from the unit of the file to m; positive.
+
+    Raises:
+        MeshError: If the file cannot be read, or nothing in it can be drawn.
+        ValueError: If ``scale`` is not positive, or the picture cannot be written there.
+    """
+    from pathlib import Path
+
+    from warpcontact.meshes.load import _examined
+
+    check_path(picture)
+    vertices, faces, report = _examined(Path(path), scale, None)
+    plot_arrays(vertices, faces, report, picture)
+    return report
+
+
+def plot_arrays(
+    vertices: npt.ArrayLike,
+    faces: npt.ArrayLike,
+    report: MeshReport,
+    path: str | PathLike[str],
+    *,
+    active_faces: npt.ArrayLike | None = None,
+    direction: npt.ArrayLike | None = None,
+) -> None:
+    """Draws triangles, usable as a mesh or not, into an .svg or .png file.
+
+    Args:
+        vertices: Positions, (V, 3) [m].
+        faces: Vertex indices of each triangle, (F, 3).
+        report: What is known of them.
+        path: The picture.
+        active_faces: Mask (F,) of the part that can touch; ``None``: all.
+        direction: Where the eye is in the left view, (3,), seen from the surface; the right view is the opposite
+            one. ``None``: where most of the outer side is seen from.
+
+    Raises:
+        ValueError: If no face can be drawn, or an argument is not allowed.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    file = check_path(path)
+    v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    active = _active(active_faces, len(f))
+    defects = find_defects(v, f) if v.ndim == f.ndim == 2 and v.size and f.size else None
+    if defects is None or not defects.drawable.any():
+        raise ValueError(f"{report.name!r} has no face that can be drawn")
+    shown = np.flatnonzero(defects.drawable)
+    corners = v[f[shown]]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    front = best_direction(cross) if direction is None else _direction(direction)
+
+    figure = Figure(figsize=(2 * COLUMNS / DPI + 0.3, ROWS / DPI + 1.75), dpi=DPI)
+    FigureCanvasAgg(figure)
+    height = float(figure.get_figheight()) * DPI
+    for i, eye in enumerate((front, -front)):
+        left = (0.1 * DPI + i * (COLUMNS + 0.1 * DPI)) / (2 * COLUMNS + 0.3 * DPI)
+        box = (left, 0.95 * DPI / height, COLUMNS / (2 * COLUMNS + 0.3 * DPI), ROWS / height)
+        axes = figure.add_axes(box)
+        view = View.towards(eye, corners.reshape(-1, 3), (FINE * ROWS, FINE * COLUMNS))
+        depth = _draw_surface(axes, view, corners, cross, shown, defects, active)
+        draw_marks(axes, view, depth, v, f, defects)
+        axes.set_title(in_words(eye), fontsize="medium")
+    figure.suptitle(
+        _heading(report, corners), fontsize="large", y=1.0 - 0.1 * DPI / height, va="top", parse_math=False
+    )
+    _legend(figure, report, defects, active, shown)
+    save(figure, file)
+
+
+def _draw_surface(
+    axes: Any,
+    view: View,
+    corners: Array,
+    cross: Array,
+    shown: npt.NDArray[np.intp],
+    defects: Defects,
+    active: npt.NDArray[np.bool_] | None,
+) -> Array:
+    """Draws the faces, and returns the depth of what is seen in each pixel."""
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    normal = cross / np.maximum(length, 1e-300)
+    outer = normal @ view.direction > 0.0
+    # Of two faces at the same place the one that shows its outer side is painted last.
+    order = np.argsort(outer, kind="stable")
+    seen, depth = paint(view.project(corners)[order], view.size)
+    empty = seen < 0
+    seen = order[np.where(empty, 0, seen)]
+
+    color = np.where(outer[:, None], OUTER, INNER)
+    if active is not None:
+        idle = np.where(outer[:, None], IDLE_OUTER, IDLE_INNER)
+        color = np.where(active[shown][:, None], color, idle)
+    color[defects.inward[shown]] = INWARD
+    color[defects.duplicate[shown]] = DUPLICATE
+    towards = normal * np.where(outer, 1.0, -1.0)[:, None]
+    frame = np.stack([view.right, view.up, view.direction])
+    light = np.clip(towards @ (LIGHT @ frame) / np.linalg.norm(LIGHT), 0.0, 1.0)
+    color *= (SHADE + (1.0 - SHADE) * light)[:, None]
+
+    image = color[seen]
+    image *= _lines(seen, empty, towards)[..., None]
+    image[empty] = 1.0
+    rows, columns = view.size
+    image = image.reshape(rows // FINE, FINE, columns // FINE, FINE, 3).mean(axis=(1, 3))
+    axes.imshow(np.clip(image, 0.0, 1.0), extent=(0, columns, rows, 0), interpolation="none")
+    axes.set(xlim=(0, columns), ylim=(rows, 0), xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set_color("0.8")
+    return depth
+
+
+def _lines(seen: npt.NDArray[np.intp], empty: npt.NDArray[np.bool_], towards: Array) -> Array:
+    """Returns how bright each pixel is left by the lines between faces: at creases, and between large faces."""
+    count = len(np.unique(seen[~empty])) or 1
+    large = (~empty).sum() / count > LARGE
+    bright = np.ones(seen.shape)
+    for axis in (0, 1):
+        here = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
+        there = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
+        differ = (seen[here] != seen[there]) & ~empty[here] & ~empty[there]
+        a, b = seen[here][differ], seen[there][differ]
+        crease = np.einsum("ij,ij->i", towards[a], towards[b]) < CREASE_COSINE
+        line = np.where(crease, CREASE, EDGE if large else 1.0)
+        bright[here][differ] = np.minimum(bright[here][differ], line)
+    return bright
+
+
+def _heading(report: MeshReport, corners: Array) -> str:
+    size = np.ptp(corners.reshape(-1, 3), axis=0)
+    unit, factor = length_unit(float(size.max()))
+    lengths = " × ".join(f"{length / factor:.4g}" for length in size)
+    return f"{report.name}:  {lengths} {unit} (x, y, z),  {report.face_count:,} faces"
+
+
+def length_unit(length: float) -> tuple[str, float]:
+    """Returns the unit in which ``length`` [m] is easily read, and its size [m]."""
+    for unit, factor in (("km", 1e3), ("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
+        if length >= factor:
+            return unit, factor
+    return "nm", 1e-9
+
+
+def _legend(
+    figure: Any,
+    report: MeshReport,
+    defects: Defects,
+    active: npt.NDArray[np.bool_] | None,
+    shown: npt.NDArray[np.intp],
+) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    word = "" if active is None else ", active"
+    entries: list[Any] = [
+        Patch(color=OUTER, label=f"outer side{word}"),
+        Patch(color=INNER, label=f"inner side{word}"),
+    ]
+    if active is not None:
+        idle = len(shown) - int(active[shown].sum())
+        entries.append(Patch(color=IDLE_OUTER, label=f"not active: {_count(idle, 'face')}"))
+    for mask, color, what in (
+        (defects.inward, INWARD, "closed parts that face inward"),
+        (defects.duplicate, DUPLICATE, "duplicates"),
+    ):
+        if mask.any():
+            entries.append(Patch(color=color, label=f"{what}: {_count(int(mask.sum()), 'face')}"))
+    marks = line_kinds(defects)
+    for kind in marks:
+        entries.append(
+            Line2D([], [], color=kind.color, lw=2.0, label=f"{kind.what}: {_count(kind.count, kind.noun)}")
+        )
+    figure.legend(
+        handles=entries,
+        loc="lower center",
+        ncols=min(len(entries), COLUMNS_OF_LEGEND) if len(entries) > 5 else len(entries),
+        frameon=False,
+        fontsize="medium",
+    )
+    notes = []
+    if marks:
+        notes.append("lines are faint where the surface hides them")
+    elif not (defects.inward.any() or defects.duplicate.any()):
+        notes.append("no open border and no defect")
+    if left_out := report.face_count - len(shown):
+        notes.append(f"{_count(left_out, 'face')} without a finite place not shown")
+    y = 0.62 / figure.get_figheight()
+    figure.text(0.5, y, "; ".join(notes), ha="center", fontsize="small", color="0.3")
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def _active(faces: npt.ArrayLike | None, count: int) -> npt.NDArray[np.bool_] | None:
+    if faces is None:
+        return None
+    mask = np.asarray(faces)
+    if mask.dtype != bool or mask.shape != (count,):
+        raise ValueError(
+            f"active_faces must be a mask of {count} booleans, got {mask.dtype} of shape {mask.shape}"
+        )
+    return mask
+
+
+def _direction(value: npt.ArrayLike) -> Array:
+    try:
+        direction = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        direction = np.zeros(0)
+    if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
+        raise ValueError(f"direction must be 3 numbers that are not all 0, got {value!r}")
+    return direction / np.linalg.norm(direction)

@@ -1,0 +1,45 @@
+"""Where pictures go: names of files that can be written, and files that depend on nothing but the picture."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Kinds of files that a picture can be written to.
+SUFFIXES = (".svg", ".png")
+
+
+def check_path(path: Any) -> Path:
+    """Returns ``path`` if a picture can be written there, which is tried.
+
+    Raises:
+        ValueError: If the suffix is not allowed, it is a folder or in none that exists, or cannot be written.
+    """
+    file = Path(path)
+    if file.is_dir():
+        raise ValueError(f"{path}: is a folder; the picture needs the name of a file")
+    if file.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"{path}: must end in {' or '.join(SUFFIXES)}, got {file.suffix or 'no suffix'}")
+    if not file.parent.is_dir():
+        wrong = "is not a folder" if file.parent.exists() else "does not exist"
+        raise ValueError(f"{path}: {file.parent} {wrong}")
+    there = file.exists()
+    try:
+        file.open("ab").close()
+        if not there:
+            file.unlink()
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written: {error.strerror or error}") from None
+    return file
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Writes a figure; the same one gives the same file."""
+    import matplotlib as mpl
+
+    if path.suffix.lower() == ".svg":
+        with mpl.rc_context({"svg.hashsalt": "warpcontact"}):
+            figure.savefig(path, format="svg", metadata={"Date": None})
+    else:
+        figure.savefig(path, format="png")

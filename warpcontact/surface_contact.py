@@ -1,0 +1,103 @@
+"""Surfaces against surfaces: points made of one or of both, and the contacts that they need."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from warpcontact import checks
+from warpcontact.meshes import SurfaceSamples, sample_surface
+from warpcontact.scene import Contact, Scene, Surface, Template
+
+SIDES = ("first", "average")
+#: Ways to make points that know how many there are.
+COUNTED = ("vertices", "centroids")
+
+
+def add_surface_contact(
+    scene: Scene,
+    surface_a: Surface,
+    surface_b: Surface,
+    template: Template,
+    samples: int | str | Sequence[int | str],
+    *,
+    seed: int,
+    sides: str,
+    name: str | None,
+    options: dict[str, Any],
+) -> tuple[Contact, ...]:
+    """Adds what ``Scene.add_surface_contact`` promises, or nothing."""
+    before = scene.snapshot()
+    try:
+        return _add(scene, surface_a, surface_b, template, samples, seed, sides, name, options)
+    except Exception:
+        scene.restore(before)
+        raise
+
+
+def _add(
+    scene: Scene,
+    surface_a: Surface,
+    surface_b: Surface,
+    template: Template,
+    samples: int | str | Sequence[int | str],
+    seed: int,
+    sides: str,
+    name: str | None,
+    options: dict[str, Any],
+) -> tuple[Contact, ...]:
+    name = scene.new_name("contact", name)
+    checks.choice(f"{name}.sides", sides, SIDES)
+    for label, surface in (("surface_a", surface_a), ("surface_b", surface_b)):
+        if not isinstance(surface, Surface) or surface not in scene.surfaces:
+            raise ValueError(f"{name}.{label} must come from add_surface of this scene, got {surface!r}")
+    pair = _pair(name, samples, sides)
+    runs = [(surface_a, surface_b, pair[0], name)]
+    if sides == "average":
+        options = options | {"share": 0.5 * checks.numbers(f"{name}.share", options.get("share", 1.0), ())}
+        runs = [
+            (surface_a, surface_b, pair[0], f"{name}_first"),
+            (surface_b, surface_a, pair[1], f"{name}_second"),
+        ]
+    made = []
+    for own, other, amount, label in runs:
+        points = scene.add_points(own, sample_of(own, amount, seed, f"{name}.samples"), name=f"{label}_points")
+        made.append(scene.add_contact(points, other, template, name=label, **options))
+    return tuple(made)
+
+
+def sample_of(surface: Surface, amount: Any, seed: int, label: str) -> SurfaceSamples:
+    """Returns points of the active faces of a surface, in the frame of its mesh.
+
+    Args:
+        surface: The surface.
+        amount: Their number, or one of ``COUNTED``.
+        seed: Of the random numbers that spread them.
+        label: What to call ``amount`` in messages.
+    """
+    amount = check_amount(label, amount)
+    if not surface.active_faces.any():
+        raise ValueError(f"{label}: {surface.name!r} has no active face to make points of")
+    if isinstance(amount, str):
+        return sample_surface(surface.mesh, method=amount, faces=surface.active_faces)
+    return sample_surface(surface.mesh, amount, seed=seed, faces=surface.active_faces)
+
+
+def check_amount(label: str, amount: Any) -> int | str:
+    """Returns ``amount`` if it is a number of points or one of ``COUNTED``, or raises ``ValueError``."""
+    if isinstance(amount, str) and amount in COUNTED:
+        return amount
+    if isinstance(amount, int | np.integer) and not isinstance(amount, bool) and amount >= 1:
+        return int(amount)
+    options = " or ".join(map(repr, COUNTED))
+    raise ValueError(f"{label} must be a whole number of points, at least 1, or {options}, got {amount!r}")
+
+
+def _pair(name: str, samples: Any, sides: str) -> tuple[Any, Any]:
+    if isinstance(samples, str) or not isinstance(samples, Sequence):
+        return samples, samples
+    if sides != "average" or len(samples) != 2:
+        raise ValueError(
+            f"{name}.samples must be one entry, or with sides='average' two, one for each surface, got {samples!r}"
+        )
+    return samples[0], samples[1]
