@@ -197,7 +197,7 @@ class Parameters:
 
         def content() -> NDArray[Any]:
             values = compute()
-            return values if values.dtype.names else rounded(attribute, values, self.real)
+            return rounded(attribute, values, self.real) if values.dtype.kind == "f" else values
 
         upload = Upload(struct, attribute, dtype, content, self.envs, self.device)
         self.uploads.append(upload)
@@ -224,6 +224,13 @@ def pack(struct: Any, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
     for name, column in columns.items():
         packed[name] = rounded(name, column, packed.dtype[name])
     return packed
+
+
+def turned(orientation: NDArray[Any], vectors: NDArray[Any]) -> NDArray[Any]:
+    """Returns ``vectors`` (…, 3) rotated by unit quaternions ``orientation`` (…, 4), x, y, z, w."""
+    axis, w = orientation[..., :3], orientation[..., 3:]
+    half = 2.0 * np.cross(axis, vectors)
+    return np.asarray(vectors + w * half + np.cross(axis, half))
 
 
 def rounded(name: str, values: NDArray[Any], dtype: Any) -> NDArray[Any]:

@@ -25,6 +25,7 @@ KAPPA = limits("-", at_least=0.0, at_most=1.0)
 MAX_DEPTH = limits("m", above=0.0, may_be_infinite=True)
 SEARCH_RADIUS = limits("m", above=0.0, may_be_infinite=True)
 TORSION_RADIUS = limits("m", at_least=0.0)
+SCALE = limits("-", above=0.0)
 ENABLED = limits("-", at_least=0.0, at_most=1.0)
 
 
@@ -93,17 +94,34 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """An oriented mesh fixed to a body or to the world."""
+    """An oriented mesh, or one of several, fixed to a body or to the world."""
 
     name: str
     index: int
-    mesh: Mesh
+    meshes: tuple[Mesh, ...]
     body: Body | None
     position: Array
     orientation: Array
-    active_faces: NDArray[np.bool_]  # (F,)
+    scale: Array
+    active: tuple[NDArray[np.bool_], ...]  # (F,) of each mesh
     color: Array | None
     visible: bool
+
+    @property
+    def mesh(self) -> Mesh:
+        """Its mesh, the first if there are several."""
+        return self.meshes[0]
+
+    @property
+    def active_faces(self) -> NDArray[np.bool_]:
+        """Mask (F,) of the faces of that mesh that can touch."""
+        return self.active[0]
+
+    @property
+    def centre(self) -> Array:
+        """The middle of the bounds of all its meshes, in their frame."""
+        bounds = np.array([mesh.bounds for mesh in self.meshes])
+        return np.asarray(0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +151,7 @@ class Contact:
     enabled: Array
     search: str
     entry: str
+    swept: bool
     rim: str
     color: Array | None
     visible: bool
@@ -217,8 +236,9 @@ class Scene:
         position: ArrayLike = (0.0, 0.0, 0.0),
         orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
         *,
+        scale: float = 1.0,
         flip: bool = False,
-        active_faces: ArrayLike | None = None,
+        active_faces: Any = None,
         name: str | None = None,
         color: ArrayLike | None = None,
         visible: bool = True,
@@ -226,12 +246,15 @@ class Scene:
         """Adds an oriented surface: its outer side is where the faces run counter-clockwise.
 
         Args:
-            mesh: A ``wc.Mesh``, or an object with ``vertices`` (V, 3) [m] and ``faces`` (F, 3).
+            mesh: A ``wc.Mesh``, or an object with ``vertices`` (V, 3) [m] and ``faces`` (F, 3). A list of them:
+                ``model["<surface>.mesh"]`` then says by number which one an environment has.
             body: Body that carries it; ``None``: the world.
             position: Origin of the mesh's frame in the frame of the body [m].
             orientation: Rotation mesh → body, quaternion (x, y, z, w).
+            scale: Factor by which the mesh is enlarged about the origin of its frame.
             flip: Whether to turn the outer side over.
-            active_faces: The part that can touch: a mask (F,) or face numbers; ``None``: all.
+            active_faces: The part that can touch: a mask (F,) or face numbers; ``None``: all. For a list of
+                meshes, a list with one of these for each.
             name: Name in parameters and readings; made up if not given.
             color: Display colour, RGB in 0…1.
             visible: Whether it is drawn.
@@ -242,20 +265,30 @@ class Scene:
         """
         name = checks.new_name("surface", name, self._elements)
         body = self._body(f"{name}.body", body)
-        if not isinstance(mesh, Mesh):
-            if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-                raise TypeError(f"mesh of {name!r} must be a wc.Mesh or have vertices and faces, got {mesh!r}")
-            mesh = Mesh(mesh.vertices, mesh.faces, name=name)
+        several = isinstance(mesh, list | tuple)
+        meshes = [_mesh(name, one) for one in (mesh if several else [mesh])]
+        chosen = active_faces if several and active_faces is not None else [active_faces] * len(meshes)
+        if not meshes or len(chosen) != len(meshes):
+            raise ValueError(
+                f"{name}.active_faces must have one entry for each of {len(meshes)} meshes, got {len(chosen)}"
+                if meshes
+                else f"mesh of {name!r} must not be an empty list"
+            )
+        active = [
+            _face_mask(f"{name}.active_faces", part, len(one.faces))
+            for part, one in zip(chosen, meshes, strict=True)
+        ]
         surface = Surface(
             name=name,
             index=len(self.surfaces),
-            mesh=mesh.flipped() if flip else mesh,
+            meshes=tuple(one.flipped() if flip else one for one in meshes),
             body=body,
             position=checks.numbers(f"{name}.position", position, (3,), limits("m")),
             orientation=checks.unit_quaternions(
                 f"{name}.orientation", checks.numbers(f"{name}.orientation", orientation, (4,))
             ),
-            active_faces=_face_mask(f"{name}.active_faces", active_faces, len(mesh.faces)),
+            scale=checks.numbers(f"{name}.scale", scale, (), SCALE),
+            active=tuple(active),
             color=checks.color(f"{name}.color", color),
             visible=bool(visible),
         )
@@ -303,6 +336,7 @@ class Scene:
         kappa: float = 0.5,
         search: str = "whole",
         entry: str = "literal",
+        swept: bool = False,
         max_depth: float | None = None,
         rim: str = "off",
         search_radius: float = math.inf,
@@ -323,7 +357,9 @@ class Scene:
             search: ``"whole"``: the nearest point of the whole surface must be active; ``"active"``: the
                 nearest point of the active part.
             entry: ``"literal"``: any point on the inner side is in contact; ``"latched"``: only one that came
-                from the outer side.
+                from the outer side, held by the part of the surface that it touched.
+            swept: Whether to look for points that cross the surface within a step, which are then held by the
+                face that they crossed, through however thin a plate.
             max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
             rim: ``"off"``: nothing touches beyond an open border; ``"outer"``: a sphere touches the rim while
                 its centre is on the outer side.
@@ -369,11 +405,12 @@ class Scene:
             enabled=np.array(float(bool(enabled))),
             search=checks.choice(f"{name}.search", search, ("whole", "active")),
             entry=checks.choice(f"{name}.entry", entry, ("literal", "latched")),
+            swept=bool(swept),
             rim=checks.choice(f"{name}.rim", rim, ("off", "outer")),
             color=checks.color(f"{name}.color", color),
             visible=bool(visible),
         )
-        if search == "active" and not surface.active_faces.any():
+        if search == "active" and not all(active.any() for active in surface.active):
             raise ValueError(f"{name}: search='active' needs at least one active face on {surface.name!r}")
         self.contacts.append(contact)
         self._elements[name] = contact
@@ -424,6 +461,15 @@ def _check_arms(name: str, template: Template, radius: Array, torsion_radius: fl
         kind = type(getattr(template, part)).__name__
         cure = " or a torsion_radius" if part == "torsion" else ""
         raise ValueError(f"{name}: the {part} of its template, {kind}, needs a radius{cure}, got a radius of 0 m")
+
+
+def _mesh(name: str, mesh: Any) -> Mesh:
+    """Returns the mesh of surface ``name``, checked."""
+    if isinstance(mesh, Mesh):
+        return mesh
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise TypeError(f"mesh of {name!r} must be a wc.Mesh or have vertices and faces, got {mesh!r}")
+    return Mesh(mesh.vertices, mesh.faces, name=name)
 
 
 def _face_mask(name: str, faces: ArrayLike | None, count: int) -> NDArray[np.bool_]:

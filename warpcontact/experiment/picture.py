@@ -17,6 +17,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from warpcontact.parameters import turned
 from warpcontact.recorder import Recording
 from warpcontact.scene import Scene, Surface
 
@@ -142,9 +143,7 @@ def _window(scene: Scene, tracks: list[NDArray[Any]], plane: list[int]) -> tuple
 
 def _vertices(surface: Surface) -> NDArray[Any]:
     """Returns the vertices of a surface of the world, in the world [m]."""
-    q, v = surface.orientation, surface.mesh.vertices
-    turn = 2.0 * np.cross(q[:3], v)
-    return v + q[3] * turn + np.cross(q[:3], turn) + surface.position
+    return turned(surface.orientation, surface.scale * surface.mesh.vertices) + surface.position
 
 
 def _draw_ground(axes: Any, surface: Surface, lower: NDArray[Any], upper: NDArray[Any]) -> None:

@@ -67,7 +67,8 @@ def body_size(body: Body, scene: Scene, spheres: Iterable[Spheres]) -> float:
     for surface in scene.surfaces:
         if surface.body is body:
             # Rotation of the mesh in its own frame does not change how far it reaches from that frame's origin.
-            far = np.linalg.norm(surface.mesh.vertices, axis=1).max() + np.linalg.norm(surface.position)
+            far = surface.scale * np.linalg.norm(surface.mesh.vertices, axis=1).max()
+            far += np.linalg.norm(surface.position)
             reach = max(reach, float(far))
     for group in spheres:
         if group.body is body:
@@ -83,7 +84,7 @@ def scene_size(replay: Replay, spheres: Iterable[Spheres]) -> float:
     if largest > 0.0:
         return largest
     places = [replay.pose(body)[0].reshape(-1, 3) for body in scene.bodies]
-    places += [surface.mesh.bounds for surface in scene.surfaces]
+    places += [surface.scale * surface.mesh.bounds for surface in scene.surfaces]
     if not places:
         return 1.0
     return 0.1 * float(np.linalg.norm(np.ptp(np.concatenate(places), axis=0))) or 1.0
@@ -96,7 +97,7 @@ def define_surface(stage: Any, path: str, surface: Surface) -> None:
     mesh = UsdGeom.Mesh.Define(stage, path)
     prim = mesh.GetPrim()
     mark(prim, surface.name)
-    vertices, faces = surface.mesh.vertices, surface.mesh.faces
+    vertices, faces = surface.scale * surface.mesh.vertices, surface.mesh.faces
     mesh.CreatePointsAttr(vectors(vertices))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
