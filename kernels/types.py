@@ -2,7 +2,7 @@
 
 ``structs(real)`` returns them for one precision. Arrays are indexed ``[env, item]``; an array that all
 environments share has stride 0 along ``env``, so kernels never ask. Frames: W world, B body (at its centre of
-mass), S surface (axes of the mesh, origin in the middle of its bounds). Velocities and wrenches are in world
+mass), S surface (axes of the mesh, origin at the centre of the surface). Velocities and wrenches are in world
 axes, at the centre of mass. Quaternions are (x, y, z, w).
 """
 
@@ -77,7 +77,7 @@ def structs(real: type) -> SimpleNamespace:
         point_position: wp.array2d(dtype=vec3)  # [env, point], B (or W) [m]
         # Surfaces
         surface_body: wp.array(dtype=wp.int32)  # [surface] body or WORLD
-        surface_position: wp.array2d(dtype=vec3)  # [env, surface] origin of S, its centre, in B (or W) [m]
+        surface_position: wp.array2d(dtype=vec3)  # [env, surface] origin of S in B (or W) [m]
         surface_orientation: wp.array2d(dtype=quat)  # [env, surface] S → B (or W)
         surface_scale: wp.array2d(dtype=real)  # [env, surface] m per unit of the mesh
         surface_mesh: wp.array2d(dtype=wp.int32)  # [env, surface] which of its meshes it has

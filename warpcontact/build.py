@@ -165,7 +165,7 @@ def _add_surfaces(scene: Scene, arrays: SimpleNamespace, parameters: Parameters,
     centre = np.array([surface.centre for surface in surfaces]).reshape(-1, 3)
 
     def centre_in_body() -> Array:
-        # Kernels see a mesh from its middle, where numbers are finest; here it is placed in float64.
+        # Kernels see a mesh from where its numbers are finest; here that is placed, in float64.
         return position.values + turned(orientation.values, scale.values[..., None] * centre)
 
     send_position = parameters.upload(model, "surface_position", t.vec3, centre_in_body)

@@ -26,6 +26,8 @@ MAX_DEPTH = limits("m", above=0.0, may_be_infinite=True)
 SEARCH_RADIUS = limits("m", above=0.0, may_be_infinite=True)
 TORSION_RADIUS = limits("m", at_least=0.0)
 SCALE = limits("-", above=0.0)
+# Meshes whose farthest coordinate is more than this many times their size lie far from their origin.
+FAR = 4.0
 ENABLED = limits("-", at_least=0.0, at_most=1.0)
 
 
@@ -119,9 +121,15 @@ class Surface:
 
     @property
     def centre(self) -> Array:
-        """The middle of the bounds of all its meshes, in their frame."""
+        """Where kernels see its meshes from, in their frame.
+
+        The middle of meshes that lie far from the origin of their frame, where coordinates are coarse. Of others the
+        origin: what was modelled at zero stays there, to the last digit.
+        """
         bounds = np.array([mesh.bounds for mesh in self.meshes])
-        return np.asarray(0.5 * (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0)))
+        low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+        far = np.abs([low, high]).max() > FAR * (high - low).max()
+        return np.asarray(0.5 * (low + high) if far else np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
