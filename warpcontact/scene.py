@@ -123,8 +123,8 @@ class Surface:
     def centre(self) -> Array:
         """Where kernels see its meshes from, in their frame.
 
-        The middle of meshes that lie far from the origin of their frame, where coordinates are coarse. Of others the
-        origin: what was modelled at zero stays there, to the last digit.
+        The middle of meshes that lie far from the origin of their frame, where coordinates are coarse. Of others
+        the origin: what was modelled at zero stays there, to the last digit.
         """
         bounds = np.array([mesh.bounds for mesh in self.meshes])
         low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
