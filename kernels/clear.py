@@ -38,6 +38,7 @@ def reset(real: type) -> wp.Kernel:
         contacts: wp.int32,
         initial: State,
         status: wp.array(dtype=wp.int32),
+        time: wp.array(dtype=wp.float64),
         state: State,
         history: History,
     ):
@@ -45,6 +46,7 @@ def reset(real: type) -> wp.Kernel:
         if not mask[env]:
             return
         status[env] = ENV_ACTIVE
+        time[env] = wp.float64(0.0)
         for body in range(bodies):
             state.body_position[env, body] = initial.body_position[env, body]
             state.body_orientation[env, body] = initial.body_orientation[env, body]
@@ -53,6 +55,9 @@ def reset(real: type) -> wp.Kernel:
         for contact in range(contacts):
             history.entry_speed[env, contact] = real(-1.0)
             history.armed[env, contact] = 0
+            history.face[env, contact] = -1
+            history.crossings[env, contact] = 0
+            history.crossing_time[env, contact] = real(wp.nan)
 
     return reset_environments
 

@@ -10,7 +10,8 @@ import functools
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels import frames, triangle
+from warpcontact.kernels import foot as feet
+from warpcontact.kernels import frames
 from warpcontact.kernels.types import (
     CONTACT,
     DISABLED,
@@ -25,113 +26,38 @@ from warpcontact.kernels.types import (
     LATCHED,
     OPEN,
     RIM_OUTER,
+    SWEPT,
     WRONG_SIDE,
     structs,
 )
 
 # A point counts as beside an open border when it is farther sideways than this fraction of the border edge.
 BORDER_TOLERANCE = 1.0e-4
-# Rounding, in units of epsilon times the size of the differences: below ROUNDING a direction between two points
-# means nothing, below TIE two distances are equal. A tie must not be wider: the
-# distances to a face and to its neighbour's edge differ in second order only, and the pseudonormal of an edge
-# tells the side of a point only if the edge is nearest.
+# Rounding, in units of epsilon times the size of the differences: below it a direction between two points means
+# nothing.
 ROUNDING = 16.0
-TIE = 3.0
+# Contacts that stay with the part of the surface that they touched.
+FOLLOWS = LATCHED | SWEPT
 
 
 @functools.cache
-def kernel(real: type) -> wp.Kernel:
-    """Returns the kernel that fills ``contacts`` from ``state``. Launch with dim (env, contact)."""
+def kernel(real: type, follows: bool) -> wp.Kernel:
+    """Returns the kernel that fills ``contacts`` from ``state``. Launch with dim (env, contact).
+
+    With ``follows``, latched and swept contacts stay with the part of the surface that they touched: on the inner
+    side their nearest point is the one reached by walking from the last, so that neither the middle of a plate
+    nor its far side turns the force over.
+    """
     t = structs(real)
     vec3, Model, State, History, Contacts = t.vec3, t.Model, t.State, t.History, t.Contacts
-    closest_to_origin = triangle.functions(real).closest_to_origin
+    near = feet.functions(real)
+    foot_on, nearest_of_all, walk = near.foot_on, near.nearest_of_all, near.walk
     frame = frames.functions(real)
     point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
-    tie_epsilon = wp.constant(real(t.epsilon * TIE))
     # The mesh that the query searches is stored in float32, whatever the precision of the simulation.
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
     border_tolerance = wp.constant(real(BORDER_TOLERANCE))
-
-    @wp.struct
-    class Foot:
-        """The nearest point S of a face, seen from P: differences of coordinates carry less rounding."""
-
-        to_point: vec3  # P − S, in the mesh's frame
-        row: wp.int32  # of the face tables
-        feature: wp.int32
-        distance: real  # |P − S|
-        span: real  # size of the differences that went into it
-        inner: wp.bool  # P is on the inner side
-        hidden: wp.bool  # S is not on the active part
-
-    @wp.func
-    def foot_on(model: Model, row: int, p: vec3):
-        a = model.face_corner[row, 0] - p
-        b = model.face_corner[row, 1] - p
-        c = model.face_corner[row, 2] - p
-        hit = closest_to_origin(a, b, c, model.face_normal[row, 0])
-        foot = Foot()
-        foot.to_point = -hit.point
-        foot.row = row
-        foot.feature = hit.feature
-        foot.distance = wp.length(hit.point)
-        foot.span = wp.max(wp.length(a), wp.length(b))
-        foot.inner = wp.dot(foot.to_point, model.face_normal[row, hit.feature]) < real(0.0)
-        foot.hidden = (wp.int32(model.face_flags[row, hit.feature]) & FEATURE_ACTIVE) == 0
-        return foot
-
-    @wp.func
-    def before(a: Foot, b: Foot, tie: real):
-        """Whether ``a`` is taken of two feet at the same distance.
-
-        One on the active part if they are one point; else a face before an edge before a corner, the outer side
-        before the inner, and the lower face.
-        """
-        if a.hidden != b.hidden and wp.length(a.to_point - b.to_point) <= tie:
-            return not a.hidden
-        rank_a = wp.where(a.feature > 3, 2, wp.where(a.feature > 0, 1, 0))
-        rank_b = wp.where(b.feature > 3, 2, wp.where(b.feature > 0, 1, 0))
-        if rank_a != rank_b:
-            return rank_a < rank_b
-        if a.inner != b.inner:
-            return not a.inner
-        return a.row < b.row
-
-    @wp.func
-    def nearer(best: Foot, other: Foot):
-        """Returns the nearer foot; ``distance`` of the result is the smallest seen, so that ties do not drift."""
-        tie = tie_epsilon * wp.max(best.span, other.span)
-        nearest = wp.min(best.distance, other.distance)
-        level = other.distance <= best.distance + tie
-        if other.distance < best.distance - tie or (level and before(other, best, tie)):
-            best = other
-        best.distance = nearest
-        return best
-
-    @wp.func
-    def nearest_of_all(model: Model, patch: int, p: vec3, first: Foot, margin: real):
-        """Looks again at all faces about as near as ``first``, in the precision of the simulation.
-
-        Makes the choice on edges and medial axes independent of the traversal, and exact in float64.
-        """
-        mesh = model.patch_mesh[patch]
-        start = model.patch_face_start[patch]
-        best = first
-        reach = wp.float32(first.distance + margin)
-        centre = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-        face = wp.int32(0)
-        if model.patch_thin[patch]:
-            around = wp.vec3f(reach, reach, reach)
-            boxes = wp.mesh_query_aabb(mesh, centre - around, centre + around)
-            while wp.mesh_query_aabb_next(boxes, face):
-                best = nearer(best, foot_on(model, start + face, p))
-        else:
-            faces = wp.mesh_query_sphere(mesh, centre, reach)
-            while wp.mesh_query_next(faces, face):
-                best = nearer(best, foot_on(model, start + face, p))
-        best.distance = wp.length(best.to_point)
-        return best
 
     @wp.func
     def edge_length(model: Model, row: int, feature: int):
@@ -167,6 +93,7 @@ def kernel(real: type) -> wp.Kernel:
         contacts.penetration[env, contact] = real(0.0)
         contacts.normal[env, contact] = vec3()
         contacts.face[env, contact] = -1
+        contacts.crossed_face[env, contact] = -1
         point = model.contact_point[contact]
         p_W = point_to_world(state, env, model.point_body[point], model.point_position[env, point])
         contacts.point[env, contact] = p_W
@@ -176,19 +103,22 @@ def kernel(real: type) -> wp.Kernel:
             contacts.armed[env, contact] = history.armed[env, contact]
             return
 
-        # Into the mesh's own frame, where float32 is as good as the mesh.
-        patch = model.contact_patch[contact]
-        surface = model.patch_surface[patch]
+        # Into the mesh's own frame and unit, where float32 is as good as the mesh.
+        base = model.contact_patch[contact]
+        surface = model.patch_surface[base]
+        patch = base + model.surface_mesh[env, surface]
+        scale = model.surface_scale[env, surface]
+        reach = radius / scale
         body = model.surface_body[surface]
         o_W = point_to_world(state, env, body, model.surface_position[env, surface])
         q_WS = orientation_to_world(state, env, body, model.surface_orientation[env, surface])
-        p_S = wp.quat_rotate_inv(q_WS, p_W - o_W)
+        p_S = wp.quat_rotate_inv(q_WS, p_W - o_W) / scale
 
         mesh = model.patch_mesh[patch]
         query = wp.mesh_query_point_no_sign(
             mesh,
             wp.vec3f(wp.float32(p_S[0]), wp.float32(p_S[1]), wp.float32(p_S[2])),
-            wp.float32(wp.max(geometry.search_radius, radius)),
+            wp.float32(wp.max(geometry.search_radius / scale, reach)),
         )
         if not query.result:
             # A sphere sees at least what it overlaps.
@@ -200,15 +130,22 @@ def kernel(real: type) -> wp.Kernel:
         # Within the query's own rounding, and wherever it matters, its choice is looked at again.
         start = model.patch_face_start[patch]
         foot = foot_on(model, start + query.face, p_S)
-        scale = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
-        margin = model.patch_slack[patch] + query_epsilon * (scale + foot.distance)
-        if foot.inner or foot.distance < radius + margin:
+        extent = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
+        margin = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
+        if foot.inner or foot.distance < reach + margin or wp.static(real is wp.float64):
             foot = nearest_of_all(model, patch, p_S, foot, margin)
+        option = model.contact_options[contact]
+        if wp.static(follows):
+            last = start + history.face[env, contact]
+            if last >= start and last < model.patch_face_start[patch + 1] and (option & FOLLOWS) != 0:
+                known = walk(model, last, p_S)
+                if known.inner:
+                    foot = known
         n_S = model.face_normal[foot.row, foot.feature]
         flags = wp.int32(model.face_flags[foot.row, foot.feature])
         contacts.face[env, contact] = foot.row - start
 
-        # Signed distance s, direction n, and whether P lies beside an open border.
+        # Signed distance s [m], direction n, and whether P lies beside an open border.
         side = wp.dot(foot.to_point, n_S)
         s = side
         beside = wp.bool(False)
@@ -223,15 +160,16 @@ def kernel(real: type) -> wp.Kernel:
                 s = sign * foot.distance
                 if foot.distance > epsilon * foot.span:
                     n_S = (sign / foot.distance) * foot.to_point
+        s = scale * s
+        distance = scale * foot.distance
 
-        option = model.contact_options[contact]
         hidden = (flags & FEATURE_ACTIVE) == 0
         # Beside a border only a sphere on the outer side can touch, and only the rim.
         missed = beside and (s < real(0.0) or radius == real(0.0) or (option & RIM_OUTER) == 0)
 
         latch = LATCH_KEEP
         if hidden or missed:
-            contacts.gap[env, contact] = wp.max(foot.distance - radius, real(0.0))
+            contacts.gap[env, contact] = wp.max(distance - radius, real(0.0))
             if s < real(0.0):
                 latch = LATCH_DISARM
             elif s >= radius:
@@ -261,7 +199,7 @@ def kernel(real: type) -> wp.Kernel:
             contacts.penetration[env, contact] = radius - s
 
         # K = S + κ (D − S) with D = P − RC n, the deepest point; seen from P.
-        to_surface = -foot.to_point
+        to_surface = -scale * foot.to_point
         if foot.feature == 0:
             to_surface = -s * n_S
         to_deepest = -radius * n_S

@@ -67,17 +67,27 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
 
 
 @functools.cache
-def hold_failed(real: type) -> wp.Kernel:
-    """Returns the kernel that holds environments that just failed at ``state_in``. Launch with dim env.
+def finish(real: type) -> wp.Kernel:
+    """Returns the kernel that ends a step: clocks go on, and failed environments stay where they were.
 
-    Both state buffers then hold the last accepted state, so a frozen environment needs no further work.
+    Launch with dim env. Both state buffers then hold the last accepted state of a failed environment, so a frozen
+    one needs no further work.
     """
     t = structs(real)
     State = t.State
 
     @wp.kernel(module="unique", enable_backward=False)
-    def hold_failed(status: wp.array(dtype=wp.int32), bodies: wp.int32, state_in: State, state_out: State):
+    def finish_step(
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        time: wp.array(dtype=wp.float64),  # [env] [s]
+        bodies: wp.int32,
+        state_in: State,
+        state_out: State,
+    ):
         env = wp.tid()
+        if status[env] == ENV_ACTIVE:
+            time[env] = time[env] + wp.float64(step[env, 0])
         if status[env] != ENV_FAILED:
             return
         for body in range(bodies):
@@ -87,7 +97,7 @@ def hold_failed(real: type) -> wp.Kernel:
             state_out.body_angular_velocity[env, body] = state_in.body_angular_velocity[env, body]
         status[env] = ENV_FROZEN
 
-    return hold_failed
+    return finish_step
 
 
 @functools.cache

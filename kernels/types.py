@@ -2,8 +2,8 @@
 
 ``structs(real)`` returns them for one precision. Arrays are indexed ``[env, item]``; an array that all
 environments share has stride 0 along ``env``, so kernels never ask. Frames: W world, B body (at its centre of
-mass), S surface (the mesh's own frame). Velocities and wrenches are in world axes, at the centre of mass.
-Quaternions are (x, y, z, w).
+mass), S surface (axes of the mesh, origin at the centre of the surface). Velocities and wrenches are in world
+axes, at the centre of mass. Quaternions are (x, y, z, w).
 """
 
 import functools
@@ -19,6 +19,8 @@ WORLD = -1
 ENV_ACTIVE = 0
 ENV_FAILED = 1  # turned non-finite in this step; its other bodies may be half way
 ENV_FROZEN = 2  # held at its last finite state
+ENV_CROSSED = 3  # a point crossed a surface in this step, which is to be taken again in parts
+ENV_WAITING = 4  # has taken this step, while others take it again
 
 # Status of a contact.
 OPEN = 0
@@ -32,6 +34,7 @@ DISABLED = 5
 LATCHED = 1  # entry="latched"
 RIM_OUTER = 2  # rim="outer"
 HERTZ_PATCH = 4  # the arm of torsion follows from the overlap
+SWEPT = 8  # a point that crosses the surface within a step is caught
 
 # Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its corners.
 FEATURE_COUNT = 7
@@ -77,18 +80,22 @@ def structs(real: type) -> SimpleNamespace:
         surface_body: wp.array(dtype=wp.int32)  # [surface] body or WORLD
         surface_position: wp.array2d(dtype=vec3)  # [env, surface] origin of S in B (or W) [m]
         surface_orientation: wp.array2d(dtype=quat)  # [env, surface] S → B (or W)
-        # Patches: a mesh to search, a whole surface or the active part of one
+        surface_scale: wp.array2d(dtype=real)  # [env, surface] m per unit of the mesh
+        surface_mesh: wp.array2d(dtype=wp.int32)  # [env, surface] which of its meshes it has
+        # Patches: a mesh to search, a whole surface or the active part of one, in units of the mesh from the
+        # centre of the surface; those of the meshes of one surface lie side by side
         patch_mesh: wp.array(dtype=wp.uint64)  # [patch] id of the wp.Mesh
         patch_surface: wp.array(dtype=wp.int32)  # [patch]
-        patch_face_start: wp.array(dtype=wp.int32)  # [patch] first row in the tables below
+        patch_face_start: wp.array(dtype=wp.int32)  # [patch + 1] first row in the tables below
         patch_slack: wp.array(dtype=real)  # [patch] how far a float32 query may be off [m]
         patch_thin: wp.array(dtype=wp.bool)  # [patch] whether a float32 distance to a face may mean nothing
         face_corner: wp.array2d(dtype=vec3)  # [face, corner], S [m]
         face_normal: wp.array2d(dtype=vec3)  # [face, feature] unit pseudonormal, S
         face_flags: wp.array2d(dtype=wp.uint8)  # [face, feature] FEATURE_* bits
+        face_neighbor: wp.array2d(dtype=wp.int32)  # [face, edge] 3 × row + edge of the other side; −1: none
         # Contacts
         contact_point: wp.array(dtype=wp.int32)  # [contact] index of the point
-        contact_patch: wp.array(dtype=wp.int32)  # [contact]
+        contact_patch: wp.array(dtype=wp.int32)  # [contact] that of the surface's first mesh
         contact_options: wp.array(dtype=wp.int32)  # [contact] option bits
         contact_geometry: wp.array2d(dtype=ContactGeometry)  # [env, contact]
 
@@ -108,6 +115,9 @@ def structs(real: type) -> SimpleNamespace:
 
         entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not touching
         armed: wp.array2d(dtype=wp.int32)  # [env, contact] latch of entry="latched"
+        face: wp.array2d(dtype=wp.int32)  # [env, contact] face touched last; −1: none. Of contacts that follow
+        crossings: wp.array2d(dtype=wp.int32)  # [env, contact] times the surface was crossed within a step
+        crossing_time: wp.array2d(dtype=real)  # [env, contact] of the first of them [s]; NaN: none
 
     @wp.struct
     class Contacts:
@@ -118,6 +128,8 @@ def structs(real: type) -> SimpleNamespace:
         face: wp.array2d(dtype=wp.int32)  # [env, contact] face of the patch; −1: none
         status: wp.array2d(dtype=wp.int32)  # [env, contact] OPEN, CONTACT, …
         armed: wp.array2d(dtype=wp.int32)  # [env, contact] the latch this geometry leads to
+        crossed_face: wp.array2d(dtype=wp.int32)  # [env, contact] crossed in this step; −1: none
+        crossed_at: wp.array2d(dtype=real)  # [env, contact] when in this step, 0 to 1
         approach_speed: wp.array2d(dtype=real)  # [env, contact] dδ/dt at K, 0 unless CONTACT [m/s]
         normal_force: wp.array2d(dtype=real)  # [env, contact] [N]
         friction_force: wp.array2d(dtype=vec3)  # [env, contact] on the point's body, W [N]

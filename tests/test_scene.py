@@ -244,8 +244,9 @@ def test_bad_simulation_input_is_refused(make, message):
 
 def test_a_mesh_whose_faces_vanish_in_float32_is_refused():
     scene = scene_with()
-    far = 5e5
-    mesh = wc.Mesh([(far, 0, 0), (far + 1e-3, 0, 0), (far, 1e-3, 0)], [(0, 1, 2)])
+    big, far = (0, 0, 0), 5e5
+    corners = [(far, 0, 0), (far + 1e-3, 0, 0), (far, 1e-3, 0), big, (1, 0, 0), (0, 1, 0)]
+    mesh = wc.Mesh(corners, [(0, 1, 2), (3, 4, 5)])
     surface = scene.add_surface(mesh, name="ground")
     scene.add_contact(scene.add_point(scene.bodies[0], (0, 0, 0)), surface, HOOKE)
     with pytest.raises(ValueError, match=r"ground: face 0 with corners .* has no area left in float32"):

@@ -244,3 +244,35 @@ def test_environments_touch_themselves_and_what_they_share(recording, stage, tmp
     shared[0] = shared[:, 0] = True
     np.testing.assert_array_equal(table(stage), shared)
     np.testing.assert_array_equal(table(export(recording, tmp_path, spacing=(3, 3))), np.eye(ENVS))
+
+
+def test_surfaces_that_differ_are_in_their_environment(device, tmp_path):
+    scene = wc.Scene()
+    ground = scene.add_surface([scenes.square(), wc.meshes.box()], active_faces=[[0], None], name="ground")
+    body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 2), name="cube")
+    carried = scene.add_surface(wc.meshes.box(), body, name="hull")
+    shared = scene.add_surface(scenes.square(), position=(0, 0, -3), name="shared")
+    for surface, points in ((ground, body), (carried, None), (shared, body)):
+        scene.add_contact(scene.add_point(points, (0, 0, 0)), surface, scenes.oracle_law())
+    model = scene.build(envs=3, device=device)
+    model["ground.mesh"] = [0, 1, 0]
+    model["ground.scale"] = [1.0, 2.0, 0.5]
+    model["ground.position"] = [(0, 0, 0), (1, 0, 0), (0, 2, 0)]
+    model["hull.scale"] = [1.0, 1.0, 3.0]
+    model["shared.position"] = (0, 0, -4)
+    stage = export(wc.Simulation(model, dt=1e-3).run(duration=2e-3), tmp_path)
+    size = UsdGeom.BBoxCache(0, ["default"])
+    for env, (low, high) in enumerate(
+        (((-1, -1, 0), (1, 1, 0)), ((0, -1, -1), (2, 1, 1)), ((-0.5, 1.5, 0), (0.5, 2.5, 0)))
+    ):
+        bound = size.ComputeWorldBound(
+            stage.GetPrimAtPath(f"/World/env_{env}/Surfaces/ground")
+        ).ComputeAlignedRange()
+        np.testing.assert_allclose([bound.GetMin(), bound.GetMax()], [low, high], atol=1e-6)
+        hull = size.ComputeWorldBound(stage.GetPrimAtPath(f"/World/env_{env}/cube/hull")).ComputeAlignedRange()
+        np.testing.assert_allclose(hull.GetSize(), [(1.0, 1.0, 3.0)[env]] * 3, rtol=1e-5)
+    assert UsdGeom.Subset(stage.GetPrimAtPath("/World/env_0/Surfaces/ground/active"))
+    assert not stage.GetPrimAtPath("/World/env_1/Surfaces/ground/active")
+    np.testing.assert_array_equal(world(stage, "/World/Surfaces/shared", 0)[1], [0, 0, -4])
+    assert not stage.GetPrimAtPath("/World/Surfaces/ground")
+    assert [error.GetErrorAsString() for error in findings(stage)] == []

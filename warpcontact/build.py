@@ -59,6 +59,7 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
         history=allocate(t.History, (envs, starts[-1]), where),
         contacts=allocate(t.Contacts, (envs, starts[-1]), where),
         status=wp.zeros(envs, dtype=wp.int32, device=where),
+        time=wp.zeros(envs, dtype=wp.float64, device=where),
         measures=None,  # allocated by the first reading that needs it
     )
     gravity = Field(scene.gravity[None])
@@ -142,7 +143,9 @@ def _add_points(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
     )
     position = Field(np.concatenate([np.zeros((0, 3)), *(points.positions for points in sets)]))
     pose_of = {
-        points: [parameters.by_name[f"{points.surface.name}.{key}"] for key in ("position", "orientation")]
+        points: [
+            parameters.by_name[f"{points.surface.name}.{key}"] for key in ("position", "orientation", "scale")
+        ]
         for points in sets
         if points.surface is not None
     }
@@ -151,7 +154,8 @@ def _add_points(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
         values = position.values
         for points, pose in pose_of.items():
             items = slice(points.start, points.start + len(points.positions))
-            moved = placed(position.values[:, items], *(part.field.values[:, part.items.start] for part in pose))
+            origin, turn, scale = (part.field.values[:, part.items.start] for part in pose)
+            moved = placed(scale[:, None, None] * position.values[:, items], origin, turn)
             values = np.repeat(values, len(moved) if len(values) == 1 else 1, axis=0)
             values[:, items] = moved
         return values
@@ -175,8 +179,39 @@ def _add_points(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
 def _add_surfaces(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace) -> None:
     surfaces, model = scene.surfaces, arrays.model
     model.surface_body = _indices([_body_index(surface) for surface in surfaces], parameters.device)
-    _add_vector(parameters, surfaces, "position", "m", model, "surface_position", t)
-    _add_orientation(parameters, surfaces, model, "surface_orientation", t)
+    position = Field(np.array([surface.position for surface in surfaces]).reshape(-1, 3))
+    orientation = Field(np.array([surface.orientation for surface in surfaces]).reshape(-1, 4))
+    scale = Field(np.array([surface.scale for surface in surfaces]))
+    which = Field(np.zeros(len(surfaces)))
+    centre = np.array([surface.centre for surface in surfaces]).reshape(-1, 3)
+
+    def centre_in_body() -> Array:
+        # Kernels see a mesh from where its numbers are finest; here that is placed, in float64.
+        offset = scale.values[..., None] * centre
+        return placed(offset[..., None, :], position.values, orientation.values)[..., 0, :]
+
+    send_position = parameters.upload(model, "surface_position", t.vec3, centre_in_body)
+    send_orientation = parameters.upload(model, "surface_orientation", t.quat, lambda: orientation.values)
+    send_scale = parameters.upload(model, "surface_scale", t.real, lambda: scale.values)
+    send_which = parameters.upload(model, "surface_mesh", wp.int32, lambda: which.values.astype(np.int32))
+    for surface in surfaces:
+        items = slice(surface.index, surface.index + 1)
+        parameters.add(f"{surface.name}.position", position, items, limits("m"), [send_position], tail=(3,))
+        parameters.add(
+            f"{surface.name}.orientation",
+            orientation,
+            items,
+            checks.FINITE,
+            [send_orientation, send_position],
+            tail=(4,),
+            convert=checks.unit_quaternions,
+        )
+        sends = [send_scale, send_position]
+        parameters.add(f"{surface.name}.scale", scale, items, limits_of.SCALE, sends)
+        if len(surface.meshes) > 1:
+            allowed = limits("-", at_least=0.0, at_most=len(surface.meshes) - 1.0)
+            name = f"{surface.name}.mesh"
+            parameters.add(name, which, items, allowed, [send_which], convert=checks.whole_numbers)
 
 
 def _add_contacts(
@@ -195,6 +230,7 @@ def _add_contacts(
         contact: types.LATCHED * (contact.entry == "latched")
         + types.RIM_OUTER * (contact.rim == "outer")
         + types.HERTZ_PATCH * (contact.torsion_radius is None)
+        + types.SWEPT * contact.swept
         for contact in contacts
     }
     model.contact_options = _indices([options[contact] for contact, _ in each], parameters.device)

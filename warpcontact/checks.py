@@ -89,6 +89,12 @@ def switches(name: str, value: Array) -> Array:
     return value
 
 
+def whole_numbers(name: str, value: Array) -> Array:
+    """Returns ``value`` if it is whole throughout, or raises ``ValueError``."""
+    _refuse(name, value, value != np.round(value), "whole")
+    return value
+
+
 def inertia_tensors(name: str, value: Array) -> Array:
     """Returns inertia tensors (…, 3, 3), checked to be those of some rigid body.
 

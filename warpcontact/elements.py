@@ -22,6 +22,9 @@ MAX_DEPTH = limits("m", above=0.0, may_be_infinite=True)
 SEARCH_RADIUS = limits("m", above=0.0, may_be_infinite=True)
 TORSION_RADIUS = limits("m", at_least=0.0)
 SHARE = limits("-", at_least=0.0)
+SCALE = limits("-", above=0.0)
+# Meshes whose farthest coordinate is more than this many times their size lie far from their origin.
+FAR = 4.0
 ENABLED = limits("-", at_least=0.0, at_most=1.0)
 
 
@@ -102,17 +105,40 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """An oriented mesh fixed to a body or to the world."""
+    """An oriented mesh, or one of several, fixed to a body or to the world."""
 
     name: str
     index: int
-    mesh: Mesh
+    meshes: tuple[Mesh, ...]
     body: Body | None
     position: Array
     orientation: Array
-    active_faces: NDArray[np.bool_]  # (F,)
+    scale: Array
+    active: tuple[NDArray[np.bool_], ...]  # (F,) of each mesh
     color: Array | None
     visible: bool
+
+    @property
+    def mesh(self) -> Mesh:
+        """Its mesh, the first if there are several."""
+        return self.meshes[0]
+
+    @property
+    def active_faces(self) -> NDArray[np.bool_]:
+        """Mask (F,) of the faces of that mesh that can touch."""
+        return self.active[0]
+
+    @property
+    def centre(self) -> Array:
+        """Where kernels see its meshes from, in their frame.
+
+        The middle of meshes that lie far from the origin of their frame, where coordinates are coarse. Of others
+        the origin: what was modelled at zero stays there, to the last digit.
+        """
+        bounds = np.array([mesh.bounds for mesh in self.meshes])
+        low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+        far = np.abs([low, high]).max() > FAR * (high - low).max()
+        return np.asarray(0.5 * (low + high) if far else np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +158,8 @@ class Points:
         """Where they are in the frame of the body, or of the world, (n, 3) [m]."""
         if self.surface is None:
             return self.positions
-        return frames.placed(self.positions, self.surface.position, self.surface.orientation)
+        scaled = self.surface.scale * self.positions
+        return frames.placed(scaled, self.surface.position, self.surface.orientation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +179,7 @@ class Contact:
     enabled: Array
     search: str
     entry: str
+    swept: bool
     rim: str
     color: Array | None
     visible: bool

@@ -77,6 +77,9 @@ class Model:
         self.parameters = parameters
         self.body_count = len(scene.bodies)
         self.contact_count = sum(contact.count for contact in scene.contacts)
+        # Whether any contact looks for crossings, or stays with what it touched.
+        self.sweeps = any(contact.swept for contact in scene.contacts)
+        self.follows = self.sweeps or any(contact.entry == "latched" for contact in scene.contacts)
         # Goes up when a device array moves: whoever prepared launches prepares them again.
         self.revision = 0
         # Simulated time since the last complete reset [s].
@@ -158,6 +161,7 @@ class Model:
                 self.contact_count,
                 a.initial,
                 a.status,
+                a.time,
                 a.state,
                 a.history,
             ],

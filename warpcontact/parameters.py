@@ -197,7 +197,7 @@ class Parameters:
 
         def content() -> NDArray[Any]:
             values = compute()
-            return values if values.dtype.names else rounded(attribute, values, self.real)
+            return rounded(attribute, values, self.real) if values.dtype.kind == "f" else values
 
         upload = Upload(struct, attribute, dtype, content, self.envs, self.device)
         self.uploads.append(upload)

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.checks import Array
 from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_COUNT
 from warpcontact.meshes import Mesh
 from warpcontact.scene import Contact
@@ -24,22 +25,24 @@ SLIVER = 1.2e-6
 class Patch:
     """A set of faces to search, with its tables. Features: the face, edges 0-1, 1-2, 2-0, corners 0, 1, 2."""
 
-    corner: NDArray[np.float64]  # (F, 3, 3), mesh frame [m]
+    corner: NDArray[np.float64]  # (F, 3, 3), in the mesh's axes and unit, from the centre of the surface
     normal: NDArray[np.float64]  # (F, 7, 3) unit pseudonormals
     flags: NDArray[np.uint8]  # (F, 7) FEATURE_* bits
+    neighbor: NDArray[np.int32]  # (F, 3) 3 × face + edge across each edge; −1: none, or not one alone
 
 
-def make_patch(mesh: Mesh, active: NDArray[np.bool_], *, only_active: bool) -> Patch:
+def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_active: bool) -> Patch:
     """Returns the tables of a mesh, or of its active part as an open surface of its own.
 
     Args:
         mesh: The mesh; coincident vertices count as one.
         active: Mask (F,) of the faces that can touch.
+        centre: Origin of the tables in the mesh's frame.
         only_active: Whether to leave the other faces out.
     """
     faces = mesh.faces[active] if only_active else mesh.faces
     active = np.ones(len(faces), dtype=bool) if only_active else active
-    corner = mesh.vertices[faces]
+    corner = mesh.vertices[faces] - centre
     welded = mesh.welded[faces]
 
     cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -73,7 +76,7 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], *, only_active: bool) -> P
     is_border = np.concatenate([np.zeros((len(faces), 1), dtype=bool), border[edge], on_border[welded]], axis=1)
     flags = FEATURE_ACTIVE * is_active.astype(np.uint8) + FEATURE_BORDER * is_border.astype(np.uint8)
     assert normal.shape == (len(faces), FEATURE_COUNT, 3)
-    return Patch(corner=corner, normal=normal, flags=flags)
+    return Patch(corner=corner, normal=normal, flags=flags, neighbor=_neighbors(edge, ends))
 
 
 def upload_patches(
@@ -87,17 +90,23 @@ def upload_patches(
     rows: dict[tuple[int, bool], int] = {}
     patches: list[Patch] = []
     surfaces: list[int] = []
+    searched: dict[tuple[Any, ...], wp.Mesh] = {}
     meshes: list[wp.Mesh] = []
     patch_of = {}
     for contact in contacts:
         surface = contact.surface
-        only_active = contact.search == "active" and not surface.active_faces.all()
+        only_active = contact.search == "active" and not all(active.all() for active in surface.active)
         key = (surface.index, only_active)
         if key not in rows:
             rows[key] = len(patches)
-            patches.append(make_patch(surface.mesh, surface.active_faces, only_active=only_active))
-            meshes.append(_search_mesh(surface.name, patches[-1], device))
-            surfaces.append(surface.index)
+            for mesh, active in zip(surface.meshes, surface.active, strict=True):
+                patches.append(make_patch(mesh, active, surface.centre, only_active=only_active))
+                surfaces.append(surface.index)
+                # Meshes that differ in what is active alone are searched as one.
+                faces = (id(mesh), active.tobytes() if only_active else b"", surface.centre.tobytes())
+                if faces not in searched:
+                    searched[faces] = _search_mesh(surface.name, patches[-1], device)
+                meshes.append(searched[faces])
         patch_of[contact] = rows[key]
     starts = np.cumsum([0] + [len(patch.flags) for patch in patches])
     real = wp.dtype_to_numpy(t.real)
@@ -107,7 +116,7 @@ def upload_patches(
 
     model.patch_mesh = send([mesh.id for mesh in meshes], wp.uint64, np.uint64)
     model.patch_surface = send(surfaces, wp.int32, np.int32)
-    model.patch_face_start = send(starts[: len(patches)], wp.int32, np.int32)
+    model.patch_face_start = send(starts, wp.int32, np.int32)
     trust = [_query_error(patch) for patch in patches]
     model.patch_slack = send([slack for slack, _ in trust], t.real, real)
     model.patch_thin = send([thin for _, thin in trust], wp.bool, bool)
@@ -115,6 +124,11 @@ def upload_patches(
         model.face_corner = send(np.concatenate([patch.corner for patch in patches]), t.vec3, real)
         model.face_normal = send(np.concatenate([patch.normal for patch in patches]), t.vec3, real)
         model.face_flags = send(np.concatenate([patch.flags for patch in patches]), wp.uint8, np.uint8)
+        shifted = [
+            np.where(patch.neighbor < 0, -1, patch.neighbor + 3 * start)
+            for patch, start in zip(patches, starts, strict=False)
+        ]
+        model.face_neighbor = send(np.concatenate(shifted), wp.int32, np.int32)
     return patch_of, meshes
 
 
@@ -146,6 +160,27 @@ def _sum_over(index: NDArray[np.integer[Any]], values: NDArray[np.float64], coun
         [np.bincount(index.ravel(), weights=values[..., k].ravel(), minlength=count) for k in range(3)],
         axis=1,
     )
+
+
+def _neighbors(edge: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
+    """Returns what lies across each edge: 3 × face + edge, −1 where no one face of the same winding does.
+
+    Args:
+        edge: Number of each edge (F, 3).
+        ends: Its ends in the order of the face (F, 3, 2).
+    """
+    flat = edge.ravel()
+    order = np.argsort(flat, kind="stable")
+    first = np.flatnonzero(np.diff(flat[order], prepend=-1))
+    size = np.diff(first, append=len(flat))
+    pairs = first[size == 2]
+    a, b = order[pairs], order[pairs + 1]
+    # Neighbours of one winding run along their edge in opposite directions.
+    start = ends.reshape(-1, 2)[:, 0]
+    opposite = start[a] != start[b]
+    neighbor = np.full(len(flat), -1, dtype=np.int32)
+    neighbor[a[opposite]], neighbor[b[opposite]] = b[opposite], a[opposite]
+    return neighbor.reshape(edge.shape)
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

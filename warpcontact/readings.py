@@ -43,6 +43,10 @@ _CONTACT = {
     "approach_speed": ("approach_speed", "m/s", "rate of penetration at K, 0 without contact"),
     "status": ("status", "-", "state of the contact"),
 }
+_SWEPT = {
+    "crossings": ("crossings", "-", "times the point crossed the surface within a step, since reset"),
+    "crossing_time": ("crossing_time", "s", "time of the first of them since reset; NaN: none"),
+}
 
 
 @dataclass(frozen=True)
@@ -123,6 +127,9 @@ def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[
                     lambda arrays, view=view: view,
                     items=0 if single else contact.count,
                 )
+        for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
+            count = 0 if single else contact.count
+            add(f"{contact.name}.{key}", unit, meaning, column("history", attribute, items), items=count)
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
         array = column("measures", attribute, slice(0, len(scene.bodies)))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, of_measures=True, total=True)

@@ -54,6 +54,23 @@ class _Channel:
             self.drained = self.taken
 
 
+def moved_surfaces(model: Model) -> list[str]:
+    """Returns the parameters of surfaces whose values are no longer those of the scene."""
+    names = []
+    for surface in model.scene.surfaces:
+        first = {"position": surface.position, "orientation": surface.orientation, "scale": surface.scale}
+        if len(surface.meshes) > 1:
+            first["mesh"] = np.zeros(())
+        names += [
+            f"{surface.name}.{key}"
+            for key, value in first.items()
+            if not np.array_equal(
+                model[f"{surface.name}.{key}"], np.broadcast_to(value, (model.envs, *value.shape))
+            )
+        ]
+    return names
+
+
 class Recorder:
     """Takes frames of readings from a model.
 
@@ -73,10 +90,11 @@ class Recorder:
         if poses:
             # What a replay needs beside the poses, and whatever sets the environments apart.
             needed = (".mass", ".inertia", ".radius")
+            moved = moved_surfaces(model)
             self.kept += [
                 parameter
                 for name, parameter in model.parameters.items()
-                if len(parameter.field.values) > 1 or name.endswith(needed)
+                if len(parameter.field.values) > 1 or name.endswith(needed) or name in moved
             ]
         wanted = list(dict.fromkeys(names))
         if poses:

@@ -16,6 +16,7 @@ from warpcontact.elements import (
     MASS,
     MAX_DEPTH,
     RADIUS,
+    SCALE,
     SEARCH_RADIUS,
     SHARE,
     TORSION_RADIUS,
@@ -109,8 +110,9 @@ class Scene:
         position: ArrayLike = (0.0, 0.0, 0.0),
         orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
         *,
+        scale: float = 1.0,
         flip: bool = False,
-        active_faces: ArrayLike | None = None,
+        active_faces: Any = None,
         name: str | None = None,
         color: ArrayLike | None = None,
         visible: bool = True,
@@ -118,12 +120,15 @@ class Scene:
         """Adds an oriented surface: its outer side is where the faces run counter-clockwise.
 
         Args:
-            mesh: A ``wc.Mesh``, or an object with ``vertices`` (V, 3) [m] and ``faces`` (F, 3).
+            mesh: A ``wc.Mesh``, or an object with ``vertices`` (V, 3) [m] and ``faces`` (F, 3). A list of them:
+                ``model["<surface>.mesh"]`` then says by number which one an environment has.
             body: Body that carries it; ``None``: the world.
             position: Origin of the mesh's frame in the frame of the body [m].
             orientation: Rotation mesh → body, quaternion (x, y, z, w).
+            scale: Factor by which the mesh is enlarged about the origin of its frame.
             flip: Whether to turn the outer side over.
-            active_faces: The part that can touch: a mask (F,) or face numbers; ``None``: all.
+            active_faces: The part that can touch: a mask (F,) or face numbers; ``None``: all. For a list of
+                meshes, a list with one of these for each.
             name: Name in parameters and readings; made up if not given.
             color: Display colour, RGB in 0…1.
             visible: Whether it is drawn.
@@ -134,20 +139,30 @@ class Scene:
         """
         name = checks.new_name("surface", name, self._elements)
         body = self._body(f"{name}.body", body)
-        if not isinstance(mesh, Mesh):
-            if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-                raise TypeError(f"mesh of {name!r} must be a wc.Mesh or have vertices and faces, got {mesh!r}")
-            mesh = Mesh(mesh.vertices, mesh.faces, name=name)
+        several = isinstance(mesh, list | tuple)
+        meshes = [_mesh(name, one) for one in (mesh if several else [mesh])]
+        chosen = active_faces if several and active_faces is not None else [active_faces] * len(meshes)
+        if not meshes or len(chosen) != len(meshes):
+            raise ValueError(
+                f"{name}.active_faces must have one entry for each of {len(meshes)} meshes, got {len(chosen)}"
+                if meshes
+                else f"mesh of {name!r} must not be an empty list"
+            )
+        active = [
+            _face_mask(f"{name}.active_faces", part, len(one.faces))
+            for part, one in zip(chosen, meshes, strict=True)
+        ]
         surface = Surface(
             name=name,
             index=len(self.surfaces),
-            mesh=mesh.flipped() if flip else mesh,
+            meshes=tuple(one.flipped() if flip else one for one in meshes),
             body=body,
             position=checks.numbers(f"{name}.position", position, (3,), limits("m")),
             orientation=checks.unit_quaternions(
                 f"{name}.orientation", checks.numbers(f"{name}.orientation", orientation, (4,))
             ),
-            active_faces=_face_mask(f"{name}.active_faces", active_faces, len(mesh.faces)),
+            scale=checks.numbers(f"{name}.scale", scale, (), SCALE),
+            active=tuple(active),
             color=checks.color(f"{name}.color", color),
             visible=bool(visible),
         )
@@ -226,6 +241,7 @@ class Scene:
         kappa: float = 0.5,
         search: str = "whole",
         entry: str = "literal",
+        swept: bool = False,
         max_depth: float | None = None,
         rim: str = "off",
         search_radius: float = math.inf,
@@ -247,7 +263,9 @@ class Scene:
             search: ``"whole"``: the nearest point of the whole surface must be active; ``"active"``: the
                 nearest point of the active part.
             entry: ``"literal"``: any point on the inner side is in contact; ``"latched"``: only one that came
-                from the outer side.
+                from the outer side, held by the part of the surface that it touched.
+            swept: Whether to look for points that cross the surface within a step, which are then held by the
+                face that they crossed, through however thin a plate.
             max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
             rim: ``"off"``: nothing touches beyond an open border; ``"outer"``: a sphere touches the rim while
                 its centre is on the outer side.
@@ -295,11 +313,12 @@ class Scene:
             enabled=np.array(float(bool(enabled))),
             search=checks.choice(f"{name}.search", search, ("whole", "active")),
             entry=checks.choice(f"{name}.entry", entry, ("literal", "latched")),
+            swept=bool(swept),
             rim=checks.choice(f"{name}.rim", rim, ("off", "outer")),
             color=checks.color(f"{name}.color", color),
             visible=bool(visible),
         )
-        if search == "active" and not surface.active_faces.any():
+        if search == "active" and not all(active.any() for active in surface.active):
             raise ValueError(f"{name}: search='active' needs at least one active face on {surface.name!r}")
         self.contacts.append(contact)
         self._elements[name] = contact
@@ -406,6 +425,15 @@ def _check_areas(name: str, template: Template, points: Points) -> None:
                 f"points {points.name!r} have none; make them with wc.sample_surface, give add_points areas, or "
                 f"give the {part} an area"
             )
+
+
+def _mesh(name: str, mesh: Any) -> Mesh:
+    """Returns the mesh of surface ``name``, checked."""
+    if isinstance(mesh, Mesh):
+        return mesh
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise TypeError(f"mesh of {name!r} must be a wc.Mesh or have vertices and faces, got {mesh!r}")
+    return Mesh(mesh.vertices, mesh.faces, name=name)
 
 
 def _face_mask(name: str, faces: ArrayLike | None, count: int) -> NDArray[np.bool_]:

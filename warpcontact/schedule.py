@@ -2,14 +2,14 @@
 
 Each stage reads what earlier ones wrote:
 
-    clear → closest point → contact force (one launch per law) → integrate → hold failed → history
+    clear → closest point → contact force (one launch per law) → integrate → sweep → finish → history
 """
 
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.kernels import clear, closest_point, history, integrate
+from warpcontact.kernels import clear, closest_point, history, integrate, sweep
 
 if TYPE_CHECKING:
     from warpcontact.integrators import Integrator
@@ -33,7 +33,10 @@ def force_stages(model: "Model", state: Any, step: wp.array) -> list[wp.Launch]:
     bodies, contacts = (model.envs, model.body_count), (model.envs, model.contact_count)
     launches = _prepare(model, clear.kernel(real), bodies, [a.status, a.wrenches])
     launches += _prepare(
-        model, closest_point.kernel(real), contacts, [a.status, a.model, state, a.history, a.contacts]
+        model,
+        closest_point.kernel(real, model.follows),
+        contacts,
+        [a.status, a.model, state, a.history, a.contacts],
     )
     for group in model.groups:
         launches += _prepare(
@@ -58,32 +61,48 @@ def force_stages(model: "Model", state: Any, step: wp.array) -> list[wp.Launch]:
 
 
 def step_stages(
-    model: "Model", integrator: "Integrator", dt: wp.array, state_in: Any, state_out: Any
+    model: "Model", integrator: "Integrator", dt: wp.array, state_in: Any, state_out: Any, mark: wp.array | None
 ) -> list[wp.Launch]:
-    """Returns the launches of one step from ``state_in`` to ``state_out``."""
+    """Returns the launches that propose a step from ``state_in`` to ``state_out``.
+
+    ``mark`` [0] is set, and the status of the environment changed, where a swept point crosses a surface; with
+    ``None`` such a step is taken as it is.
+    """
     a, real = model.arrays, model.types.real
     bodies, contacts = (model.envs, model.body_count), (model.envs, model.contact_count)
-    return [
-        *force_stages(model, state_in, dt),
-        *_prepare(
-            model, integrator.kernel(real), bodies, [a.status, dt, a.model, state_in, a.wrenches, state_out]
-        ),
-        *_prepare(
+    launches = force_stages(model, state_in, dt)
+    launches += _prepare(
+        model, integrator.kernel(real), bodies, [a.status, dt, a.model, state_in, a.wrenches, state_out]
+    )
+    if model.sweeps:
+        marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark
+        launches += _prepare(
             model,
-            integrate.hold_failed(real),
-            model.envs,
-            [a.status, model.body_count, state_in, state_out],
-        ),
-        *_prepare(model, history.kernel(real), contacts, [a.status, a.contacts, a.history]),
-        *(
-            launch
-            for group in model.groups
-            for formula, memory, kept in group.memories()
-            for launch in _prepare(
+            sweep.kernel(real),
+            contacts,
+            [a.status, a.model, state_in, state_out, a.history, a.contacts, int(mark is not None), marked],
+        )
+    return launches
+
+
+def accept_stages(model: "Model", dt: wp.array, state_in: Any, state_out: Any) -> list[wp.Launch]:
+    """Returns the launches that accept a proposed step in all active environments."""
+    a, real = model.arrays, model.types.real
+    launches = _prepare(
+        model, integrate.finish(real), model.envs, [a.status, dt, a.time, model.body_count, state_in, state_out]
+    )
+    launches += _prepare(
+        model,
+        history.kernel(real, model.follows),
+        (model.envs, model.contact_count),
+        [a.status, a.time, dt, a.contacts, a.history],
+    )
+    for group in model.groups:
+        for formula, memory, kept in group.memories():
+            launches += _prepare(
                 model,
                 history.memory_kernel(formula, real),
                 (model.envs, group.count),
                 [a.status, kept, memory],
             )
-        ),
-    ]
+    return launches

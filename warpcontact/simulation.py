@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,24 @@ from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
 from warpcontact.build import allocate
 from warpcontact.integrators import Integrator, SemiImplicitEuler
-from warpcontact.kernels import integrate
+from warpcontact.kernels import integrate, sweep
 from warpcontact.model import Model
 from warpcontact.parameters import broadcast, rounded
 from warpcontact.recorder import Recorder, Recording
-from warpcontact.schedule import step_stages
+from warpcontact.schedule import accept_stages, step_stages
 
 # Steps between two looks at the progress bar; a step of a large model takes milliseconds.
 STEPS_PER_UPDATE = 50
+
+
+@dataclass(frozen=True)
+class _Step:
+    """The launches of a step from one buffer to the other, and those of a part of it."""
+
+    state_in: Any
+    state_out: Any
+    whole: list[wp.Launch]
+    part: list[wp.Launch]
 
 
 class Simulation:
@@ -29,10 +40,14 @@ class Simulation:
         model: The model; its state is the state of the simulation.
         dt: Time step [s].
         integrator: Scheme, semi-implicit Euler if not given.
+        crossing_steps: Parts into which a step is divided, in environments in which a swept point crosses a
+            surface in that step. 1: such a step is taken as it is, and the contact begins as deep as it led.
 
     """
 
-    def __init__(self, model: Model, dt: float, integrator: Integrator | None = None) -> None:
+    def __init__(
+        self, model: Model, dt: float, integrator: Integrator | None = None, *, crossing_steps: int = 1
+    ) -> None:
         integrator = SemiImplicitEuler() if integrator is None else integrator
         if not isinstance(model, Model):
             raise TypeError(f"model must come from Scene.build, got {model!r}")
@@ -44,12 +59,24 @@ class Simulation:
         self.integrator = integrator
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
         rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.types.real))
+        if (
+            isinstance(crossing_steps, bool)
+            or not isinstance(crossing_steps, int | np.integer)
+            or crossing_steps < 1
+        ):
+            raise ValueError(f"crossing_steps must be a whole number of at least 1, got {crossing_steps!r}")
+        self.crossing_steps = int(crossing_steps)
         self._advised = False
-        self._dt_memory = wp.full((1, 1), self.dt, dtype=model.types.real, device=model.device)
-        self._dt = broadcast(self._dt_memory, model.envs)
+        self._dt_memory = [
+            wp.full((1, 1), self.dt / parts, dtype=model.types.real, device=model.device)
+            for parts in (1, self.crossing_steps)
+        ]
+        self._dt, self._part = (broadcast(memory, model.envs) for memory in self._dt_memory)
+        divides = model.sweeps and self.crossing_steps > 1
+        self._mark = wp.zeros(1, dtype=wp.int32, device=model.device) if divides else None
         # Steps go from one buffer to the other and back; between calls the state is always in the model's.
         self._other = allocate(model.types.State, (model.envs, model.body_count), model.device)
-        self._stages: tuple[int, list[wp.Launch], list[wp.Launch]] = (-1, [], [])
+        self._prepared: tuple[int, list[_Step]] = (-1, [])
 
     @property
     def state(self) -> Any:
@@ -86,24 +113,55 @@ class Simulation:
             for sentence in advice(model, self.dt):
                 warnings.warn(sentence, ContactWarning, stacklevel=2)
         model.at_start = False
-        if self._stages[0] != model.revision:
-            own = model.arrays.state
-            there = step_stages(model, self.integrator, self._dt, own, self._other)
-            back = step_stages(model, self.integrator, self._dt, self._other, own)
-            self._stages = (model.revision, there, back)
-        _, there, back = self._stages
+        if self._prepared[0] != model.revision:
+            own, other = model.arrays.state, self._other
+            self._prepared = (model.revision, [self._prepare(own, other), self._prepare(other, own)])
+        _, steps = self._prepared
         done = 0
         try:
             while done < count:
-                forward = done % 2 == 0
-                for launch in there if forward else back:
-                    launch.launch()
+                self._take(steps, done % 2)
                 done += 1
         finally:
             # Also after an interruption: the state is in the model's buffer, and the clock tells its time.
             if done % 2:
-                self._adopt()
+                self._adopt(self._other, model.arrays.state)
             self.model.time += done * self.dt
+
+    def _prepare(self, state_in: Any, state_out: Any) -> "_Step":
+        model, integrator, mark = self.model, self.integrator, self._mark
+        part = []
+        if mark is not None:
+            part = step_stages(model, integrator, self._part, state_in, state_out, None)
+            part += accept_stages(model, self._part, state_in, state_out)
+        return _Step(
+            state_in,
+            state_out,
+            whole=step_stages(model, integrator, self._dt, state_in, state_out, mark)
+            + accept_stages(model, self._dt, state_in, state_out),
+            part=part,
+        )
+
+    def _take(self, steps: "list[_Step]", way: int) -> None:
+        """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""
+        if self._mark is not None:
+            self._mark.zero_()
+        for launch in steps[way].whole:
+            launch.launch()
+        if self._mark is None or not self._mark.numpy()[0]:
+            return
+        # Environments with a crossing have not moved on. The others wait.
+        self._turn(back=False)
+        for part in range(self.crossing_steps):
+            for launch in steps[(way + part) % 2].part:
+                launch.launch()
+        if self.crossing_steps % 2 == 0:
+            self._adopt(steps[way].state_in, steps[way].state_out)
+        self._turn(back=True)
+
+    def _turn(self, *, back: bool) -> None:
+        model = self.model
+        wp.launch(sweep.turn(), dim=model.envs, inputs=[model.arrays.status, int(back)], device=model.device)
 
     def run(
         self,
@@ -170,13 +228,12 @@ class Simulation:
             }
         )
 
-    def _adopt(self) -> None:
-        """Takes the state of the active environments from the other buffer; a frozen one is left as it is."""
-        a = self.model.arrays
+    def _adopt(self, source: Any, target: Any) -> None:
+        """Copies the state of the active environments; a frozen one is left as it is."""
         wp.launch(
             integrate.adopt(self.model.types.real),
             dim=(self.model.envs, self.model.body_count),
-            inputs=[a.status, self._other, a.state],
+            inputs=[self.model.arrays.status, source, target],
             device=self.model.device,
         )
 

@@ -97,7 +97,7 @@ def _execute(
         files[name] = folder / name
         files[name].write_bytes(content)
 
-    simulation = Simulation(model, dt=settings.dt)
+    simulation = Simulation(model, dt=settings.dt, crossing_steps=settings.crossing_steps)
     say(f"compiling for {model.device}")
     simulation.step()  # compiles what is not in the cache; the time of the run is then that of stepping
     simulation.reset()

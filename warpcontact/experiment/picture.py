@@ -143,7 +143,7 @@ def _window(scene: Scene, tracks: list[NDArray[Any]], plane: list[int]) -> tuple
 
 def _vertices(surface: Surface) -> NDArray[Any]:
     """Returns the vertices of a surface of the world, in the world [m]."""
-    return placed(surface.mesh.vertices, surface.position, surface.orientation)
+    return placed(surface.scale * surface.mesh.vertices, surface.position, surface.orientation)
 
 
 def _draw_ground(axes: Any, surface: Surface, lower: NDArray[Any], upper: NDArray[Any]) -> None:

@@ -42,6 +42,7 @@ class SurfaceSettings(Section):
     body: str | None = None
     position: Position = ORIGIN
     orientation: Quaternion = NO_ROTATION
+    scale: Annotated[float, q.numbers((), allowed=limits_of.SCALE)] = 1.0
     flip: bool = False
     active_faces: Annotated[tuple[int, ...] | None, q.faces] = None
     color: Color | None = None
@@ -125,6 +126,7 @@ class ContactOptions(Section):
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
     search: Annotated[str, q.one_of(("whole", "active"))] = "whole"
     entry: Annotated[str, q.one_of(("literal", "latched"))] = "literal"
+    swept: bool = False
     max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
     rim: Annotated[str, q.one_of(("off", "outer"))] = "off"
     search_radius: Annotated[float | None, q.numbers((), allowed=limits_of.SEARCH_RADIUS)] = None
@@ -203,6 +205,7 @@ class Settings(Section):
     envs: int = Field(default=1, ge=1)
     duration: Annotated[float, q.time] = Field(description="simulated time [s]")
     dt: Annotated[float, q.time] = Field(description="time step [s]")
+    crossing_steps: int = Field(default=1, ge=1)
     precision: Annotated[str, q.one_of(tuple(PRECISIONS))] = "float32"
     seed: int = Field(default=0, ge=0)
     gravity: Annotated[tuple[float, ...], q.acceleration] = (0.0, 0.0, -9.81)

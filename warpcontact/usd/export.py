@@ -16,6 +16,7 @@ from warpcontact.usd import geometry, physics
 from warpcontact.usd.author import identifiers, mark, pose_attributes, series, write_samples
 from warpcontact.usd.contacts import WIDTH, ForceLines, Readings, length_scale
 from warpcontact.usd.replay import Replay
+from warpcontact.usd.surfaces import Placement, define_shapes, define_surfaces
 
 SUFFIXES = (".usd", ".usda", ".usdc")
 # Width of what has no size, in sizes of its body.
@@ -23,6 +24,7 @@ POINT = 0.03
 # Children of an environment that no element may take the name of.
 _RESERVED = ("contacts", "FixedPoints", "Surfaces")
 _PROTOTYPE = "/World/Prototype"
+_SHAPES = "/World/Shapes"
 
 
 def export_usd(
@@ -40,6 +42,8 @@ def export_usd(
     carries the spheres, points and meshes of the body; ``/World/env_<number>/contacts/<contact>`` has what
     was recorded of a contact as attributes ``warpcontact:<reading>``, such as ``warpcontact:normalForce``, in
     SI units and world axes, and draws its force if ``normal_force``, ``normal`` and ``point`` were recorded.
+    A surface whose pose, scale or mesh differs between environments is in each of them instead, as
+    ``/World/env_<number>/Surfaces/<surface>`` or with its body.
     What environments have in common is written once, in the class ``/World/Prototype`` that they refer to.
     Bodies and surfaces carry the schemas of UsdPhysics. Velocities are those recorded as
     ``<body>.linear_velocity`` and ``<body>.angular_velocity``; radius, mass and inertia of each environment
@@ -99,6 +103,7 @@ class _Export:
         self.names = identifiers(scene.element_names(), _RESERVED)
         self.spheres = geometry.spheres_of(replay)
         self.size = geometry.scene_size(replay, self.spheres)
+        self.placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
         self.poses = {body.name: replay.pose(body) for body in scene.bodies}
         elements = [body.name for body in scene.bodies] + [contact.name for contact in scene.contacts]
         self.readings = {name: Readings(replay, name) for name in ("scene", *elements)}
@@ -120,7 +125,8 @@ class _Export:
         prototype = self.stage.CreateClassPrim(_PROTOTYPE)
         prototype.SetTypeName("Xform")
         self.readings["scene"].declare(prototype)
-        geometry.define_surfaces(self.stage, surfaces, self.replay.scene, self.names)
+        define_surfaces(self.stage, surfaces, self.placements, self.names)
+        define_shapes(self.stage, _SHAPES, self.placements, self.names)
         self._prototype()
         paths = [self._environment(row) for row in range(len(self.replay.envs))]
         if len(paths) > 1:
@@ -165,10 +171,9 @@ class _Export:
             mark(prim, body.name)
             physics.apply_rigid_body(prim)
             self.readings[body.name].declare(prim)
-        for surface in scene.surfaces:
-            if surface.body is not None:
-                place = f"{self._path(_PROTOTYPE, surface.body)}/{self.names[surface.name]}"
-                geometry.define_surface(self.stage, place, surface)
+        for name, placement in self.placements.items():
+            if placement.surface.body is not None and placement.shared:
+                placement.write(self.stage, self._surface_path(_PROTOTYPE, name), 0)
         for group in self.spheres:
             own = 0.0 if group.body is None else geometry.body_size(group.body, scene, self.spheres)
             path = self._path(_PROTOTYPE, group.body)
@@ -207,6 +212,12 @@ class _Export:
             physics.write_mass(prim, replay, body, row)
             physics.write_velocity(prim, replay, body, row)
             self.readings[body.name].write(prim, row)
+        for name, placement in self.placements.items():
+            if not placement.shared:
+                if placement.surface.body is None:
+                    UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
+                shape = f"{_SHAPES}/{self.names[name]}_{int(placement.mesh[row])}"
+                placement.write(stage, self._surface_path(path, name), row, shape)
         for group in self.spheres:
             if (group.radii[row] != group.radii[0]).any():
                 geometry.set_radii(stage, f"{self._path(path, group.body)}/{self.names[group.name]}", group, row)
@@ -233,6 +244,10 @@ class _Export:
 
     def _path(self, env: str, body: Body | None) -> str:
         return f"{env}/{'FixedPoints' if body is None else self.names[body.name]}"
+
+    def _surface_path(self, env: str, name: str) -> str:
+        body = self.placements[name].surface.body
+        return f"{f'{env}/Surfaces' if body is None else self._path(env, body)}/{self.names[name]}"
 
     def _contact_path(self, env: str, contact: str) -> str:
         return f"{env}/contacts/{self.names[contact]}"

@@ -1,6 +1,6 @@
-"""Shapes of a stage: surfaces as meshes, contact points as spheres or points."""
+"""Shapes of a stage: contact points as spheres or points, sizes and looks."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array
-from warpcontact.scene import Body, Contact, Scene, Surface
-from warpcontact.usd.author import add_pose, mark, vectors
+from warpcontact.scene import Body, Contact, Scene
+from warpcontact.usd.author import mark, vectors
 from warpcontact.usd.replay import Replay
 
 WORLD_COLOR = (0.55, 0.55, 0.5)
 BODY_COLOR = (0.35, 0.5, 0.7)
-# Brightness of the faces that nothing can touch.
-INACTIVE = 0.4
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,8 @@ def body_size(body: Body, scene: Scene, spheres: Iterable[Spheres]) -> float:
     for surface in scene.surfaces:
         if surface.body is body:
             # Rotation of the mesh in its own frame does not change how far it reaches from that frame's origin.
-            far = np.linalg.norm(surface.mesh.vertices, axis=1).max() + np.linalg.norm(surface.position)
+            far = surface.scale * np.linalg.norm(surface.mesh.vertices, axis=1).max()
+            far += np.linalg.norm(surface.position)
             reach = max(reach, float(far))
     for group in spheres:
         if group.body is body:
@@ -83,59 +82,10 @@ def scene_size(replay: Replay, spheres: Iterable[Spheres]) -> float:
     if largest > 0.0:
         return largest
     places = [replay.pose(body)[0].reshape(-1, 3) for body in scene.bodies]
-    places += [surface.mesh.bounds for surface in scene.surfaces]
+    places += [surface.scale * surface.mesh.bounds for surface in scene.surfaces]
     if not places:
         return 1.0
     return 0.1 * float(np.linalg.norm(np.ptp(np.concatenate(places), axis=0))) or 1.0
-
-
-def define_surface(stage: Any, path: str, surface: Surface) -> None:
-    """Writes a surface as a mesh that collides, in the frame of what carries it."""
-    from pxr import Kind, Usd, UsdGeom, UsdPhysics, Vt
-
-    mesh = UsdGeom.Mesh.Define(stage, path)
-    prim = mesh.GetPrim()
-    mark(prim, surface.name)
-    vertices, faces = surface.mesh.vertices, surface.mesh.faces
-    mesh.CreatePointsAttr(vectors(vertices))
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
-    mesh.CreateDoubleSidedAttr(True)
-    mesh.CreateExtentAttr(vectors(np.array([vertices.min(axis=0), vertices.max(axis=0)])))
-    add_pose(mesh, surface.position, surface.orientation)
-    _color_faces(mesh, surface)
-    if not surface.visible:
-        mesh.MakeInvisible()
-    UsdPhysics.CollisionAPI.Apply(prim)
-    UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.none)
-    if surface.body is None:
-        Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
-
-
-def _color_faces(mesh: Any, surface: Surface) -> None:
-    """Colours the active faces, dims the others, and names the active ones as a subset."""
-    from pxr import UsdGeom, Vt
-
-    color = surface.color
-    if color is None:
-        color = np.array(WORLD_COLOR) if surface.body is None else body_color(surface.body)
-    active = surface.active_faces
-    if active.all():
-        set_color(mesh, color)
-        return
-    primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.uniform)
-    primvar.Set(vectors(np.array([color, INACTIVE * color])))
-    primvar.SetIndices(Vt.IntArray.FromNumpy((~active).astype(np.int32)))
-    UsdGeom.Subset.CreateGeomSubset(
-        mesh,
-        "active",
-        UsdGeom.Tokens.face,
-        Vt.IntArray.FromNumpy(np.flatnonzero(active).astype(np.int32)),
-        "warpcontact",
-        UsdGeom.Tokens.unrestricted,
-    ).GetPrim().SetDocumentation("Faces that can touch.")
 
 
 def set_color(gprim: Any, color: ArrayLike) -> None:
@@ -223,14 +173,3 @@ def define_look(stage: Any, scope: str, prim: Any) -> None:
     shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(output)
     material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", Sdf.ValueTypeNames.Token))
     UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
-
-
-def define_surfaces(stage: Any, path: str, scene: Scene, names: Mapping[str, str]) -> None:
-    """Writes the surfaces that are fixed to the world, below ``path``."""
-    from pxr import Kind, Usd, UsdGeom
-
-    scope = UsdGeom.Scope.Define(stage, path)
-    Usd.ModelAPI(scope).SetKind(Kind.Tokens.group)
-    for surface in scene.surfaces:
-        if surface.body is None:
-            define_surface(stage, f"{path}/{names[surface.name]}", surface)

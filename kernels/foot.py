@@ -1,0 +1,149 @@
+"""The nearest point of a surface, seen from a point: by search over all faces, or by a walk from a known one."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels import triangle
+from warpcontact.kernels.types import FEATURE_ACTIVE, structs
+
+# Rounding, in units of epsilon times the size of the differences: two distances this near are equal. Not wider:
+# the distances to a face and to its neighbour's edge differ in second order only, and the pseudonormal of an edge
+# tells the side of a point only if the edge is nearest.
+TIE = 3.0
+# Faces about a corner that a walk looks at, and steps of a walk; beyond them it goes on in the next step.
+LARGEST_FAN = 64
+LONGEST_WALK = 64
+
+
+@functools.cache
+def functions(real: type) -> SimpleNamespace:
+    """Returns the struct ``Foot`` and the device functions for ``real``."""
+    t = structs(real)
+    vec3, Model = t.vec3, t.Model
+    closest_to_origin = triangle.functions(real).closest_to_origin
+    tie_epsilon = wp.constant(real(t.epsilon * TIE))
+
+    @wp.struct
+    class Foot:
+        """The nearest point S of a face, seen from P: differences of coordinates carry less rounding."""
+
+        to_point: vec3  # P − S, in the mesh's frame
+        row: wp.int32  # of the face tables
+        feature: wp.int32
+        distance: real  # |P − S|
+        span: real  # size of the differences that went into it
+        inner: wp.bool  # P is on the inner side
+        hidden: wp.bool  # S is not on the active part
+
+    @wp.func
+    def foot_on(model: Model, row: int, p: vec3):
+        a = model.face_corner[row, 0] - p
+        b = model.face_corner[row, 1] - p
+        c = model.face_corner[row, 2] - p
+        hit = closest_to_origin(a, b, c, model.face_normal[row, 0])
+        foot = Foot()
+        foot.to_point = -hit.point
+        foot.row = row
+        foot.feature = hit.feature
+        foot.distance = wp.length(hit.point)
+        foot.span = wp.max(wp.length(a), wp.length(b))
+        foot.inner = wp.dot(foot.to_point, model.face_normal[row, hit.feature]) < real(0.0)
+        foot.hidden = (wp.int32(model.face_flags[row, hit.feature]) & FEATURE_ACTIVE) == 0
+        return foot
+
+    @wp.func
+    def before(a: Foot, b: Foot, tie: real):
+        """Whether ``a`` is taken of two feet at the same distance.
+
+        One on the active part if they are one point; else a face before an edge before a corner, the outer side
+        before the inner, and the lower face.
+        """
+        if a.hidden != b.hidden and wp.length(a.to_point - b.to_point) <= tie:
+            return not a.hidden
+        rank_a = wp.where(a.feature > 3, 2, wp.where(a.feature > 0, 1, 0))
+        rank_b = wp.where(b.feature > 3, 2, wp.where(b.feature > 0, 1, 0))
+        if rank_a != rank_b:
+            return rank_a < rank_b
+        if a.inner != b.inner:
+            return not a.inner
+        return a.row < b.row
+
+    @wp.func
+    def nearer(best: Foot, other: Foot):
+        """Returns the nearer foot; ``distance`` of the result is the smallest seen, so that ties do not drift."""
+        tie = tie_epsilon * wp.max(best.span, other.span)
+        nearest = wp.min(best.distance, other.distance)
+        level = other.distance <= best.distance + tie
+        if other.distance < best.distance - tie or (level and before(other, best, tie)):
+            best = other
+        best.distance = nearest
+        return best
+
+    @wp.func
+    def nearest_of_all(model: Model, patch: int, p: vec3, first: Foot, margin: real):
+        """Looks again at all faces about as near as ``first``, in the precision of the simulation.
+
+        Makes the choice on edges and medial axes independent of the traversal, and exact in float64.
+        """
+        mesh = model.patch_mesh[patch]
+        start = model.patch_face_start[patch]
+        best = first
+        reach = wp.float32(first.distance + margin)
+        centre = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
+        face = wp.int32(0)
+        if model.patch_thin[patch]:
+            around = wp.vec3f(reach, reach, reach)
+            boxes = wp.mesh_query_aabb(mesh, centre - around, centre + around)
+            while wp.mesh_query_aabb_next(boxes, face):
+                best = nearer(best, foot_on(model, start + face, p))
+        else:
+            faces = wp.mesh_query_sphere(mesh, centre, reach)
+            while wp.mesh_query_next(faces, face):
+                best = nearer(best, foot_on(model, start + face, p))
+        best.distance = wp.length(best.to_point)
+        return best
+
+    @wp.func
+    def about_corner(model: Model, best: Foot, row: int, edge: int, turn: int, p: vec3):
+        """Looks at the faces that follow across ``edge`` of face ``row`` about one of its ends.
+
+        ``turn`` is 1 to go on about the end of the edge, 0 about its start.
+        """
+        across = model.face_neighbor[row, edge]
+        for _ in range(wp.static(LARGEST_FAN)):
+            other = across // 3
+            if across < 0 or other == row:
+                break
+            best = nearer(best, foot_on(model, other, p))
+            # The neighbour runs along the edge the other way: its end there is our start.
+            entered = across - 3 * other
+            leave = (entered + 2) % 3
+            if turn == 0:
+                leave = (entered + 1) % 3
+            across = model.face_neighbor[other, leave]
+        return best
+
+    @wp.func
+    def walk(model: Model, row: int, p: vec3):
+        """The nearest point that is reached from face ``row`` by going from face to neighbour, ever nearer."""
+        best = foot_on(model, row, p)
+        for _ in range(wp.static(LONGEST_WALK)):
+            at = best
+            if at.feature == 0:
+                break
+            if at.feature < 4:
+                across = model.face_neighbor[at.row, at.feature - 1]
+                if across >= 0:
+                    best = nearer(at, foot_on(model, across // 3, p))
+            else:
+                # Out across the edge that begins at this corner, and the one that ends there.
+                corner = at.feature - 4
+                best = about_corner(model, best, at.row, corner, 0, p)
+                best = about_corner(model, best, at.row, (corner + 2) % 3, 1, p)
+            best.distance = wp.length(best.to_point)
+            if best.row == at.row:
+                break
+        return best
+
+    return SimpleNamespace(Foot=Foot, foot_on=foot_on, nearest_of_all=nearest_of_all, walk=walk)

@@ -1,0 +1,136 @@
+"""Finds points that cross a surface from its outer side within a step: however fast, they are caught."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels import frames
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, ENV_CROSSED, ENV_WAITING, FEATURE_ACTIVE, SWEPT, structs
+
+# Rounding of the test, in units of epsilon times the size of the coordinates: what passes between two faces would
+# be lost, so each takes in a little more than itself.
+ROUNDING = 64.0
+
+
+@functools.cache
+def kernel(real: type) -> wp.Kernel:
+    """Returns the kernel that looks for the first crossing of every swept contact. Launch with dim (env, contact).
+
+    A point moves on a straight line from ``state_in`` to ``state_out`` as seen from the surface. Contacts that
+    touch already are not looked at: they are held by the surface that they are in.
+    """
+    t = structs(real)
+    vec3, Model, State, History, Contacts = t.vec3, t.Model, t.State, t.History, t.Contacts
+    frame = frames.functions(real)
+    point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
+    epsilon = wp.constant(real(t.epsilon * ROUNDING))
+    query_epsilon = wp.constant(real(1.2e-7 * ROUNDING))
+
+    @wp.func
+    def to_surface(model: Model, state: State, env: int, contact: int, surface: int):
+        """The point in the mesh's frame and unit."""
+        point = model.contact_point[contact]
+        body = model.surface_body[surface]
+        p_W = point_to_world(state, env, model.point_body[point], model.point_position[env, point])
+        o_W = point_to_world(state, env, body, model.surface_position[env, surface])
+        q_WS = orientation_to_world(state, env, body, model.surface_orientation[env, surface])
+        return wp.quat_rotate_inv(q_WS, p_W - o_W) / model.surface_scale[env, surface]
+
+    @wp.func
+    def size(v: vec3):
+        return wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.abs(v[2]))
+
+    @wp.func
+    def crossing(model: Model, row: int, p: vec3, q: vec3, slack: real):
+        """Where on the way from ``p`` to ``q`` face ``row`` is crossed inwards, 0 to 1; 2: nowhere."""
+        n = model.face_normal[row, 0]
+        a = model.face_corner[row, 0]
+        b = model.face_corner[row, 1]
+        c = model.face_corner[row, 2]
+        before = wp.dot(p - a, n)
+        after = wp.dot(q - a, n)
+        if before < -slack or after >= real(0.0) or after >= before:
+            return real(2.0)
+        at = wp.clamp(before / (before - after), real(0.0), real(1.0))
+        x = p + at * (q - p)
+        if (
+            wp.dot(wp.cross(n, b - a), x - a) < -slack * wp.length(b - a)
+            or wp.dot(wp.cross(n, c - b), x - b) < -slack * wp.length(c - b)
+            or wp.dot(wp.cross(n, a - c), x - c) < -slack * wp.length(a - c)
+        ):
+            return real(2.0)
+        return at
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def sweep(
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state_in: State,
+        state_out: State,
+        history: History,
+        contacts: Contacts,
+        mark: wp.int32,  # whether environments with a crossing are to take the step again
+        marked: wp.array(dtype=wp.int32),  # [0] set if there are any
+    ):
+        env, contact = wp.tid()
+        if status[env] != ENV_ACTIVE:
+            return
+        if (model.contact_options[contact] & SWEPT) == 0 or model.contact_geometry[env, contact].enabled == 0:
+            return
+        if contacts.status[env, contact] == CONTACT or history.face[env, contact] >= 0:
+            return
+        base = model.contact_patch[contact]
+        surface = model.patch_surface[base]
+        patch = base + model.surface_mesh[env, surface]
+        p = to_surface(model, state_in, env, contact, surface)
+        q = to_surface(model, state_out, env, contact, surface)
+        scale = size(p) + size(q)
+        slack = epsilon * scale
+        margin = model.patch_slack[patch] + query_epsilon * scale
+        around = vec3(margin, margin, margin)
+        low = wp.min(p, q) - around
+        high = wp.max(p, q) + around
+        start = model.patch_face_start[patch]
+        boxes = wp.mesh_query_aabb(
+            model.patch_mesh[patch],
+            wp.vec3f(wp.float32(low[0]), wp.float32(low[1]), wp.float32(low[2])),
+            wp.vec3f(wp.float32(high[0]), wp.float32(high[1]), wp.float32(high[2])),
+        )
+        face = wp.int32(0)
+        first = real(2.0)
+        crossed = wp.int32(-1)
+        while wp.mesh_query_aabb_next(boxes, face):
+            if (wp.int32(model.face_flags[start + face, 0]) & FEATURE_ACTIVE) != 0:
+                at = crossing(model, start + face, p, q, slack)
+                if at < first or (at == first and at < real(2.0) and face < crossed):
+                    first = at
+                    crossed = face
+        if crossed >= 0:
+            contacts.crossed_face[env, contact] = crossed
+            contacts.crossed_at[env, contact] = first
+            if mark != 0:
+                # Many threads may say so, all the same.
+                status[env] = ENV_CROSSED
+                marked[0] = 1
+
+    return sweep
+
+
+@functools.cache
+def turn() -> wp.Kernel:
+    """Returns the kernel that lets environments take turns. Launch with dim env.
+
+    ``back`` 0: those with a crossing become active and the active ones wait; 1: those that waited are active.
+    """
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def take_turns(status: wp.array(dtype=wp.int32), back: wp.int32):
+        env = wp.tid()
+        if back != 0:
+            if status[env] == ENV_WAITING:
+                status[env] = ENV_ACTIVE
+        elif status[env] == ENV_CROSSED:
+            status[env] = ENV_ACTIVE
+        elif status[env] == ENV_ACTIVE:
+            status[env] = ENV_WAITING
+
+    return take_turns

@@ -1,0 +1,141 @@
+"""Surfaces of a stage: as they are in all environments, or in each its own pose, size and mesh."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.scene import Surface
+from warpcontact.usd.author import add_pose, mark, vectors
+from warpcontact.usd.geometry import body_color, set_color
+from warpcontact.usd.replay import Replay
+
+# Brightness of the faces that nothing can touch.
+INACTIVE = 0.4
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A surface in the environments of an export.
+
+    Attributes:
+        surface: The surface.
+        position: Origin of its frame in that of its carrier, (env, 3) [m].
+        orientation: Rotation to that of its carrier, (env, 4), x, y, z, w.
+        scale: Size, (env,).
+        mesh: Which of its meshes it has, (env,).
+    """
+
+    surface: Surface
+    position: Array
+    orientation: Array
+    scale: Array
+    mesh: Array
+
+    @classmethod
+    def of(cls, replay: Replay, surface: Surface) -> "Placement":
+        """Returns the surface as recorded, or else as in the scene."""
+
+        def values(key: str, default: Array) -> Array:
+            recorded = replay.static(f"{surface.name}.{key}", default.shape)
+            return np.repeat(default[None], len(replay.envs), axis=0) if recorded is None else recorded
+
+        return cls(
+            surface,
+            values("position", surface.position),
+            values("orientation", surface.orientation),
+            values("scale", surface.scale),
+            values("mesh", np.zeros(())),
+        )
+
+    @property
+    def shared(self) -> bool:
+        """Whether it is the same in all environments."""
+        return all(
+            (values == values[:1]).all() for values in (self.position, self.orientation, self.scale, self.mesh)
+        )
+
+    def write(self, stage: Any, path: str, row: int, mesh: str | None = None) -> None:
+        """Writes it as in environment number ``row``; ``mesh``: a prim to refer to for its shape."""
+        from pxr import Gf, Kind, Usd, UsdGeom
+
+        if mesh is None:
+            prim = define_mesh(stage, path, self.surface, int(self.mesh[row]))
+        else:
+            prim = stage.DefinePrim(path, "Mesh")
+            prim.GetReferences().AddInternalReference(mesh)
+        xformable = UsdGeom.Xformable(prim)
+        add_pose(xformable, self.position[row], self.orientation[row])
+        if self.scale[row] != 1.0:
+            xformable.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(float(self.scale[row])))
+        if self.surface.body is None:
+            Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
+
+
+def define_surfaces(stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str]) -> None:
+    """Writes the surfaces that are fixed to the world and the same everywhere, below ``path``."""
+    from pxr import Kind, Usd, UsdGeom
+
+    scope = UsdGeom.Scope.Define(stage, path)
+    Usd.ModelAPI(scope).SetKind(Kind.Tokens.group)
+    for name, placement in placements.items():
+        if placement.surface.body is None and placement.shared:
+            placement.write(stage, f"{path}/{names[name]}", 0)
+
+
+def define_shapes(stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str]) -> None:
+    """Writes the meshes of the surfaces that differ between environments, as classes below ``path``."""
+    own = {name: placement for name, placement in placements.items() if not placement.shared}
+    if not own:
+        return
+    stage.CreateClassPrim(path)
+    for name, placement in own.items():
+        for index in sorted({int(mesh) for mesh in placement.mesh}):
+            define_mesh(stage, f"{path}/{names[name]}_{index}", placement.surface, index)
+
+
+def define_mesh(stage: Any, path: str, surface: Surface, index: int) -> Any:
+    """Writes mesh number ``index`` of a surface as one that collides, in its own frame, and returns its prim."""
+    from pxr import UsdGeom, UsdPhysics, Vt
+
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    prim = mesh.GetPrim()
+    mark(prim, surface.name)
+    vertices, faces = surface.meshes[index].vertices, surface.meshes[index].faces
+    mesh.CreatePointsAttr(vectors(vertices))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateExtentAttr(vectors(np.array([vertices.min(axis=0), vertices.max(axis=0)])))
+    _color_faces(mesh, surface, index)
+    if not surface.visible:
+        mesh.MakeInvisible()
+    UsdPhysics.CollisionAPI.Apply(prim)
+    UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.none)
+    return prim
+
+
+def _color_faces(mesh: Any, surface: Surface, index: int) -> None:
+    """Colours the active faces, dims the others, and names the active ones as a subset."""
+    from pxr import UsdGeom, Vt
+
+    color = body_color(surface.body) if surface.color is None else surface.color
+    active = surface.active[index]
+    if active.all():
+        set_color(mesh, color)
+        return
+    primvar = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.uniform)
+    primvar.Set(vectors(np.array([color, INACTIVE * color])))
+    primvar.SetIndices(Vt.IntArray.FromNumpy((~active).astype(np.int32)))
+    UsdGeom.Subset.CreateGeomSubset(
+        mesh,
+        "active",
+        UsdGeom.Tokens.face,
+        Vt.IntArray.FromNumpy(np.flatnonzero(active).astype(np.int32)),
+        "warpcontact",
+        UsdGeom.Tokens.unrestricted,
+    ).GetPrim().SetDocumentation("Faces that can touch.")
