@@ -15,6 +15,7 @@ from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction, Frictionless
 from warpcontact.kernels.laws import Law
 from warpcontact.meshes import Mesh
+from warpcontact.meshes.groups import FaceChoice, face_mask
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
@@ -218,7 +219,7 @@ class Scene:
         orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
         *,
         flip: bool = False,
-        active_faces: ArrayLike | None = None,
+        active_faces: FaceChoice = None,
         name: str | None = None,
         color: ArrayLike | None = None,
         visible: bool = True,
@@ -231,7 +232,9 @@ class Scene:
             position: Origin of the mesh's frame in the frame of the body [m].
             orientation: Rotation mesh → body, quaternion (x, y, z, w).
             flip: Whether to turn the outer side over.
-            active_faces: The part that can touch: a mask (F,) or face numbers; ``None``: all.
+            active_faces: The part that can touch: a mask (F,) or face numbers; the name of a group of the mesh,
+                or a list of names; or a function that is given the centroids (F, 3) [m], in the frame of the
+                mesh, and returns a mask; ``None``: all.
             name: Name in parameters and readings; made up if not given.
             color: Display colour, RGB in 0…1.
             visible: Whether it is drawn.
@@ -255,7 +258,7 @@ class Scene:
             orientation=checks.unit_quaternions(
                 f"{name}.orientation", checks.numbers(f"{name}.orientation", orientation, (4,))
             ),
-            active_faces=_face_mask(f"{name}.active_faces", active_faces, len(mesh.faces)),
+            active_faces=face_mask(f"{name}.active_faces", active_faces, mesh),
             color=checks.color(f"{name}.color", color),
             visible=bool(visible),
         )
@@ -424,24 +427,3 @@ def _check_arms(name: str, template: Template, radius: Array, torsion_radius: fl
         kind = type(getattr(template, part)).__name__
         cure = " or a torsion_radius" if part == "torsion" else ""
         raise ValueError(f"{name}: the {part} of its template, {kind}, needs a radius{cure}, got a radius of 0 m")
-
-
-def _face_mask(name: str, faces: ArrayLike | None, count: int) -> NDArray[np.bool_]:
-    """Returns a mask over ``count`` faces from a mask, face numbers, or ``None`` for all."""
-    if faces is None:
-        return np.ones(count, dtype=bool)
-    given = np.asarray(faces)
-    if given.dtype == bool:
-        if given.shape != (count,):
-            raise ValueError(f"{name} as a mask must have shape ({count},), got {given.shape}")
-        return given.copy()
-    mask = np.zeros(count, dtype=bool)
-    if given.size == 0:
-        return mask
-    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
-        raise ValueError(f"{name} must be a mask of {count} booleans or face numbers, got {given.dtype} values")
-    outside = given[(given < 0) | (given >= count)]
-    if len(outside):
-        raise ValueError(f"{name} must be face numbers from 0 to {count - 1}, got {outside[0]}")
-    mask[given] = True
-    return mask

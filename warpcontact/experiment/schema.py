@@ -42,7 +42,7 @@ class SurfaceSettings(Section):
     position: Position = ORIGIN
     orientation: Quaternion = NO_ROTATION
     flip: bool = False
-    active_faces: Annotated[tuple[int, ...] | None, q.faces] = None
+    active_faces: Annotated[tuple[int | str, ...] | str | None, q.faces] = None
     color: Color | None = None
     visible: bool = True
 

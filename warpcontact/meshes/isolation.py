@@ -20,6 +20,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from warpcontact.meshes.mesh import MeshError
 from warpcontact.meshes.reader_process import OUT_OF_MEMORY
 from warpcontact.meshes.readers import Content, Unreadable
 
@@ -49,7 +50,7 @@ def _default(name: str, value: float) -> float:
     except ValueError:
         number = -1.0
     if not 0.0 < number < inf:
-        raise ValueError(f"the environment variable {name} must be a positive finite number, got {text!r}")
+        raise MeshError(f"the environment variable {name} must be a positive finite number, got {text!r}")
     return number
 
 

@@ -162,7 +162,8 @@ def volumes_of(
     p = v[faces] - 0.5 * (v[faces].min(axis=(0, 1)) + v[faces].max(axis=(0, 1)))  # centred for precision
     normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     area = 0.5 * float(np.linalg.norm(normals, axis=1).sum())
-    volumes: npt.NDArray[np.float64] = np.bincount(part, np.einsum("ij,ij->i", normals, p[:, 0]) / 6.0, parts)
+    pyramids = np.einsum("ij,ij->i", normals, p[:, 0]) / 6.0
+    volumes = np.bincount(part, pyramids, parts).astype(np.float64)
     return area, volumes, 1e-12 * area * float(np.abs(p).max())
 
 
