@@ -37,7 +37,7 @@ def examine(
         faces: Three vertex indices for each triangle, (F, 3) integers.
         name: Name for the report.
         overlaps: Whether to look for faces that cut each other, which takes as long as all the rest; not done
-            for more than 200 000 faces.
+            for more than 100 000 faces.
 
     Returns:
         All facts, with every problem found.

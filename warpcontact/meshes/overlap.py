@@ -6,7 +6,7 @@ import numpy.typing as npt
 from warpcontact.meshes.topology import CRACK_LIMIT
 
 #: Surfaces with more faces are not examined unless asked for.
-MOST_FACES = 200_000
+MOST_FACES = 100_000
 # Pairs of boxes that are looked at on one level of the tree, beyond which nothing is said.
 _BUDGET = 8_000_000
 _CHUNK = 500_000
@@ -24,7 +24,7 @@ def intersections(v: _Floats, faces: npt.NDArray[np.int64]) -> _Pairs | None:
 
     Args:
         v: Positions, (V, 3) [m].
-        faces: Welded vertex indices of each triangle, (F, 3), three different ones.
+        faces: Welded vertex indices of each triangle, (F, 3), none degenerate.
 
     Returns:
         Numbers of the faces of each pair, the lower one first, (n, 2), in order; ``None`` if there are too many
@@ -38,10 +38,12 @@ def intersections(v: _Floats, faces: npt.NDArray[np.int64]) -> _Pairs | None:
     if pairs is None:
         return None
     near = CRACK_LIMIT * float(np.ptp(corners, axis=(0, 1)).max())
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
     found = [np.empty((0, 2), dtype=np.int64)]
     for start in range(0, len(pairs), _CHUNK):
         some = pairs[start : start + _CHUNK]
-        found.append(some[_meet(corners, faces, some, near)])
+        found.append(some[_meet(corners, normals, faces, some, near)])
     result = np.concatenate(found)
     return result[np.lexsort(result.T[::-1])]
 
@@ -91,26 +93,33 @@ def _z_curve(points: _Floats) -> npt.NDArray[np.uint64]:
     return cells[:, 0] | cells[:, 1] << np.uint64(1) | cells[:, 2] << np.uint64(2)
 
 
-def _meet(corners: _Floats, faces: npt.NDArray[np.int64], pairs: _Pairs, near: float) -> npt.NDArray[np.bool]:
+def _meet(
+    corners: _Floats, normals: _Floats, faces: npt.NDArray[np.int64], pairs: _Pairs, near: float
+) -> npt.NDArray[np.bool]:
     """Which pairs of faces cut each other or overlap in a plane."""
-    first, second = pairs.T
-    same = faces[first][:, :, None] == faces[second][:, None, :]
     meet = np.zeros(len(pairs), dtype=bool)
-    for a, b, own in ((first, second, same.any(axis=2)), (second, first, same.any(axis=1))):
-        p, q = corners[a], corners[b]
-        normal = np.cross(q[:, 1] - q[:, 0], q[:, 2] - q[:, 0])
-        normal /= np.linalg.norm(normal, axis=1)[:, None]
-        height = np.einsum("ijk,ik->ij", p - q[:, :1], normal)
+    left = np.arange(len(pairs))
+    heights = []
+    for a, b in ((0, 1), (1, 0)):  # what is wholly on one side of the other face is out
+        p, q = pairs[left, a], pairs[left, b]
+        height = np.einsum("ijk,ik->ij", corners[p] - corners[q][:, :1], normals[q])
+        across = (height.min(axis=1) <= near) & (height.max(axis=1) >= -near)
+        heights = [known[across] for known in (*heights, height)]
+        left = left[across]
+    some = pairs[left]
+    same = faces[some[:, 0]][:, :, None] == faces[some[:, 1]][:, None, :]
+    found = np.zeros(len(some), dtype=bool)
+    for (a, b), height, own in zip(((0, 1), (1, 0)), heights, (same.any(axis=2), same.any(axis=1)), strict=True):
+        p, q = some[:, a], some[:, b]
         for i in range(3):
             j = (i + 1) % 3
+            low, high = np.minimum(height[:, i], height[:, j]), np.maximum(height[:, i], height[:, j])
             # An edge that ends in a corner of the other face touches it there.
-            apart = (np.minimum(height[:, i], height[:, j]) < -near) & (
-                np.maximum(height[:, i], height[:, j]) > near
-            )
-            todo = np.flatnonzero(apart & ~own[:, i] & ~own[:, j] & ~meet)
-            meet[todo] = _passes(p[todo, i], p[todo, j], q[todo])
-        flat = np.flatnonzero((np.abs(height) <= near).all(axis=1) & ~meet)
-        meet[flat] = _overlap(p[flat], q[flat], normal[flat], near)
+            todo = np.flatnonzero((low < -near) & (high > near) & ~own[:, i] & ~own[:, j] & ~found)
+            found[todo] = _passes(corners[p[todo], i], corners[p[todo], j], corners[q[todo]])
+        flat = np.flatnonzero((np.abs(height) <= near).all(axis=1) & ~found)
+        found[flat] = _overlap(corners[p[flat]], corners[q[flat]], normals[q[flat]], near)
+    meet[left] = found
     return meet
 
 
@@ -125,11 +134,15 @@ def _passes(tail: _Floats, head: _Floats, q: _Floats) -> npt.NDArray[np.bool]:
 
 def _overlap(p: _Floats, q: _Floats, normal: _Floats, near: float) -> npt.NDArray[np.bool]:
     """Whether triangles (n, 3, 3) in one plane have an area in common: no side of either keeps them apart."""
-    apart = np.zeros(len(p), dtype=bool)
-    for shape in (p, q):
+    left = np.arange(len(p))
+    for own in (True, False):
         for i in range(3):
-            side = np.cross(shape[:, (i + 1) % 3] - shape[:, i], normal)
-            side /= np.linalg.norm(side, axis=1)[:, None]
-            s, t = (np.einsum("ijk,ik->ij", x - shape[:, i : i + 1], side) for x in (p, q))
-            apart |= (s.min(axis=1) > t.max(axis=1) - near) | (t.min(axis=1) > s.max(axis=1) - near)
-    return ~apart
+            shape = (p if own else q)[left]
+            side = np.cross(shape[:, (i + 1) % 3] - shape[:, i], normal[left])
+            reach = near * np.sqrt(np.einsum("ij,ij->i", side, side))
+            s, t = (np.matmul(x[left], side[:, :, None])[:, :, 0] for x in (p, q))
+            apart = (s.min(axis=1) > t.max(axis=1) - reach) | (t.min(axis=1) > s.max(axis=1) - reach)
+            left = left[~apart]
+    overlap = np.zeros(len(p), dtype=bool)
+    overlap[left] = True
+    return overlap

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from warpcontact.meshes.readers.content import Content, Integers, Unreadable, split_warning
 from warpcontact.meshes.readers.parts import Parts
 from warpcontact.meshes.readers.polygons import triangulate
-from warpcontact.meshes.readers.usd_layers import check_layers
+from warpcontact.meshes.readers.usd_layers import check_layers, reason
 
 
 def read_usd(path: Path, prim: str | None, most_faces: int, *, confined: bool) -> Content:
@@ -30,7 +30,7 @@ def read_usd(path: Path, prim: str | None, most_faces: int, *, confined: bool) -
     try:
         stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
     except Tf.ErrorException as error:
-        raise Unreadable(f"not valid USD: {str(error).strip()[:200]}") from error
+        raise Unreadable(f"not valid USD: {reason(error)}") from error
     root = stage.GetPseudoRoot() if prim is None else _prim(stage, prim)
     time = Usd.TimeCode.EarliestTime()
     places = UsdGeom.XformCache(time)

@@ -4,6 +4,7 @@ A stage follows its references, payloads and sublayers wherever they lead. Opene
 parsed: nothing that they refer to is read before its place is known.
 """
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -45,16 +46,16 @@ def _open(identifier: str) -> Any:
     try:
         layer = Sdf.Layer.FindOrOpen(identifier)
     except Tf.ErrorException as error:
-        raise Unreadable(f"not valid USD: {_reason(error)}") from error
+        raise Unreadable(f"not valid USD: {reason(error)}") from error
     if not layer:
         raise Unreadable(f"not valid USD: {Path(identifier).name!r} cannot be opened")
     return layer
 
 
-def _reason(error: Exception) -> str:
-    """What USD says went wrong, without the places in its own source."""
-    words = [line.rpartition("--")[2].strip().strip("'") for line in str(error).splitlines() if line.strip()]
-    return " ".join("; ".join(words).split())[:200]
+def reason(error: Exception) -> str:
+    """Returns what USD says went wrong, without places in its own source and folders of the file."""
+    said = re.findall(r"(?m)' at line \d+ in file .*? : '(.*?)'?$", str(error)) or [str(error)]
+    return " ".join(re.sub(r"\S*/", "", "; ".join(said)).split())[:200]
 
 
 def _target(layer: Any, asset: str, folder: Path | None) -> str:
