@@ -1,6 +1,7 @@
 """Meshes from USD stages: which prims, where, how large, which way round; and no file out of the folder."""
 
 import os
+import zipfile
 
 import numpy as np
 import pytest
@@ -261,6 +262,23 @@ def test_what_is_no_layer_is_refused(tmp_path, asset, message):
     (tmp_path / "broken.usda").write_text("#usda 1.0\n(((")
     with pytest.raises(MeshError, match=message):
         load_mesh(layered(tmp_path / "a.usda", "reference", asset))
+
+
+def test_layers_of_the_current_folder_are_not_found(tetrahedron, tmp_path, monkeypatch):
+    (tmp_path / "inner").mkdir()
+    monkeypatch.chdir(tmp_path)  # where USD looks for names that lie beside nothing
+    monkeypatch.setenv("PXR_AR_DEFAULT_SEARCH_PATH", str(tmp_path))
+    with pytest.raises(MeshError, match=r"it refers to 'part.usda', outside of its folder"):
+        load_mesh(layered(tmp_path / "inner" / "a.usda", "sublayer", "part.usda"))
+
+
+def test_a_package_does_not_reach_out_of_itself(tetrahedron, tmp_path):
+    (tmp_path / "inner").mkdir()
+    for asset in ("../part.usda", "../../part.usda", str(tetrahedron)):
+        with zipfile.ZipFile(tmp_path / "inner" / "a.usdz", "w", zipfile.ZIP_STORED) as package:
+            package.writestr("root.usda", f"#usda 1.0\n(\n subLayers = [@{asset}@]\n)\n")
+        with pytest.raises(MeshError, match=r"cannot be opened|outside of its folder"):
+            load_mesh(tmp_path / "inner" / "a.usdz")
 
 
 def test_a_chain_of_layers_is_followed_to_its_end(tetrahedron, tmp_path):

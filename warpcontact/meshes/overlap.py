@@ -99,7 +99,7 @@ def _meet(
     """Which pairs of faces cut each other or overlap in a plane."""
     meet = np.zeros(len(pairs), dtype=bool)
     left = np.arange(len(pairs))
-    heights = []
+    heights: list[_Floats] = []
     for a, b in ((0, 1), (1, 0)):  # what is wholly on one side of the other face is out
         p, q = pairs[left, a], pairs[left, b]
         height = np.einsum("ijk,ik->ij", corners[p] - corners[q][:, :1], normals[q])
