@@ -13,7 +13,7 @@ import trimesh
 
 from warpcontact import meshes
 from warpcontact.meshes import Mesh, MeshError, box, grid, icosphere, sinusoidal_terrain
-from warpcontact.meshes.report import examine
+from warpcontact.meshes.examine import examine
 
 TETRAHEDRON = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float)
 OUTWARD = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
@@ -108,12 +108,12 @@ def test_all_problems_are_listed_at_once():
         Mesh(v, f)
     text = str(caught.value)
     for kind in (
-        "not finite",
-        "too far away",
-        "out of index range",
-        "degenerate",
-        "duplicate",
-        "wound inconsistently",
+        "is not finite",
+        "is too far away",
+        "is out of index range",
+        "is degenerate",
+        "is duplicate",
+        "are wound inconsistently",
     ):
         assert text.count(kind) == 1
     assert text.startswith("mesh 'mesh' has 6 problems:\n  - ")

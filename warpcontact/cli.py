@@ -68,9 +68,24 @@ def _parser() -> argparse.ArgumentParser:
     inspect = commands.add_parser(
         "inspect", help="report on a mesh file", description="Report on a mesh file. Exit code 1: unusable."
     )
-    inspect.add_argument("mesh", metavar="MESH", help="an .stl, .obj, .ply, .off or .glb file")
     inspect.add_argument(
-        "--scale", type=float, default=1.0, metavar="X", help="m per unit of the file (default: 1)"
+        "mesh", metavar="MESH", help="an .stl, .obj, .ply, .off, .glb, .usd, .usda, .usdc or .usdz file"
+    )
+    inspect.add_argument(
+        "--scale", type=float, default=1.0, metavar="X", help="factor on all lengths (default: 1)"
+    )
+    inspect.add_argument(
+        "--unit", metavar="U", help="unit of the file, such as mm, cm, in (default: its own, or m)"
+    )
+    inspect.add_argument("--prim", metavar="PATH", help="the prim of a USD file to take (default: all meshes)")
+    inspect.add_argument(
+        "--repair", metavar="STEPS", help="report on the repaired mesh: all, or steps such as merge,orient"
+    )
+    inspect.add_argument(
+        "--tolerance", type=float, default=1e-6, metavar="X", help="of merge, relative to the size (default: 1e-6)"
+    )
+    inspect.add_argument(
+        "--trusted", action="store_true", help="read the file without limits on time, memory and other files"
     )
     inspect.add_argument("--plot", metavar="FILE", help="draw it, defects marked, into an .svg or .png file")
     inspect.set_defaults(command=_inspect)
@@ -145,10 +160,12 @@ def _inspect(arguments: argparse.Namespace) -> int:
     from warpcontact.meshes import MeshError, examine_file, plot_file
     from warpcontact.picture_file import check_path
 
+    options = {name: getattr(arguments, name) for name in ("scale", "unit", "prim", "tolerance", "trusted")}
+    options["repair"] = arguments.repair.split(",") if arguments.repair else False
     try:
         if arguments.plot:
             check_path(arguments.plot)
-        report = examine_file(arguments.mesh, scale=arguments.scale)
+        report = examine_file(arguments.mesh, **options)
     except (MeshError, ValueError) as error:
         return _fail(str(error))
     if not report.vertex_count and not report.face_count:  # nothing could be read
@@ -158,7 +175,7 @@ def _inspect(arguments: argparse.Namespace) -> int:
     print(report.to_text())
     if arguments.plot:
         try:
-            plot_file(arguments.mesh, arguments.plot, scale=arguments.scale)
+            plot_file(arguments.mesh, arguments.plot, **options)
             print(f"picture: {arguments.plot}")
         except ValueError as error:
             code = _fail(str(error))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
@@ -29,6 +29,7 @@ from warpcontact.elements import (
 )
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.meshes import Mesh, SurfaceSamples
+from warpcontact.meshes.groups import face_mask
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
@@ -127,8 +128,10 @@ class Scene:
             orientation: Rotation mesh → body, quaternion (x, y, z, w).
             scale: Factor by which the mesh is enlarged about the origin of its frame.
             flip: Whether to turn the outer side over.
-            active_faces: The part that can touch: a mask (F,) or face numbers; ``None``: all. For a list of
-                meshes, a list with one of these for each.
+            active_faces: The part that can touch: a mask (F,) or face numbers; the name of a group of the mesh,
+                or a list of names; or a function that is given the centroids (F, 3) [m], in the frame of the
+                mesh, and returns a mask; ``None``: all. For a list of meshes, a list
+                with one of these for each.
             name: Name in parameters and readings; made up if not given.
             color: Display colour, RGB in 0…1.
             visible: Whether it is drawn.
@@ -141,16 +144,17 @@ class Scene:
         body = self._body(f"{name}.body", body)
         several = isinstance(mesh, list | tuple)
         meshes = [_mesh(name, one) for one in (mesh if several else [mesh])]
-        chosen = active_faces if several and active_faces is not None else [active_faces] * len(meshes)
-        if not meshes or len(chosen) != len(meshes):
+        choices: list[Any] = (
+            list(active_faces) if several and active_faces is not None else [active_faces] * len(meshes)
+        )
+        if not meshes:
+            raise ValueError(f"mesh of {name!r} must not be an empty list")
+        if len(choices) != len(meshes):
             raise ValueError(
-                f"{name}.active_faces must have one entry for each of {len(meshes)} meshes, got {len(chosen)}"
-                if meshes
-                else f"mesh of {name!r} must not be an empty list"
+                f"{name}.active_faces must have one entry for each of {len(meshes)} meshes, got {len(choices)}"
             )
         active = [
-            _face_mask(f"{name}.active_faces", part, len(one.faces))
-            for part, one in zip(chosen, meshes, strict=True)
+            face_mask(f"{name}.active_faces", choice, one) for choice, one in zip(choices, meshes, strict=True)
         ]
         surface = Surface(
             name=name,
@@ -434,24 +438,3 @@ def _mesh(name: str, mesh: Any) -> Mesh:
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
         raise TypeError(f"mesh of {name!r} must be a wc.Mesh or have vertices and faces, got {mesh!r}")
     return Mesh(mesh.vertices, mesh.faces, name=name)
-
-
-def _face_mask(name: str, faces: ArrayLike | None, count: int) -> NDArray[np.bool_]:
-    """Returns a mask over ``count`` faces from a mask, face numbers, or ``None`` for all."""
-    if faces is None:
-        return np.ones(count, dtype=bool)
-    given = np.asarray(faces)
-    if given.dtype == bool:
-        if given.shape != (count,):
-            raise ValueError(f"{name} as a mask must have shape ({count},), got {given.shape}")
-        return given.copy()
-    mask = np.zeros(count, dtype=bool)
-    if given.size == 0:
-        return mask
-    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
-        raise ValueError(f"{name} must be a mask of {count} booleans or face numbers, got {given.dtype} values")
-    outside = given[(given < 0) | (given >= count)]
-    if len(outside):
-        raise ValueError(f"{name} must be face numbers from 0 to {count - 1}, got {outside[0]}")
-    mask[given] = True
-    return mask

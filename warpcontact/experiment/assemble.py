@@ -82,7 +82,8 @@ class Assembler:
         mesh = entry.mesh
         try:
             if isinstance(mesh, FileMesh):
-                self.loaded[path] = load_mesh(self.folder / mesh.file, scale=mesh.scale, name=entry.name)
+                options = mesh.model_dump(exclude={"file"})
+                self.loaded[path] = load_mesh(self.folder / mesh.file, name=entry.name, **options)
             else:
                 self.loaded[path] = mesh.make(entry.name)
         except MeshError as error:

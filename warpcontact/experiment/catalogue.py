@@ -49,6 +49,10 @@ class FileMesh(Section):
 
     file: str = Field(min_length=1, description="the mesh file")
     scale: Annotated[float, q.numbers((), allowed=limits("-", above=0.0))] = 1.0
+    unit: Annotated[str | None, q.one_of(tuple(meshes.UNITS))] = None
+    prim: str | None = Field(default=None, min_length=1)
+    repair: Annotated[bool | str | tuple[str, ...], q.repair] = False
+    tolerance: Annotated[float, q.numbers((), allowed=limits("-", above=0.0, at_most=0.01))] = 1e-6
 
 
 class ShapeMesh(Section):

@@ -7,9 +7,6 @@ from typing import Any
 
 from warpcontact.meshes.report import MeshReport
 
-# An STL file has every vertex once for each face: that its copies are joined is how it has to be.
-_FACT = "are taken as one with it"
-
 
 class Notices:
     """Collects warnings, each once.
@@ -33,10 +30,10 @@ class Notices:
                 self.tell(text)
 
     def add_mesh(self, file: str, report: MeshReport) -> None:
-        """Adds what is to be known of a mesh file."""
-        for warning in report.warnings:
-            if _FACT not in warning:
-                self.add(f"mesh file {file!r}: {warning}")
+        """Adds what is to be known of a mesh file: its warnings, and what a repair changed."""
+        changes = [step.text for step in report.repairs if step.count]
+        for text in (*changes, *report.warnings):
+            self.add(f"mesh file {file!r}: {text}")
 
     @contextmanager
     def listening(self) -> Iterator[None]:

@@ -6,7 +6,7 @@ what is left continues the key of the file: ``body[0].color`` and ``[1] must be 
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from pydantic import PlainValidator
@@ -15,6 +15,7 @@ from warpcontact import checks
 from warpcontact.checks import limits
 from warpcontact.elements import AREA
 from warpcontact.experiment.errors import shown
+from warpcontact.meshes.repair import REPAIRS, steps_of
 from warpcontact.surface_contact import check_amount
 
 
@@ -113,12 +114,27 @@ def _inertia(name: str, values: Any) -> None:
     checks.inertia_tensors(name, np.diag(values) if values.ndim == 1 else values)
 
 
-def _faces(value: Any) -> tuple[Any, ...]:
+def _faces(value: Any) -> tuple[Any, ...] | str:
+    if isinstance(value, str):
+        return value
     entries = tuple(value) if isinstance(value, list | tuple) else (None,)
-    masks = all(isinstance(entry, bool) for entry in entries)
-    if not masks and not all(_is_whole(entry) for entry in entries):
-        raise ValueError(f"must be a list of face numbers, or of true and false for each face, got {shown(value)}")
+    masks, names = (all(isinstance(entry, kind) for entry in entries) for kind in (bool, str))
+    if not masks and not names and not all(_is_whole(entry) for entry in entries):
+        raise ValueError(
+            "must be a list of face numbers, of names of groups, or of true and false for each face, or one name, "
+            f"got {shown(value)}"
+        )
     return entries
+
+
+def _repair(value: Any) -> bool | str | tuple[str, ...]:
+    given = tuple(value) if isinstance(value, list) else value
+    try:
+        steps_of(given)
+    except ValueError:
+        allowed = f"true, false, or names out of {', '.join(REPAIRS)}"
+        raise ValueError(f"must be {allowed}, got {shown(value)}") from None
+    return cast("bool | str | tuple[str, ...]", given)
 
 
 def _title(value: Any) -> str:
@@ -200,6 +216,7 @@ time = numbers((), allowed=limits("s", above=0.0))
 inertia = numbers((3,), (3, 3), allowed=limits("kg·m²"), what="3 numbers or a 3×3 tensor [kg·m²]", check=_inertia)
 color = numbers((3,), what="red, green and blue from 0 to 1", check=checks.color)
 faces = PlainValidator(_faces)
+repair = PlainValidator(_repair)
 title = PlainValidator(_title)
 positions = PlainValidator(_positions)
 areas = PlainValidator(_areas)

@@ -44,7 +44,7 @@ class SurfaceSettings(Section):
     orientation: Quaternion = NO_ROTATION
     scale: Annotated[float, q.numbers((), allowed=limits_of.SCALE)] = 1.0
     flip: bool = False
-    active_faces: Annotated[tuple[int, ...] | None, q.faces] = None
+    active_faces: Annotated[tuple[int | str, ...] | str | None, q.faces] = None
     color: Color | None = None
     visible: bool = True
 

@@ -1,5 +1,7 @@
 """An oriented triangle mesh that is safe to hand to Warp."""
 
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property, partial
 from math import inf, nan
 from numbers import Real
@@ -9,7 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.meshes.report import MeshReport, examine
+from warpcontact.meshes.examine import examine
+from warpcontact.meshes.groups import checked_groups
+from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import weld
 
 
@@ -28,27 +32,44 @@ class Mesh:
         vertices: Positions, (V, 3) real numbers [m]; finite, each coordinate within ±1e6 m.
         faces: Vertex indices of each triangle, (F, 3) integers from 0 to V − 1.
         name: Name for messages, reports and scenes.
+        groups: Face numbers, or a mask (F,), by the name of a group of faces; groups may overlap.
 
     Raises:
         MeshError: If the arrays do not have these shapes and types, or are empty, or a vertex is not finite
             or too far away, an index out of range, a face degenerate or a duplicate, or neighbouring faces
             are wound inconsistently. All problems are listed, each with a count and its first case.
-        ValueError: If the name is not a non-empty string.
+        ValueError: If the name is not a non-empty string, or a group has a face that there is not.
     """
 
-    def __init__(self, vertices: npt.ArrayLike, faces: npt.ArrayLike, *, name: str = "mesh") -> None:
+    def __init__(
+        self,
+        vertices: npt.ArrayLike,
+        faces: npt.ArrayLike,
+        *,
+        name: str = "mesh",
+        groups: Mapping[str, npt.ArrayLike] | None = None,
+    ) -> None:
         if not isinstance(name, str) or not name:
             raise ValueError(f"name must be a non-empty string, got {name!r}")
-        self._take(vertices, faces, examine(vertices, faces, name), f"mesh {name!r}")
+        self._take(vertices, faces, groups, examine(vertices, faces, name), f"mesh {name!r}")
 
-    def _take(self, vertices: npt.ArrayLike, faces: npt.ArrayLike, report: MeshReport, subject: str) -> None:
+    def _take(
+        self,
+        vertices: npt.ArrayLike,
+        faces: npt.ArrayLike,
+        groups: Mapping[str, npt.ArrayLike] | None,
+        report: MeshReport,
+        subject: str,
+    ) -> None:
         """Fill the mesh with what ``report`` is about; ``subject`` begins the message of a refusal."""
         if len(report.errors) == 1:
             raise MeshError(f"{subject}: {report.errors[0]}")
         if report.errors:
             listed = "".join(f"\n  - {error}" for error in report.errors)
             raise MeshError(f"{subject} has {len(report.errors)} problems:{listed}")
-        self._report = report
+        self._groups = checked_groups(groups, report.face_count)
+        sizes = tuple((name, len(members)) for name, members in self._groups.items())
+        self._report = replace(report, groups=sizes)
         # Copies: the arrays of the caller stay writeable and may change, these may not.
         self._vertices = np.array(vertices, dtype=np.float64, order="C")
         self._faces = np.array(faces, dtype=np.int32, order="C")
@@ -56,10 +77,17 @@ class Mesh:
         self._faces.flags.writeable = False
 
     @classmethod
-    def _examined(cls, vertices: npt.ArrayLike, faces: npt.ArrayLike, report: MeshReport, subject: str) -> "Mesh":
+    def _examined(
+        cls,
+        vertices: npt.ArrayLike,
+        faces: npt.ArrayLike,
+        groups: Mapping[str, npt.ArrayLike],
+        report: MeshReport,
+        subject: str,
+    ) -> "Mesh":
         """Make a mesh of arrays that were examined already."""
         mesh = cls.__new__(cls)
-        mesh._take(vertices, faces, report, subject)
+        mesh._take(vertices, faces, groups, report, subject)
         return mesh
 
     @classmethod
@@ -96,6 +124,11 @@ class Mesh:
         """Vertex indices of each triangle as given, (F, 3), read-only."""
         return self._faces
 
+    @property
+    def groups(self) -> Mapping[str, npt.NDArray[np.int32]]:
+        """Named groups of faces, ascending face numbers by name, read-only; a face may be in several."""
+        return self._groups
+
     @cached_property
     def welded(self) -> npt.NDArray[np.int32]:
         """Index of the first vertex at exactly the same place, for every vertex, (V,), read-only.
@@ -118,7 +151,7 @@ class Mesh:
 
     def flipped(self) -> "Mesh":
         """The same surface with its outer side inside: the winding of every face reversed."""
-        return Mesh(self._vertices, self._faces[:, [0, 2, 1]], name=self.name)
+        return Mesh(self._vertices, self._faces[:, [0, 2, 1]], name=self.name, groups=self._groups)
 
     def scaled(self, factor: float) -> "Mesh":
         """The mesh enlarged about its origin, for instance by 0.001 to turn millimetres into metres.
@@ -133,7 +166,25 @@ class Mesh:
             ValueError: If the factor is not positive and finite.
             MeshError: If the result is too large, or so small that faces vanish.
         """
-        return Mesh(self._vertices * positive("factor", factor), self._faces, name=self.name)
+        return Mesh(self._vertices * positive("factor", factor), self._faces, name=self.name, groups=self._groups)
+
+    def self_intersections(self) -> npt.NDArray[np.int64]:
+        """Finds pairs of faces that cut each other or overlap in a plane, of meshes of any size.
+
+        Faces that reach less than 1e-6 of the size of the mesh through each other only touch.
+
+        Returns:
+            Face numbers of each pair, the lower one first, (n, 2).
+
+        Raises:
+            MeshError: If too many faces lie so close together that all pairs cannot be looked at.
+        """
+        from warpcontact.meshes.overlap import intersections
+
+        pairs = intersections(self._vertices, self.welded[self._faces].astype(np.int64))
+        if pairs is None:
+            raise MeshError(f"mesh {self.name!r} has too many faces close to each other to compare them all")
+        return pairs
 
     def plot(
         self,
@@ -161,7 +212,8 @@ class Mesh:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # NumPy forgets the read-only flag in copies and pickles; the constructor restores it.
-        return partial(Mesh, name=self.name), (self._vertices, self._faces), {"_report": self._report}
+        make = partial(Mesh, name=self.name, groups=dict(self._groups))
+        return make, (self._vertices, self._faces), {"_report": self._report}
 
     def __repr__(self) -> str:
         kind = "closed" if self._report.closed else "open"

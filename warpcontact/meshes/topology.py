@@ -3,16 +3,92 @@
 Nothing is checked here; faces must refer to vertices that exist.
 """
 
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+
+from warpcontact.meshes.nesting import containers
 
 Orientation = Literal["outward", "inward", "open surface", "mixed", "undefined"]
 
 # Border vertices closer than this fraction of the largest dimension are meant to be one. CAD programs write
 # the two sides of a seam with different rounding, and float32 resolves 1e-7.
 CRACK_LIMIT = 1.0e-6
+# So many components are described one by one.
+MOST_COMPONENTS = 100
+
+
+@dataclass(frozen=True)
+class Component:
+    """A part of a surface that is connected across edges.
+
+    Attributes:
+        first_face: The lowest of its face numbers.
+        face_count: Number of its faces.
+        closed: Whether it bounds a volume by itself and its faces agree on the side.
+        volume: Signed volume [m³] if it is closed; negative if its faces point inward.
+        inside: Number of the smallest closed component that it lies in, if there is one.
+    """
+
+    first_face: int
+    face_count: int
+    closed: bool
+    volume: float | None
+    inside: int | None
+
+
+class Edges:
+    """Edges of triangles.
+
+    Half-edge 3·i + j runs from corner j of face i to the next corner.
+
+    Args:
+        faces: Welded vertex indices of each triangle, (F, 3), three different ones.
+
+    Attributes:
+        ends: Vertices of each half-edge, (3F, 2).
+        order: Half-edges, those of one edge together, (3F,).
+        starts: Where in it each edge begins, (E,).
+        counts: Faces of each edge, (E,).
+        balance: Half-edges of each edge that run to the vertex with the higher number, less the others, (E,).
+    """
+
+    def __init__(self, faces: npt.NDArray[np.int64]) -> None:
+        self.ends = np.stack((faces, faces[:, [1, 2, 0]]), axis=2).reshape(-1, 2)
+        self.order, self.starts = _groups(np.sort(self.ends, axis=1))
+        self.counts = np.diff(self.starts, append=len(self.order))
+        upward = np.where(self.ends[:, 0] < self.ends[:, 1], 1, -1)
+        self.balance = np.add.reduceat(upward[self.order], self.starts)
+
+    @property
+    def first(self) -> npt.NDArray[np.intp]:
+        """A half-edge of each edge, (E,)."""
+        return self.order[self.starts]
+
+    @property
+    def halves(self) -> npt.NDArray[np.intp]:
+        """Two half-edges of each edge, (E, 2); a border edge has one only."""
+        return np.column_stack((self.first, np.roll(self.order, -1)[self.starts]))
+
+    @property
+    def links(self) -> npt.NDArray[np.intp]:
+        """Pairs of half-edges that join all half-edges of each edge, (n, 2)."""
+        edge = np.repeat(np.arange(len(self.starts)), self.counts)
+        return np.column_stack((self.order[:-1], self.order[1:]))[edge[:-1] == edge[1:]]
+
+    def fans(self, faces: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
+        """Number of fans of faces about each vertex, (V,): parts that are connected across edges."""
+        half = np.arange(3 * len(faces))
+        after = half - half % 3 + (half + 1) % 3
+        upward = self.ends[:, 0] < self.ends[:, 1]
+        low, high = np.where(upward, half, after), np.where(upward, after, half)
+        links = self.links
+        fans, fan = components(np.concatenate((low[links], high[links])), 3 * len(faces))
+        vertex = np.empty(fans, dtype=np.int64)
+        vertex[fan] = faces.reshape(-1)
+        return np.bincount(vertex)
 
 
 def examine_surface(
@@ -26,28 +102,16 @@ def examine_surface(
 
     Returns:
         Facts by name of the field of ``MeshReport``, none if there is no face; which edges are wound
-        inconsistently, (E,); two half-edges of every edge, (E, 2). Half-edge 3·i + j runs from corner j of
-        face i to the next corner.
+        inconsistently, (E,); two half-edges of every edge, (E, 2), as in ``Edges``.
     """
     if not len(faces):
         return {}, np.zeros(0, dtype=bool), np.empty((0, 2), dtype=np.intp)
-    ends = np.stack((faces, faces[:, [1, 2, 0]]), axis=2).reshape(-1, 2)
-    order, starts = _groups(np.sort(ends, axis=1))
-    counts = np.diff(starts, append=len(order))
-    balance = np.add.reduceat(np.where(ends[:, 0] < ends[:, 1], 1, -1)[order], starts)
-    first = order[starts]
-    halves = np.column_stack((first, np.roll(order, -1)[starts]))
-
-    edge = np.repeat(np.arange(len(starts)), counts)
-    neighbours = np.column_stack((order[:-1], order[1:]))[edge[:-1] == edge[1:]] // 3
-    parts, part = _components(neighbours, len(faces))
+    edges = Edges(faces)
+    ends, counts, balance, first = edges.ends, edges.counts, edges.balance, edges.first
+    parts, part = components(edges.links // 3, len(faces))
     loops, cracks = _border(v, ends[first[counts == 1]], CRACK_LIMIT * float(np.ptp(v[faces], axis=(0, 1)).max()))
 
-    p = v[faces] - 0.5 * (v[faces].min(axis=(0, 1)) + v[faces].max(axis=(0, 1)))  # centred for precision
-    normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    area = 0.5 * float(np.linalg.norm(normals, axis=1).sum())
-    volumes = np.bincount(part, np.einsum("ij,ij->i", normals, p[:, 0]) / 6.0, parts)
-    nothing = 1e-12 * area * float(np.abs(p).max())  # rounding of a volume that is zero
+    area, volumes, nothing = volumes_of(v, faces, part, parts)
     odd, mixed = counts % 2 == 1, (counts % 2 == 0) & (balance != 0)
     bounding = np.ones(parts, dtype=bool)
     bounding[part[first[odd | mixed] // 3]] = False
@@ -61,7 +125,7 @@ def examine_surface(
         orientation = "outward" if total > 0.0 else "inward"
     lengths = np.linalg.norm(v[ends[first, 0]] - v[ends[first, 1]], axis=1)
     facts = {
-        "edge_count": len(starts),
+        "edge_count": len(counts),
         "area": area,
         "volume": None if (odd | mixed).any() else total,
         "closed": not odd.any(),
@@ -69,14 +133,61 @@ def examine_surface(
         "border_loop_count": loops,
         "crack_vertex_count": cracks,
         "component_count": parts,
+        "components": _describe(v, faces, part, bounding, volumes),
         "inward_component_count": int((bounding & (volumes < -nothing)).sum()),
         "orientation": orientation,
         "non_manifold_edge_count": int((counts > 2).sum()),
-        "euler_number": len(np.unique(faces)) - len(starts) + len(faces),
+        "non_manifold_vertex_count": int((edges.fans(faces) > 1).sum()),
+        "euler_number": len(np.unique(faces)) - len(counts) + len(faces),
         "shortest_edge": float(lengths.min()),
         "longest_edge": float(lengths.max()),
     }
-    return facts, (counts == 2) & (balance != 0), halves
+    return facts, (counts == 2) & (balance != 0), edges.halves
+
+
+def volumes_of(
+    v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64], part: npt.NDArray[np.integer], parts: int
+) -> tuple[float, npt.NDArray[np.float64], float]:
+    """Area, signed volume of each part of a surface, and what a volume of zero may amount to by rounding.
+
+    Args:
+        v: Positions, (V, 3) [m].
+        faces: Vertex indices of each triangle, (F, 3).
+        part: Part of each triangle, (F,).
+        parts: Number of parts.
+
+    Returns:
+        The area [m²], the volumes (parts,) [m³], which mean something for closed parts only, and the bound [m³].
+    """
+    p = v[faces] - 0.5 * (v[faces].min(axis=(0, 1)) + v[faces].max(axis=(0, 1)))  # centred for precision
+    normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    area = 0.5 * float(np.linalg.norm(normals, axis=1).sum())
+    pyramids = np.einsum("ij,ij->i", normals, p[:, 0]) / 6.0
+    volumes = np.bincount(part, pyramids, parts).astype(np.float64)
+    return area, volumes, 1e-12 * area * float(np.abs(p).max())
+
+
+def _describe(
+    v: npt.NDArray[np.float64],
+    faces: npt.NDArray[np.int64],
+    part: npt.NDArray[np.int32],
+    closed: npt.NDArray[np.bool],
+    volumes: npt.NDArray[np.float64],
+) -> tuple[Component, ...]:
+    """The first components, in the order of their first faces."""
+    first = np.unique(part, return_index=True)[1]  # components are numbered by their first faces
+    counts = np.bincount(part)
+    around = containers(v, faces, part, closed)
+    return tuple(
+        Component(
+            first_face=int(first[i]),
+            face_count=int(counts[i]),
+            closed=bool(closed[i]),
+            volume=float(volumes[i]) if closed[i] else None,
+            inside=around.get(i),
+        )
+        for i in range(min(len(first), MOST_COMPONENTS))
+    )
 
 
 def _border(v: npt.NDArray[np.float64], edges: npt.NDArray[np.intp], near: float) -> tuple[int, int]:
@@ -87,11 +198,15 @@ def _border(v: npt.NDArray[np.float64], edges: npt.NDArray[np.intp], near: float
         return 0, 0
     vertices, links = np.unique(edges, return_inverse=True)
     distances, _ = KDTree(v[vertices]).query(v[vertices], k=2, distance_upper_bound=near)
-    return _components(links.reshape(-1, 2), len(vertices))[0], int(np.isfinite(distances[:, 1]).sum())
+    return components(links.reshape(-1, 2), len(vertices))[0], int(np.isfinite(distances[:, 1]).sum())
 
 
-def _components(links: npt.NDArray[np.intp], count: int) -> tuple[int, npt.NDArray[np.int32]]:
-    """Number of connected parts of ``count`` items with links (n, 2), and the part of each item."""
+def components(links: npt.NDArray[np.intp], count: int) -> tuple[int, npt.NDArray[np.int32]]:
+    """Connected parts of ``count`` items with links (n, 2).
+
+    Returns:
+        Their number, and the part of each item; parts are numbered by their first items.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.meshes.report import COORDINATE_LIMIT, SLIVER_LIMIT
+from warpcontact.meshes.examine import COORDINATE_LIMIT, SLIVER_LIMIT
 from warpcontact.meshes.topology import representatives, slenderness
 
 Mask = npt.NDArray[np.bool_]

@@ -6,11 +6,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.meshes.isolation import Limits
 from warpcontact.meshes.picture.defects import Defects, find_defects
 from warpcontact.meshes.picture.marks import draw_marks, line_kinds
 from warpcontact.meshes.picture.painter import paint
 from warpcontact.meshes.picture.view import View, best_direction, in_words
+from warpcontact.meshes.repair import RepairRequest
 from warpcontact.meshes.report import MeshReport
+from warpcontact.meshes.topology import CRACK_LIMIT
 from warpcontact.picture_file import check_path, save
 
 Array = npt.NDArray[np.float64]
@@ -32,24 +35,42 @@ LARGE = 250
 EDGE, CREASE, CREASE_COSINE = 0.80, 0.72, 0.77
 
 
-def plot_file(path: str | PathLike[str], picture: str | PathLike[str], *, scale: float = 1.0) -> MeshReport:
+def plot_file(
+    path: str | PathLike[str],
+    picture: str | PathLike[str],
+    *,
+    scale: float = 1.0,
+    unit: str | None = None,
+    prim: str | None = None,
+    repair: RepairRequest = False,
+    tolerance: float = CRACK_LIMIT,
+    trusted: bool = False,
+    limits: Limits | None = None,
+) -> MeshReport:
     """Draws a mesh file, usable or not, into an .svg or .png file, and returns the report on it.
 
     Args:
         path: The mesh file, as for :func:`load_mesh`.
         picture: The picture.
-        scale: Factor from the unit of the file to m; positive.
+        scale: As for :func:`load_mesh`, like all that follow.
+        unit: Unit of the file.
+        prim: Prim of a USD file.
+        repair: Repairs of which the result is drawn.
+        tolerance: Of merging.
+        trusted: Whether to read without limits.
+        limits: Limits of reading.
 
     Raises:
         MeshError: If the file cannot be read, or nothing in it can be drawn.
-        ValueError: If ``scale`` is not positive, or the picture cannot be written there.
+        ValueError: If an option is not allowed, or the picture cannot be written there.
     """
     from pathlib import Path
 
-    from warpcontact.meshes.load import _examined
+    from warpcontact.meshes.load import Options, examined
 
     check_path(picture)
-    vertices, faces, report = _examined(Path(path), scale, None)
+    options = Options(scale, unit, prim, repair, tolerance, trusted, limits)
+    vertices, faces, _, report = examined(Path(path), None, options)
     plot_arrays(vertices, faces, report, picture)
     return report
 

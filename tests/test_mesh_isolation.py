@@ -1,0 +1,255 @@
+"""Files that crash, hang or fill the memory end in one sentence, wherever a mesh is loaded from."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from test_mesh_files import STL, binary_stl, glb
+from test_meshes import OUTWARD, TETRAHEDRON
+
+from warpcontact.meshes import Limits, Mesh, MeshError, box, isolation, load_mesh
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="limits on processes are a matter of POSIX")
+SECONDS = 20.0
+
+
+def nested(depth):
+    """A stage with dictionaries in one another: the parser of usda runs out of stack."""
+    return "#usda 1.0\n(\n customLayerData = {" + "dictionary a = {" * depth + "}" * depth + "}\n)\n"
+
+
+def doubling(levels):
+    """A stage of few prims, each made of twice the one before."""
+    prims = ['def Xform "p0" {\n def Mesh "m" {\n int[] faceVertexCounts = [3]\n }\n }']
+    for i in range(1, levels):
+        parts = "".join(f'def "{side}" (references = </p{i - 1}>) {{\n }}\n' for side in "ab")
+        prims.append(f'def Xform "p{i}" {{\n {parts} }}')
+    return "#usda 1.0\n" + "\n".join(prims)
+
+
+def square(count):
+    """A stage with one mesh of ``count`` squares at one place, in a hundred bytes each."""
+    return f'#usda 1.0\ndef Mesh "m" {{ point3f[] points = [{", ".join(["(0,0,0)"] * count)}] }}'
+
+
+def zip_bomb(path):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.usda", b"\0" * 30_000_000)
+
+
+def repeated(tree):
+    """One part, placed a hundred thousand times."""
+    tree["nodes"] = [{"mesh": 0}] * 100_000
+    tree["scenes"] = [{"nodes": list(range(100_000))}]
+    tree["scene"] = 0
+
+
+HOSTILE = {
+    "nested.usda": (nested(50_000), r"the reader crashed on it \(SIG|not valid USD"),
+    "usdz.usdz": (b"PK\x03\x04" + bytes(200), "not valid USD"),
+    "text.usdz": ("#usda 1.0\n", "not valid USD"),
+    "empty.usdc": (b"PXR-USDC" + bytes(80), "not valid USD"),
+    "random.usd": (bytes(range(256)) * 8, "not valid USD"),
+    "none.usda": ("#usda 1.0\n", "it has no vertices"),
+    "zero.usda": ("", "not valid USD"),
+    "huge.stl": (binary_stl([], 2**32 - 1), "announces 4294967295 triangles"),
+    "solid.stl": ("solid a\n" + "facet\n" * 2, "line 3: a facet begins within another one"),
+    "huge.ply": (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty double x\nproperty double y\n"
+        "property double z\nend_header\n",
+        "announces 4000000000 vertex rows, but the file ends before",
+    ),
+    "list.ply": (
+        b"ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uint double vertex_indices\n"
+        b"end_header\n\xff\xff\xff\xff" + bytes(40),
+        "announces 1 face rows, but the file ends before",
+    ),
+    "huge.off": ("OFF\n4000000000 4000000000 0\n", "is the file cut short?"),
+    "polygon.off": ("OFF\n1 1 0\n0 0 0\n999999999999 0 0 0\n", "face 0: 999999999999 or more numbers are needed"),
+    "huge.glb": (glb(lambda t: t["accessors"][0].update(count=2**30)), "announces 1073741824 values"),
+    "stride.glb": (glb(lambda t: t["bufferViews"][0].update(byteStride=-4)), "not valid GLB"),
+    "cycle.glb": (glb(lambda t: t["nodes"][0].update(children=[0])), "node 0 is more than once in the scene"),
+    "deep.glb": (glb(lambda t: t.update(extras=eval("[" * 90 + "]" * 90))), None),
+    "passwd.glb": (glb(lambda t: t["buffers"][0].update(uri="../../etc/passwd")), "buffer 0 is in another file"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_file_ends_in_a_sentence(tmp_path, name):
+    content, message = HOSTILE[name]
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    start = time.monotonic()
+    if message is None:
+        assert load_mesh(path).report.closed
+    else:
+        with pytest.raises(MeshError, match=message) as caught:
+            load_mesh(path)
+        assert len(str(caught.value).splitlines()) <= 3
+    assert time.monotonic() - start < SECONDS
+
+
+def test_a_packed_bomb_is_no_usdz(tmp_path):
+    zip_bomb(tmp_path / "a.usdz")
+    with pytest.raises(MeshError, match="not valid USD"):
+        load_mesh(tmp_path / "a.usdz")
+
+
+def test_a_stage_that_composes_for_ever_is_ended(tmp_path):
+    (tmp_path / "a.usda").write_text(doubling(30))
+    start = time.monotonic()
+    with pytest.raises(MeshError, match=r"reading it takes more than 2 s; allowed: 2 s, see Limits|more memory"):
+        load_mesh(tmp_path / "a.usda", limits=Limits(seconds=2.0))
+    assert time.monotonic() - start < 5.0
+
+
+@POSIX
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux keeps the limit on address space")
+@pytest.mark.parametrize("content", [square(2_000_000), doubling(40)])
+def test_memory_is_limited(tmp_path, content):
+    path = tmp_path / "a.usda"
+    path.write_text(content)
+    with pytest.raises(MeshError, match=r"more memory|crashed on it|not valid USD|takes more than"):
+        load_mesh(path, limits=Limits(memory=400 * 2**20, seconds=10))
+
+
+@POSIX
+def test_a_process_that_cannot_be_limited_watches_itself():
+    # As on macOS, where nothing keeps the limit on address space.
+    code = (
+        "import sys, threading; from warpcontact.meshes.reader_process import watch;"
+        "threading.Thread(target=watch, args=(2 * 10**8,), daemon=True).start();"
+        "fill = [bytearray(10**7) for _ in range(10**6)]"
+    )
+    start = time.monotonic()
+    result = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True)
+    assert result.returncode == isolation.OUT_OF_MEMORY
+    assert time.monotonic() - start < SECONDS
+    assert "more memory" in isolation._reason(result.returncode, False, Limits(), [])
+
+
+def test_too_many_triangles_are_refused_before_they_are_made(tmp_path):
+    (tmp_path / "a.glb").write_bytes(glb(repeated))
+    for trusted in (False, True):
+        with pytest.raises(MeshError, match="allowed: 1000, see Limits"):
+            load_mesh(tmp_path / "a.glb", limits=Limits(faces=1000), trusted=trusted)
+    (tmp_path / "a.stl").write_bytes(STL)
+    with pytest.raises(MeshError, match="it has 4 triangles or more; allowed: 3, see Limits"):
+        load_mesh(tmp_path / "a.stl", limits=Limits(faces=3))
+
+
+def test_limits_are_checked_and_come_from_the_environment(monkeypatch, tmp_path):
+    assert Limits() == Limits(memory=4 * 2**30, seconds=20.0, faces=20_000_000)
+    for options in ({"memory": 0}, {"memory": 1e9}, {"seconds": -1.0}, {"seconds": np.inf}, {"faces": True}):
+        with pytest.raises(ValueError, match=rf"Limits.{next(iter(options))} must be a positive finite"):
+            Limits(**options)
+    monkeypatch.setenv("WARPCONTACT_MESH_SECONDS", "7.5")
+    monkeypatch.setenv("WARPCONTACT_MESH_GIB", "2")
+    assert (Limits().seconds, Limits().memory) == (7.5, 2**31)
+    monkeypatch.setenv("WARPCONTACT_MESH_SECONDS", "soon")
+    (tmp_path / "a.stl").write_bytes(STL)
+    with pytest.raises(ValueError, match=r"variable WARPCONTACT_MESH_SECONDS must be a positive .*, got 'soon'"):
+        load_mesh(tmp_path / "a.stl")
+    with pytest.raises(ValueError, match="limits must be a Limits, got 3"):
+        load_mesh(tmp_path / "a.stl", limits=3)
+
+
+@POSIX
+def test_a_reader_that_dies_is_named_by_its_signal(tmp_path, monkeypatch):
+    (tmp_path / "a.stl").write_bytes(STL)
+    monkeypatch.setattr(isolation, "_START", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    with pytest.raises(MeshError, match=r"the reader crashed on it \(SIGSEGV\), in a process of its own"):
+        load_mesh(tmp_path / "a.stl")
+    monkeypatch.setattr(isolation, "_START", "raise RuntimeError('no luck')")
+    with pytest.raises(MeshError, match="the process that reads it failed: RuntimeError: no luck"):
+        load_mesh(tmp_path / "a.stl")
+    monkeypatch.setattr(isolation, "_START", "import sys; sys.stdout.write('12345678')")
+    with pytest.raises(MeshError, match="the process that reads it failed"):
+        load_mesh(tmp_path / "a.stl")
+    monkeypatch.setattr(sys, "executable", "")
+    with pytest.raises(MeshError, match="there is no Python to read it apart from this process"):
+        load_mesh(tmp_path / "a.stl")
+    assert load_mesh(tmp_path / "a.stl", trusted=True).report.closed
+
+
+def test_a_script_without_a_guard_a_lost_folder_and_threads_can_load(tmp_path):
+    (tmp_path / "a.stl").write_bytes(STL)
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    # numpy.py beside the script, and in the current folder, must not be what the reader imports.
+    (tmp_path / "json.py").write_text("raise SystemExit('the wrong json')")
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys; sys.path.remove(sys.path[0])\n"
+        "import os, shutil, threading, warpcontact as wc\n"
+        f"os.chdir({str(folder)!r}); shutil.rmtree({str(folder)!r})\n"
+        f"load = lambda: print(len(wc.load_mesh({str(tmp_path / 'a.stl')!r}).faces))\n"
+        "load()\n"
+        "thread = threading.Thread(target=load); thread.start(); thread.join()\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-W", "error", script], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (result.stdout.split(), result.stderr) == (["4", "4"], "")
+
+
+def test_files_are_read_side_by_side(tmp_path):
+    for i in range(6):
+        (tmp_path / f"{i}.stl").write_bytes(binary_stl((TETRAHEDRON * (i + 1))[OUTWARD]))
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(load_mesh, sorted(tmp_path.glob("*.stl"))))
+    assert [mesh.bounds[1, 0] for mesh in found] == [1, 2, 3, 4, 5, 6]
+
+
+@pytest.mark.skipif(
+    os.name != "posix" or not hasattr(os, "mkfifo"), reason="pipes in folders are a matter of POSIX"
+)
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.stl")
+    with pytest.raises(MeshError, match="is not a regular file"):
+        load_mesh(tmp_path / "a.stl")
+
+
+def test_a_name_with_anything_in_it_is_read(tmp_path):
+    path = tmp_path / "ümläut 'quoted' \n [x].usda"
+    try:
+        path.write_text("#usda 1.0\n")
+    except OSError:
+        pytest.skip("the file system has no such names")
+    with pytest.raises(MeshError, match="it has no vertices"):
+        load_mesh(path)
+
+
+def test_nothing_is_left_behind(tmp_path):
+    (tmp_path / "a.stl").write_bytes(STL)
+    before = set(os.listdir(tmp_path))
+    load_mesh(tmp_path / "a.stl")
+    assert set(os.listdir(tmp_path)) == before
+    if shutil.which("pgrep"):
+        words = ["pgrep", "-P", str(os.getpid()), "-f", "reader_process"]
+        assert subprocess.run(words, capture_output=True, check=False).stdout == b""
+
+
+def test_trusted_and_apart_give_the_same(shared_data):
+    for name in ("Duck.glb", "featuretype.STL", "fandisk.obj", "ballA.off"):
+        path = shared_data / "meshes" / name
+        apart, here = load_mesh(path), load_mesh(path, trusted=True)
+        assert isinstance(apart, Mesh)
+        np.testing.assert_array_equal(apart.vertices, here.vertices)
+        np.testing.assert_array_equal(apart.faces, here.faces)
+        assert apart.report == here.report
+        assert apart.groups.keys() == here.groups.keys()
+
+
+def test_a_large_mesh_passes_whole(tmp_path):
+    corners = np.concatenate([box().vertices[box().faces] + (3.0 * i, 0, 0) for i in range(500)])
+    (tmp_path / "a.stl").write_bytes(binary_stl(corners))
+    mesh = load_mesh(tmp_path / "a.stl")
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], corners)
+    assert mesh.report.component_count == 500

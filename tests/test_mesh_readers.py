@@ -1,0 +1,211 @@
+"""What the formats allow and files in the wild use: polygons, byte orders, strides, strips, nodes."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+from test_mesh_files import OBJ, glb
+from test_meshes import OUTWARD, TETRAHEDRON
+
+from warpcontact.meshes import UNITS, MeshError, load_mesh
+from warpcontact.meshes.readers.polygons import MOST_CORNERS, triangulate
+
+
+def area_vectors(v, faces):
+    return 0.5 * np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
+
+
+def star(points, turn):
+    """A star, which is not convex, in a plane of its own."""
+    angle = np.linspace(0, 2 * np.pi, 2 * points, endpoint=False)
+    radius = np.where(np.arange(2 * points) % 2, 0.4, 1.0)
+    return np.column_stack((radius * np.cos(angle), radius * np.sin(angle), 0 * angle)) @ turn
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("points", [3, 5, 40])
+def test_polygons_that_are_not_convex_are_filled_once(seed, points):
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    shape = np.roll(star(points, turn), seed, axis=0)
+    v = np.concatenate((shape, shape + np.array((0, 0, 3))))
+    n = len(shape)
+    counts, corners = np.array([n, 3, n]), np.array([*range(n), 0, 1, 2, *range(n, 2 * n)])
+    faces, owner = triangulate(v, counts, corners)
+    assert np.bincount(owner).tolist() == [n - 2, 1, n - 2]
+    expected = 0.5 * np.cross(shape, np.roll(shape, -1, axis=0)).sum(axis=0)
+    for polygon in (0, 2):
+        vectors = area_vectors(v, faces[owner == polygon])
+        np.testing.assert_allclose(vectors.sum(axis=0), expected, atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(vectors, axis=1).sum(), np.linalg.norm(expected))
+
+
+def test_convex_polygons_are_fans_and_strange_ones_are_taken_as_such():
+    faces, owner = triangulate(star(4, np.eye(3)), np.array([4, 3]), np.array([0, 2, 4, 6, 1, 2, 3]))
+    assert faces.tolist() == [[0, 2, 4], [0, 4, 6], [1, 2, 3]]
+    assert owner.tolist() == [0, 0, 1]
+    for v in (
+        np.full((5, 3), np.nan),
+        np.zeros((5, 3)),
+        np.zeros((2, 3)),
+        np.random.default_rng(0).normal(size=(5, 3)),
+    ):
+        faces, _ = triangulate(v, np.array([5]), np.arange(5))
+        assert len(faces) == 3
+    many = star(MOST_CORNERS, np.eye(3))
+    assert len(triangulate(many, np.array([len(many)]), np.arange(len(many)))[0]) == len(many) - 2
+
+
+def ply(order, faces, kind="int", extra=False):
+    """A binary PLY of the tetrahedron with an element between, and properties nobody asked for."""
+    name = {"<": "little", ">": "big"}[order]
+    color = "property uchar red\n" if extra else ""
+    texture = "property list uchar float texcoord\n" if extra else ""
+    head = (
+        f"ply\nformat binary_{name}_endian 1.0\ncomment made here\nelement vertex 4\nproperty double x\n{color}"
+        "property double y\nproperty double z\nelement material 2\nproperty float shine\n"
+        f"element face {len(faces)}\n{texture}property list uchar {kind} vertex_indices\nend_header\n"
+    ).encode()
+    code = {"int": "i", "ushort": "H"}[kind]
+    shade = ("B", (7,)) if extra else ("", ())
+    body = b"".join(struct.pack(f"{order}d{shade[0]}dd", x, *shade[1], y, z) for x, y, z in TETRAHEDRON)
+    body += struct.pack(f"{order}2f", 1, 2)
+    for i, face in enumerate(faces):
+        uv = [0.5] * (i % 3)
+        body += struct.pack(f"{order}B{len(uv)}f", len(uv), *uv) if extra else b""
+        body += struct.pack(f"{order}B{len(face)}{code}", len(face), *face)
+    return head + body
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("kind", ["int", "ushort"])
+@pytest.mark.parametrize("extra", [False, True])
+def test_binary_ply_of_any_layout(tmp_path, order, kind, extra):
+    (tmp_path / "a.ply").write_bytes(ply(order, OUTWARD.tolist(), kind, extra))
+    mesh = load_mesh(tmp_path / "a.ply")
+    np.testing.assert_array_equal(mesh.faces, OUTWARD)
+    np.testing.assert_array_equal(mesh.vertices, TETRAHEDRON)
+    (tmp_path / "b.ply").write_bytes(ply(order, [*OUTWARD[:3].tolist(), (0, 3, 2)], kind, extra)[:-3])
+    with pytest.raises(MeshError, match="announces 4 face rows, but the file ends before; is the file cut short"):
+        load_mesh(tmp_path / "b.ply")
+
+
+def test_ply_with_triangles_and_quads(tmp_path):
+    (tmp_path / "a.ply").write_bytes(ply("<", [(0, 1, 2, 3), (0, 1, 3), (3, 1, 2), (0, 3, 2, 1)][1:]))
+    assert len(load_mesh(tmp_path / "a.ply", repair=True).faces) > 0
+    (tmp_path / "b.ply").write_bytes(ply("<", [(0, 1, 2), (0, 1)]))
+    with pytest.raises(MeshError, match="face 1 has 2 corners; allowed: 3 or more"):
+        load_mesh(tmp_path / "b.ply")
+
+
+def gltf(nodes, primitives, accessors, blob, **more):
+    """A GLB of its parts; every accessor has a view of its own."""
+    views = [{"buffer": 0, **accessor.pop("view")} for accessor in accessors]
+    for i, accessor in enumerate(accessors):
+        accessor["bufferView"] = i
+    tree = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": nodes, **more,
+        "meshes": [{"primitives": primitives}], "accessors": accessors, "bufferViews": views,
+        "buffers": [{"byteLength": len(blob)}],
+    }  # fmt: skip
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    blob += bytes(-len(blob) % 4)
+    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+
+
+POINTS = TETRAHEDRON.astype("<f4")
+
+
+def parts(indices, mode, dtype="<u1"):
+    code = {"<u1": 5121, "<u2": 5123, "<u4": 5125}[dtype]
+    # Vertices are interleaved with something else.
+    rows = np.column_stack((POINTS, np.full((4, 1), 9, "<f4"))).tobytes()
+    data = np.array(indices, dtype).tobytes()
+    accessors = [
+        {"componentType": 5126, "count": 4, "type": "VEC3",
+         "view": {"byteOffset": 0, "byteLength": len(rows), "byteStride": 16}},
+        {"componentType": code, "count": len(indices), "type": "SCALAR",
+         "view": {"byteOffset": len(rows), "byteLength": len(data)}},
+    ]  # fmt: skip
+    return [{"attributes": {"POSITION": 0}, "indices": 1, "mode": mode}], accessors, rows + data
+
+
+@pytest.mark.parametrize(
+    ("indices", "mode"),
+    [
+        (OUTWARD.ravel(), 4),
+        ([0, 2, 1, 3, 0, 2], 5),  # a strip around
+        ([0, 2, 1, 3, 3, 1, 1, 3, 0, 2], 5),  # two in one, joined by repeated corners
+    ],
+)
+@pytest.mark.parametrize("dtype", ["<u1", "<u2", "<u4"])
+def test_triangles_and_strips_of_a_glb(tmp_path, indices, mode, dtype):
+    (tmp_path / "a.glb").write_bytes(gltf([{"mesh": 0}], *parts(indices, mode, dtype)))
+    report = load_mesh(tmp_path / "a.glb", repair="orient").report
+    assert (report.face_count, report.closed, report.orientation) == (4, True, "outward")
+
+
+def test_a_fan_of_a_glb(tmp_path):
+    (tmp_path / "a.glb").write_bytes(gltf([{"mesh": 0}], *parts([3, 0, 1, 2, 0], 6)))
+    assert load_mesh(tmp_path / "a.glb").faces.tolist() == [[3, 0, 1], [3, 1, 2], [3, 2, 0]]
+
+
+def test_nodes_of_a_glb_place_their_children(tmp_path):
+    half = np.sqrt(0.5)
+    nodes = [
+        {"children": [1, 2], "translation": [10, 0, 0]},
+        {"mesh": 0, "rotation": [0, 0, half, half], "scale": [2, 1, 1]},
+        {"mesh": 0, "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 5, 0, 1]},
+    ]
+    (tmp_path / "a.glb").write_bytes(gltf(nodes, *parts(OUTWARD.ravel(), 4)))
+    mesh = load_mesh(tmp_path / "a.glb")
+    expected = trimesh.load_scene(tmp_path / "a.glb", process=False).to_geometry()
+    key = lambda t: np.sort(t.mean(axis=1).round(6), axis=0)  # noqa: E731
+    np.testing.assert_allclose(key(mesh.vertices[mesh.faces]), key(expected.triangles), atol=1e-6)
+    np.testing.assert_allclose(mesh.vertices[1], (10, 2, 0), atol=1e-6)
+    assert [part.volume for part in mesh.report.components] == pytest.approx([1 / 3, 1 / 6], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda t: t["nodes"][0].update(mesh=7), "a number of meshes must be from 0 to 0, got 7"),
+        (lambda t: t["nodes"][0].update(mesh=-1), "a number of meshes must be from 0 to 0, got -1"),
+        (lambda t: t.update(scene=True), "a number of scenes must be from 0 to 0, got True"),
+        (lambda t: t["accessors"][0].update(type="VEC2"), "accessor . must be of type .*, got 'VEC2'"),
+        (lambda t: t["accessors"][0].update(count=-1), "accessor . announces -1 values"),
+        (lambda t: t["meshes"][0]["primitives"][0].update(extensions={"KHR_draco_mesh_compression": {}}),
+         "it is compressed .KHR_draco_mesh_compression."),
+        (lambda t: t["meshes"][0]["primitives"][0]["attributes"].pop("POSITION"), "a part has no POSITION"),
+        (lambda t: t.update(meshes=[3]), r"meshes\[0\] is no table"),
+    ],
+)  # fmt: skip
+def test_bad_references_of_a_glb_are_named(tmp_path, edit, message):
+    (tmp_path / "a.glb").write_bytes(glb(edit))
+    with pytest.raises(MeshError, match=message):
+        load_mesh(tmp_path / "a.glb")
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_units_are_metres_per_unit(tmp_path, unit):
+    (tmp_path / "a.obj").write_text(OBJ)
+    mesh = load_mesh(tmp_path / "a.obj", unit=unit, trusted=True)
+    known = {
+        "m": 1,
+        "dm": 0.1,
+        "cm": 0.01,
+        "mm": 0.001,
+        "um": 1e-6,
+        "µm": 1e-6,
+        "km": 1000,
+        "in": 0.0254,
+        "ft": 0.3048,
+    }
+    np.testing.assert_array_equal(mesh.vertices, TETRAHEDRON * known[unit])
+    half = load_mesh(tmp_path / "a.obj", unit=unit, scale=0.5, trusted=True)
+    np.testing.assert_array_equal(half.vertices, 0.5 * TETRAHEDRON * known[unit])
+    with pytest.raises(ValueError, match="unit must be one of m, dm, cm, mm, um, µm, km, in, ft, got 'inch'"):
+        load_mesh(tmp_path / "a.obj", unit="inch")

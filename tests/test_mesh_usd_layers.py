@@ -1,0 +1,115 @@
+"""Stages of several files: layers beside the file are read, and none elsewhere unless it is trusted."""
+
+import os
+import zipfile
+
+import pytest
+from mesh_stages import add_mesh, new_stage, save, save_tetrahedron
+from pxr import Sdf, Usd, UsdUtils
+from test_meshes import TETRAHEDRON
+
+from warpcontact.meshes import MeshError, load_mesh
+
+
+@pytest.fixture
+def tetrahedron(tmp_path):
+    return save_tetrahedron(tmp_path / "part.usda")
+
+
+def layered(path, kind, asset):
+    """A stage with a mesh of its own that composes ``asset`` by an arc of ``kind``."""
+    stage = new_stage()
+    add_mesh(stage, "/own", TETRAHEDRON + 2)
+    if kind == "sublayer":
+        stage.GetRootLayer().subLayerPaths.append(asset)
+    elif kind == "variant":
+        variants = stage.DefinePrim("/other").GetVariantSets().AddVariantSet("which")
+        variants.AddVariant("far")
+        variants.SetVariantSelection("far")
+        with variants.GetVariantEditContext():
+            stage.GetPrimAtPath("/other").GetReferences().AddReference(asset, "/World")
+        variants.ClearVariantSelection()
+    elif kind == "clips":
+        Usd.ClipsAPI(stage.DefinePrim("/other")).SetClips({"default": {"assetPaths": Sdf.AssetPathArray([asset])}})
+    else:
+        prim = stage.DefinePrim("/other")
+        getattr(prim, f"Get{kind.capitalize()}s")().__getattribute__(f"Add{kind.capitalize()}")(asset, "/World")
+    return save(stage, path)
+
+
+@pytest.mark.parametrize("kind", ["reference", "payload", "sublayer"])
+def test_layers_beside_the_file_and_below_are_read(tetrahedron, tmp_path, kind):
+    (tmp_path / "sub").mkdir()
+    tetrahedron.rename(tmp_path / "sub" / "part.usda")
+    path = layered(tmp_path / "a.usda", kind, "./sub/part.usda")
+    assert len(load_mesh(path).faces) == 8
+
+
+@pytest.mark.parametrize("kind", ["reference", "payload", "sublayer", "variant"])
+@pytest.mark.parametrize("how", ["up", "absolute", "link", "package"])
+def test_layers_elsewhere_are_refused_unless_trusted(tetrahedron, tmp_path, kind, how):
+    folder = tmp_path / "inner"
+    folder.mkdir()
+    asset = {"up": "../part.usda", "absolute": str(tetrahedron), "link": "./link.usda"}.get(
+        how, "../part.usdz[part.usda]"
+    )
+    if how == "link":
+        os.symlink(tetrahedron, folder / "link.usda")
+    if how == "package":
+        assert UsdUtils.CreateNewUsdzPackage(str(tetrahedron), str(tmp_path / "part.usdz"))
+    path = layered(folder / "a.usda", kind, asset)
+    with pytest.raises(
+        MeshError, match=r"it refers to '.*part.*', outside of its folder|link.usda', outside of its"
+    ):
+        load_mesh(path)
+    if kind != "variant":
+        assert len(load_mesh(path, trusted=True).faces) == 8
+
+
+@pytest.mark.parametrize(
+    ("asset", "message"),
+    [
+        ("/etc/passwd", "it refers to '/etc/passwd', outside of its folder"),
+        ("http://example.org/a.usda", "it refers to 'http://example.org/a.usda', which is no file"),
+        ("./none.usda", "it refers to './none.usda', which does not exist"),
+        ("./text.txt", "it refers to './text.txt'; allowed: files of type .usd"),
+        ("./broken.usda", "not valid USD"),
+    ],
+)
+def test_what_is_no_layer_is_refused(tmp_path, asset, message):
+    (tmp_path / "text.txt").write_text("#usda 1.0\n")
+    (tmp_path / "broken.usda").write_text("#usda 1.0\n(((")
+    with pytest.raises(MeshError, match=message):
+        load_mesh(layered(tmp_path / "a.usda", "reference", asset))
+
+
+def test_layers_of_the_current_folder_are_not_found(tetrahedron, tmp_path, monkeypatch):
+    (tmp_path / "inner").mkdir()
+    monkeypatch.chdir(tmp_path)  # where USD looks for names that lie beside nothing
+    monkeypatch.setenv("PXR_AR_DEFAULT_SEARCH_PATH", str(tmp_path))
+    with pytest.raises(MeshError, match=r"it refers to 'part.usda', outside of its folder"):
+        load_mesh(layered(tmp_path / "inner" / "a.usda", "sublayer", "part.usda"))
+
+
+def test_a_package_does_not_reach_out_of_itself(tetrahedron, tmp_path):
+    (tmp_path / "inner").mkdir()
+    for asset in ("../part.usda", "../../part.usda", str(tetrahedron)):
+        with zipfile.ZipFile(tmp_path / "inner" / "a.usdz", "w", zipfile.ZIP_STORED) as package:
+            package.writestr("root.usda", f"#usda 1.0\n(\n subLayers = [@{asset}@]\n)\n")
+        with pytest.raises(MeshError, match=r"cannot be opened|outside of its folder"):
+            load_mesh(tmp_path / "inner" / "a.usdz")
+
+
+def test_a_chain_of_layers_is_followed_to_its_end(tetrahedron, tmp_path):
+    folder = tmp_path / "inner"
+    folder.mkdir()
+    layered(folder / "b.usda", "sublayer", "../part.usda")
+    with pytest.raises(MeshError, match=r"refers to '\.\./part.usda', outside"):
+        load_mesh(layered(folder / "a.usda", "sublayer", "./b.usda"))
+
+
+def test_value_clips_are_refused_unless_trusted(tetrahedron, tmp_path):
+    path = layered(tmp_path / "a.usda", "clips", "../elsewhere.usda")
+    with pytest.raises(MeshError, match="it has value clips at /other"):
+        load_mesh(path)
+    assert len(load_mesh(path, trusted=True).faces) == 4

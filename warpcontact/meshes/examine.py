@@ -1,0 +1,153 @@
+"""Why a triangle mesh cannot be used and what it is like: the one place that knows.
+
+``wp.Mesh`` accepts anything: an index out of range or an empty mesh ends the process, a NaN vertex or a
+sliver is a hole in the surface without a word. Everything is therefore examined on the host first.
+
+Topology is that of the *welded* surface, in which vertices at exactly the same place are one (an STL file
+has no other connectivity), and of its sound faces: those that refer to usable vertices, have three
+different corners and are no copy of an earlier face in the same direction. The figures of a broken mesh
+are those of its sound part.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from warpcontact.meshes.overlap import MOST_FACES, intersections
+from warpcontact.meshes.remarks import notes_of, warnings_of
+from warpcontact.meshes.report import MeshReport, listed
+from warpcontact.meshes.topology import examine_surface, representatives, slenderness
+
+# Warp's closest-point queries skip a face whose |cross|/Σe² is below this (sliver detection in its mesh.h).
+SLIVER_LIMIT = 1.0e-6
+# float32, in which Warp stores vertices, resolves 6 cm at this distance [m]: no contact is meaningful there.
+COORDINATE_LIMIT = 1.0e6
+
+
+def examine(
+    vertices: npt.ArrayLike, faces: npt.ArrayLike, name: str = "mesh", *, overlaps: bool = False
+) -> MeshReport:
+    """Examine any vertices and faces; what is wrong ends up in ``errors``, never in an exception.
+
+    Args:
+        vertices: Positions, (V, 3) real numbers [m].
+        faces: Three vertex indices for each triangle, (F, 3) integers.
+        name: Name for the report.
+        overlaps: Whether to look for faces that cut each other, which takes as long as all the rest; not done
+            for more than 100 000 faces.
+
+    Returns:
+        All facts, with every problem found.
+    """
+    v, vertex_error = _array(vertices, "vertices", "(V, 3)", "iuf", "real numbers")
+    f, face_error = _array(faces, "faces", "(F, 3)", "iu", "integers")
+    if vertex_error or face_error:
+        return MeshReport(name, len(v), len(f), errors=vertex_error + face_error)
+    with np.errstate(over="ignore"):  # a longdouble beyond float64 becomes inf, which is refused below
+        v = v.astype(np.float64)
+    finite: npt.NDArray[np.bool] = np.all(np.isfinite(v), axis=1)
+    near: npt.NDArray[np.bool] = np.all(np.abs(v) <= COORDINATE_LIMIT, axis=1)  # false for NaN
+    # Before the cast, which wraps large unsigned numbers.
+    known: npt.NDArray[np.bool] = np.all((f >= 0) & (f < len(v)), axis=1)
+    index = np.where(known[:, None], f, 0).astype(np.int64)
+    placed = known & near[index].all(axis=1)
+    ratio, ratio32 = np.full(len(f), np.inf), np.full(len(f), np.inf)
+    ratio[placed] = slenderness(v[index[placed]])
+    with np.errstate(all="ignore"):  # underflow of float32 is one of the things looked for
+        ratio32[placed] = slenderness(v[index[placed]].astype(np.float32))
+
+    welded = representatives(v)
+    corners = welded[index]
+    sound = np.flatnonzero(placed & (corners != corners[:, [1, 2, 0]]).all(axis=1))
+    original = np.arange(len(f))
+    original[sound] = sound[representatives(np.sort(corners[sound], axis=1))]
+    # A copy in the other direction stays: in a folded sheet some of the neighbours belong to it.
+    turn = corners[sound].argmin(axis=1)[:, None] + np.arange(3)
+    oriented = representatives(np.take_along_axis(corners[sound], turn % 3, axis=1))
+    sound = sound[oriented == np.arange(len(sound))]
+    facts, clash, halves = examine_surface(v, corners[sound])
+    if "components" in facts:  # numbers of faces as given
+        facts["components"] = tuple(
+            replace(part, first_face=int(sound[part.first_face])) for part in facts["components"]
+        )
+    slivers, copies = ratio < SLIVER_LIMIT, original != np.arange(len(f))
+    flat = sound[~slivers[sound] & ~copies[sound]]
+    cuts = intersections(v, corners[flat]) if overlaps and len(flat) <= MOST_FACES else None
+    cut = None if cuts is None or not len(cuts) else (int(flat[cuts[0, 0]]), int(flat[cuts[0, 1]]))
+    used = np.zeros(len(v), dtype=bool)
+    used[index[known]] = True
+
+    def vertex(i: int) -> str:
+        return f"vertex {i} at {listed(v[i])}"
+
+    def face(i: int) -> str:
+        return f"face {i} with vertices {listed(f[i])}"
+
+    def sliver(i: int) -> str:
+        return f"{face(i)} and |cross|/Σe² = {ratio[i]:.3g}"
+
+    def duplicate(i: int) -> str:
+        return f"{face(i)} has the corners of face {original[i]}"
+
+    def edge(i: int) -> str:
+        (here, there), corner = halves[i] // 3, halves[i][0] % 3
+        tail, head = np.roll(corners[sound[here]], -corner)[:2]
+        return f"faces {sound[here]} and {sound[there]} both run from vertex {tail} to vertex {head}"
+
+    found = (
+        _problem(~finite, "vertices", "not finite", vertex, "finite numbers"),
+        _problem(finite & ~near, "vertices", "too far away", vertex, f"within ±{COORDINATE_LIMIT:g} m"),
+        _problem(~known, "faces", "out of index range", face, f"vertex indices 0 to {len(v) - 1}"),
+        _problem(slivers, "faces", "degenerate", sliver, f'{SLIVER_LIMIT:g} or more; repair="degenerate"'),
+        _problem(copies, "faces", "duplicate", duplicate, 'one face for three points; repair="duplicate"'),
+        _problem(clash, "edges", "wound inconsistently", edge, 'one face in each direction; repair="orient"'),
+    )
+    box = v[near & used] if (near & used).any() else np.zeros((1, 3))
+    report = MeshReport(
+        name,
+        vertex_count=len(v),
+        face_count=len(f),
+        welded_vertex_count=len(np.unique(welded)),
+        lower=tuple(box.min(axis=0).tolist()),
+        upper=tuple(box.max(axis=0).tolist()),
+        inconsistent_edge_count=int(clash.sum()),
+        duplicate_face_count=int(copies.sum()),
+        degenerate_face_count=int(slivers.sum()),
+        float32_sliver_count=int((~slivers & ~(ratio32 >= np.float32(SLIVER_LIMIT))).sum()),
+        self_intersection_count=None if cuts is None else len(cuts),
+        unreferenced_vertex_count=int((~used).sum()),
+        coincident_vertex_count=int((welded != np.arange(len(v))).sum()),
+        errors=tuple(problem for problem in found if problem),
+        **facts,
+    )
+    return replace(report, warnings=warnings_of(report, cut), notes=notes_of(report))
+
+
+def _problem(bad: npt.NDArray[np.bool], noun: str, what: str, describe: Callable[[int], str], allowed: str) -> str:
+    """One sentence on the ``bad`` entries; empty if there is none."""
+    count = int(bad.sum())
+    if not count:
+        return ""
+    verb, first = "is" if count == 1 else "are", describe(int(bad.argmax()))
+    return f"{count} of {len(bad)} {noun} {verb} {what}, first: {first}; allowed: {allowed}"
+
+
+def _array(
+    values: npt.ArrayLike, label: str, shape: str, kinds: str, numbers: str
+) -> tuple[npt.NDArray[Any], tuple[str, ...]]:
+    """``values`` as an (n, 3) array, empty if it is none, and why it is not usable."""
+    none = np.empty((0, 3))
+    try:
+        array = np.asarray(values)
+    except (ValueError, TypeError, OverflowError) as error:  # ragged rows
+        return none, (f"{label} must be an array of shape {shape}: {error}",)
+    if array.size == 0:
+        return none, (f"it has no {label}",)
+    if array.ndim != 2 or array.shape[1] != 3:
+        return none, (f"{label} must have shape {shape}, got {array.shape}",)
+    if array.dtype.kind not in kinds:
+        return array, (f"{label} must hold {numbers}, got {array.dtype}",)
+    return array, ()

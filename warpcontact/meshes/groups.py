@@ -1,0 +1,80 @@
+"""Groups of faces: checked, and used to choose a part of a mesh."""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+#: What chooses faces: a mask (F,) or face numbers; names of groups; or a function that is given the centroids
+#: (F, 3) [m], in the frame of the mesh, and returns a mask. ``None``: all.
+FaceChoice = npt.ArrayLike | str | Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None
+
+
+def checked_groups(groups: Mapping[str, npt.ArrayLike] | None, count: int) -> Mapping[str, npt.NDArray[np.int32]]:
+    """Returns groups of a mesh with ``count`` faces as ascending read-only arrays.
+
+    Raises:
+        ValueError: If a name is no text or empty, or a face number out of range.
+    """
+    checked: dict[str, npt.NDArray[np.int32]] = {}
+    for name, members in (groups or {}).items():
+        if not isinstance(name, str) or not name:
+            raise ValueError(f"a group must have a non-empty string for a name, got {name!r}")
+        checked[name] = np.flatnonzero(_mask(f"groups[{name!r}]", members, count)).astype(np.int32)
+        checked[name].flags.writeable = False
+    return MappingProxyType(checked)
+
+
+def face_mask(label: str, choice: FaceChoice, mesh: Any) -> npt.NDArray[np.bool]:
+    """Returns the mask (F,) of the chosen faces of a mesh.
+
+    Args:
+        label: What is chosen, for messages.
+        choice: What chooses.
+        mesh: A ``Mesh``.
+
+    Raises:
+        ValueError: If it is none of these, a number is out of range, or there is no such group.
+    """
+    count = len(mesh.faces)
+    if callable(choice):
+        found = np.asarray(choice(mesh.vertices[mesh.faces].mean(axis=1)))
+        if found.dtype != bool or found.shape != (count,):
+            raise ValueError(
+                f"{label} as a function must return a mask of shape ({count},), got {found.dtype} values of shape "
+                f"{found.shape}"
+            )
+        return found.copy()
+    names = [choice] if isinstance(choice, str) else choice
+    if isinstance(names, list | tuple | set) and any(isinstance(name, str) for name in names):
+        mask = np.zeros(count, dtype=bool)
+        for name in names:
+            if name not in mesh.groups:
+                known = ", ".join(sorted(mesh.groups)[:20]) + (", …" if len(mesh.groups) > 20 else "")
+                raise ValueError(f"{label} must be groups of the mesh ({known or 'it has none'}), got {name!r}")
+            mask[mesh.groups[name]] = True
+        return mask
+    return _mask(label, choice, count)
+
+
+def _mask(label: str, faces: Any, count: int) -> npt.NDArray[np.bool]:
+    """Returns a mask over ``count`` faces from a mask, face numbers, or ``None`` for all."""
+    if faces is None:
+        return np.ones(count, dtype=bool)
+    given = np.asarray(faces)
+    if given.dtype == bool:
+        if given.shape != (count,):
+            raise ValueError(f"{label} as a mask must have shape ({count},), got {given.shape}")
+        return given.copy()
+    mask = np.zeros(count, dtype=bool)
+    if given.size == 0:
+        return mask
+    if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
+        raise ValueError(f"{label} must be a mask of {count} booleans or face numbers, got {given.dtype} values")
+    outside = given[(given < 0) | (given >= count)]
+    if len(outside):
+        raise ValueError(f"{label} must be face numbers from 0 to {count - 1}, got {outside[0]}")
+    mask[given] = True
+    return mask

@@ -1,0 +1,207 @@
+"""Reads mesh files in a process of their own, which cannot take this one with it.
+
+No reader is safe on files from anywhere: those of USD can end the process, compose for hours, or fill the memory.
+The process imports what the reader needs and nothing else, neither the caller's script nor Warp, so that it starts
+in a fraction of a second from wherever it is called.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from math import inf
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from warpcontact.meshes.mesh import MeshError
+from warpcontact.meshes.reader_process import OUT_OF_MEMORY
+from warpcontact.meshes.readers import Content, Unreadable
+
+_START = """
+import json, sys, types
+request = json.loads(sys.stdin.buffer.read())
+sys.path[:] = request["path"]
+# The packages are there by name only: what they import on their own is not needed here.
+for name, folder in request["packages"].items():
+    sys.modules[name] = types.ModuleType(name)
+    sys.modules[name].__path__ = [folder]
+from warpcontact.meshes.reader_process import main
+main(request)
+"""
+# One thread is enough, and each reserves address space; what plug-ins of USD do is not known.
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "PXR_WORK_THREAD_LIMIT")
+# What an answer says besides its arrays.
+_WORDS = ("unit", "unit_warning", "warnings", "notes")
+_ANYWHERE_ELSE = ("PXR_", "USD_", "PYTHON")
+
+
+def _default(name: str, value: float) -> float:
+    """Returns ``value``, or what the environment variable ``name`` says."""
+    text = os.environ.get(name, "")
+    try:
+        number = float(text) if text else value
+    except ValueError:
+        number = -1.0
+    if not 0.0 < number < inf:
+        raise MeshError(f"the environment variable {name} must be a positive finite number, got {text!r}")
+    return number
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What reading a mesh file may take.
+
+    Attributes:
+        memory: Address space of the process that reads [bytes]; 4 GiB, or ``WARPCONTACT_MESH_GIB`` in GiB.
+        seconds: Time to read it [s]; 20, or ``WARPCONTACT_MESH_SECONDS``.
+        faces: Number of triangles; 20 million, or ``WARPCONTACT_MESH_FACES``.
+    """
+
+    memory: int = field(default_factory=lambda: int(_default("WARPCONTACT_MESH_GIB", 4.0) * 2**30))
+    seconds: float = field(default_factory=lambda: _default("WARPCONTACT_MESH_SECONDS", 20.0))
+    faces: int = field(default_factory=lambda: int(_default("WARPCONTACT_MESH_FACES", 2e7)))
+
+    def __post_init__(self) -> None:
+        for name in ("memory", "seconds", "faces"):
+            value = getattr(self, name)
+            whole = isinstance(value, int) or (name == "seconds" and isinstance(value, float))
+            if isinstance(value, bool) or not whole or not 0 < value < inf:
+                kind = "number" if name == "seconds" else "whole number"
+                raise ValueError(f"Limits.{name} must be a positive finite {kind}, got {value!r}")
+
+
+def read_isolated(path: Path, prim: str | None, limits: Limits) -> Content:
+    """Reads a mesh file in a process of its own.
+
+    Args:
+        path: The file.
+        prim: Path of a prim, for USD only.
+        limits: What it may take.
+
+    Raises:
+        Unreadable: If the content is damaged or not supported, or reading it crashes or passes a limit.
+    """
+    meshes = Path(__file__).resolve().parent
+    request = {
+        "file": os.path.abspath(path),
+        "prim": prim,
+        "memory": limits.memory,
+        "seconds": limits.seconds,
+        "faces": limits.faces,
+        "path": [os.path.abspath(entry) for entry in sys.path if entry],
+        "packages": {"warpcontact": str(meshes.parent), "warpcontact.meshes": str(meshes)},
+    }
+    with _process(limits.seconds) as (process, expired):
+        output, errors = process.stdout, process.stderr
+        assert process.stdin is not None
+        assert output is not None
+        assert errors is not None
+        try:
+            process.stdin.write(json.dumps(request).encode())
+            process.stdin.close()
+            return _answer(output, limits)
+        except (EOFError, BrokenPipeError):
+            # Nothing was read, or not all of it: how the process ended says why.
+            output.close()
+            said = errors.read(2000).decode(errors="replace").split("\n")
+            code = process.wait()
+            raise Unreadable(_reason(code, expired.is_set(), limits, said)) from None
+
+
+@contextmanager
+def _process(seconds: float) -> Iterator[tuple[subprocess.Popen[bytes], threading.Event]]:
+    """A process that reads, and whether its time is up; it has ended afterwards, whatever happened."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(_ANYWHERE_ELSE)}
+    environment |= dict.fromkeys(_THREADS, "1") | {"MALLOC_ARENA_MAX": "2"}
+    if not sys.executable or getattr(sys, "frozen", False):
+        raise Unreadable("there is no Python to read it apart from this process; allowed: trusted=True")
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-I", "-B", "-c", _START],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=environment,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+    except OSError as error:
+        raise Unreadable(f"the process that reads it cannot be started: {error}") from error
+    expired = threading.Event()
+
+    def expire() -> None:
+        expired.set()
+        process.kill()
+
+    timer = threading.Timer(seconds, expire)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield process, expired
+    finally:
+        timer.cancel()
+        process.kill()
+        with process:  # closes the pipes and waits
+            pass
+
+
+def _answer(output: IO[bytes], limits: Limits) -> Content:
+    """Takes the answer apart; sizes are checked before memory is taken for them.
+
+    Raises:
+        EOFError: If it ends early.
+        Unreadable: If it is a reason instead of arrays.
+    """
+    length = int.from_bytes(_bytes(output, 8), "little")
+    if length > limits.memory:
+        raise EOFError
+    header = json.loads(_bytes(output, length))
+    if "error" in header:
+        raise Unreadable(header["error"])
+    sizes = [members for _, members in header["groups"]]
+    if max(header["faces"], header["vertices"] / 3) > limits.faces or 8 * sum(sizes) > limits.memory:
+        raise EOFError
+    vertices = _array(output, header["vertices"] * 3, "<f8").reshape(-1, 3)
+    faces = _array(output, header["faces"] * 3, "<i8").reshape(-1, 3)
+    groups = {name: _array(output, size, "<i8") for name, size in header["groups"]}
+    return Content(vertices, faces, groups, **{key: header[key] for key in _WORDS})
+
+
+def _bytes(output: IO[bytes], count: int) -> bytes:
+    data = output.read(count)
+    if len(data) < count:
+        raise EOFError
+    return data
+
+
+def _array(output: Any, count: int, dtype: str) -> Any:
+    array = np.empty(count, dtype)
+    if count and output.readinto(array.view(np.uint8)) < array.nbytes:
+        raise EOFError
+    return array
+
+
+def _reason(code: int, expired: bool, limits: Limits, said: list[str]) -> str:
+    """Why a process ended with ``code`` before it had answered."""
+    cpu_time = getattr(signal, "SIGXCPU", None)
+    if expired or (cpu_time is not None and code == -cpu_time):
+        return f"reading it takes more than {limits.seconds:g} s; allowed: {limits.seconds:g} s, see Limits"
+    if code == OUT_OF_MEMORY:
+        return "it needs more memory than is allowed, see Limits"
+    if code < 0 or code > 255:  # a signal, or what stands for one on Windows
+        try:
+            name = signal.Signals(-code).name
+        except ValueError:
+            name = f"{code:#x}"
+        return (
+            f"the reader crashed on it ({name}), in a process of its own with {limits.memory / 2**30:.3g} GiB of "
+            "memory; the file is damaged or hostile, or needs more, see Limits"
+        )
+    last = next((line.strip() for line in reversed(said) if line.strip()), "no message")
+    return f"the process that reads it failed: {last[:200]}"

@@ -1,0 +1,64 @@
+"""Which closed parts of a surface lie inside of which."""
+
+import numpy as np
+import numpy.typing as npt
+
+# Pairs of a corner and a face that are looked at, beyond which nothing is said: a second or so of work.
+_BUDGET = 10_000_000
+_SAMPLES = 3
+
+
+def containers(
+    v: npt.NDArray[np.float64],
+    faces: npt.NDArray[np.int64],
+    part: npt.NDArray[np.integer],
+    closed: npt.NDArray[np.bool],
+) -> dict[int, int]:
+    """Finds the part that each closed part lies in.
+
+    A part lies in another one if its box lies in that of the other, and so do samples of its corners by winding
+    number; parts that cut each other may or may not count.
+
+    Args:
+        v: Positions, (V, 3) [m].
+        faces: Vertex indices of each triangle, (F, 3).
+        part: Part of each triangle, (F,), numbers from 0.
+        closed: Whether each part bounds a volume and its faces agree on the side, (parts,).
+
+    Returns:
+        The smallest part around each, for those that lie in one; nothing if there are too many to look at.
+    """
+    count = len(closed)
+    if count < 2 or closed.sum() < 2 or closed.sum() > 2000:
+        return {}
+    order = np.argsort(part, kind="stable")
+    bounds = np.searchsorted(part[order], np.arange(count + 1))
+    corners = v[faces[order]]
+    lower = np.minimum.reduceat(corners.min(axis=1), bounds[:-1], axis=0)
+    upper = np.maximum.reduceat(corners.max(axis=1), bounds[:-1], axis=0)
+    inside = (lower[:, None] >= lower[None]).all(axis=2) & (upper[:, None] <= upper[None]).all(axis=2)
+    inside &= closed[:, None] & closed[None]
+    np.fill_diagonal(inside, False)
+    inner, outer = np.nonzero(inside)
+    sizes = np.diff(bounds)
+    if _SAMPLES * int(sizes[outer].sum()) > _BUDGET:
+        return {}
+    extents = np.prod(upper - lower, axis=1)
+    found: dict[int, int] = {}
+    for i, j in zip(inner.tolist(), outer.tolist(), strict=True):
+        points = v[np.unique(faces[order[bounds[i] : bounds[i + 1]]])]
+        samples = points[np.linspace(0, len(points) - 1, _SAMPLES).astype(int)]
+        if i in found and extents[found[i]] <= extents[j]:
+            continue
+        if all(abs(_winding(corners[bounds[j] : bounds[j + 1]] - sample)) > 0.5 for sample in samples):
+            found[i] = j
+    return found
+
+
+def _winding(corners: npt.NDArray[np.float64]) -> float:
+    """How often triangles (n, 3, 3) of a closed surface go around the origin (van Oosterom & Strackee 1983)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    x, y, z = (np.linalg.norm(p, axis=1) for p in (a, b, c))
+    ab, bc, ca = (np.einsum("ij,ij->i", p, q) for p, q in ((a, b), (b, c), (c, a)))
+    above = np.einsum("ij,ij->i", a, np.cross(b, c))
+    return float(np.arctan2(above, x * y * z + ab * z + bc * x + ca * y).sum() / (2.0 * np.pi))

@@ -1,0 +1,78 @@
+"""Turns the faces of a surface so that neighbours agree and closed parts face outward."""
+
+import numpy as np
+import numpy.typing as npt
+
+from warpcontact.meshes.nesting import containers
+from warpcontact.meshes.topology import Edges, components, representatives, volumes_of
+
+_Integers = npt.NDArray[np.integer]
+
+
+def turned_over(v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.bool], int]:
+    """Says which faces to turn over.
+
+    Faces that share an edge with one other face only form patches. Within a patch all faces are made to agree; of
+    the two ways that is taken which turns the smaller area. Closed patches then face outward, but one inside
+    another, such as a cavity, keeps its side of the one around it if its own faces agreed, and is taken for a
+    cavity if not.
+
+    Args:
+        v: Positions, (V, 3) [m].
+        faces: Welded vertex indices of each triangle, (F, 3), three different ones.
+
+    Returns:
+        Whether to turn each face over, (F,); and the number of one-sided patches, as a Möbius strip, which stay.
+    """
+    count = len(faces)
+    edges = Edges(faces)
+    shared = edges.counts == 2
+    pairs, opposed = edges.halves[shared] // 3, edges.balance[shared] != 0
+    patches, patch = components(pairs, count)
+    # Every face twice, as it is (2 i) and turned over (2 i + 1), linked with what its neighbours then are.
+    f, g = pairs.T
+    links = [np.column_stack((2 * f + side, 2 * g + (side ^ opposed))) for side in (0, 1)]
+    _, state = components(np.concatenate(links), 2 * count)
+    one_sided = np.zeros(patches, dtype=bool)
+    one_sided[patch[state[0::2] == state[1::2]]] = True
+    first = np.unique(patch, return_index=True)[1]
+    turn = (state[0::2] != state[2 * first[patch]]) & ~one_sided[patch]
+
+    areas = np.linalg.norm(np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]]), axis=1)
+    turn ^= (np.bincount(patch, areas * turn, patches) > 0.5 * np.bincount(patch, areas, patches))[patch]
+    agreed = np.bincount(patch, turn, patches) == 0  # as given
+    agreed |= np.bincount(patch, turn, patches) == np.bincount(patch, minlength=patches)
+
+    alike = np.where(turn[:, None], faces[:, ::-1], faces)
+    closed = _closed(alike, patch, patches) & ~one_sided
+    _, volumes, nothing = volumes_of(v, alike, patch, patches)
+    closed &= np.abs(volumes) > nothing
+    around = containers(v, alike, patch, closed)
+    over = np.zeros(patches, dtype=bool)  # which patches to turn over as a whole, after what was done above
+    for i in sorted(np.flatnonzero(closed).tolist(), key=lambda i: _depth(i, around)):
+        outer = around.get(i)
+        if outer is None:
+            over[i] = volumes[i] < 0.0
+        elif agreed[i]:
+            over[i] = over[outer] and agreed[outer]
+        else:
+            over[i] = (volumes[i] > 0.0) == ((volumes[outer] > 0.0) != over[outer])
+    return turn ^ over[patch], int(one_sided.sum())
+
+
+def _depth(i: int, around: dict[int, int]) -> int:
+    depth = 0
+    while i in around and depth <= len(around):
+        i, depth = around[i], depth + 1
+    return depth
+
+
+def _closed(faces: npt.NDArray[np.int64], patch: _Integers, patches: int) -> npt.NDArray[np.bool]:
+    """Which patches are closed by themselves: every edge runs as often one way as the other."""
+    ends = np.stack((faces, faces[:, [1, 2, 0]]), axis=2).reshape(-1, 2)
+    owner = np.repeat(patch, 3)
+    edge = representatives(np.column_stack((np.sort(ends, axis=1), owner)))
+    balance = np.bincount(edge, np.where(ends[:, 0] < ends[:, 1], 1, -1), len(ends))
+    closed = np.ones(patches, dtype=bool)
+    closed[owner[balance != 0]] = False
+    return closed

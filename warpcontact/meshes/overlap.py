@@ -1,0 +1,148 @@
+"""Faces of a surface that cut through each other, or lie on each other."""
+
+import numpy as np
+import numpy.typing as npt
+
+from warpcontact.meshes.topology import CRACK_LIMIT
+
+#: Surfaces with more faces are not examined unless asked for.
+MOST_FACES = 100_000
+# Pairs of boxes that are looked at on one level of the tree, beyond which nothing is said.
+_BUDGET = 8_000_000
+_CHUNK = 500_000
+
+_Pairs = npt.NDArray[np.int64]
+_Floats = npt.NDArray[np.float64]
+
+
+def intersections(v: _Floats, faces: npt.NDArray[np.int64]) -> _Pairs | None:
+    """Finds pairs of faces that have more in common than a mesh allows: a corner, or an edge.
+
+    Two faces count if an edge of one passes through the other and reaches farther than 1e-6 of the size of the
+    surface to both sides of it, or if they lie in a plane, to that accuracy, and overlap. Faces that touch, as
+    those of parts that stand on each other with an edge or a corner, do not count.
+
+    Args:
+        v: Positions, (V, 3) [m].
+        faces: Welded vertex indices of each triangle, (F, 3), none degenerate.
+
+    Returns:
+        Numbers of the faces of each pair, the lower one first, (n, 2), in order; ``None`` if there are too many
+        candidates to look at.
+    """
+    if len(faces) < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    corners = v[faces]
+    corners = corners - 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))  # for precision
+    pairs = _candidates(corners)
+    if pairs is None:
+        return None
+    near = CRACK_LIMIT * float(np.ptp(corners, axis=(0, 1)).max())
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    found = [np.empty((0, 2), dtype=np.int64)]
+    for start in range(0, len(pairs), _CHUNK):
+        some = pairs[start : start + _CHUNK]
+        found.append(some[_meet(corners, normals, faces, some, near)])
+    result = np.concatenate(found)
+    return result[np.lexsort(result.T[::-1])]
+
+
+def _candidates(corners: _Floats) -> _Pairs | None:
+    """Pairs of faces whose boxes overlap, found by a tree of boxes over faces in the order of a Z curve."""
+    count = len(corners)
+    levels = int(np.ceil(np.log2(count)))
+    order = np.argsort(_z_curve(corners.mean(axis=1)), kind="stable")
+    lower, upper = np.full((2**levels, 3), np.inf), np.full((2**levels, 3), -np.inf)
+    lower[:count], upper[:count] = corners.min(axis=1)[order], corners.max(axis=1)[order]
+    tree = [(lower, upper)]
+    for _ in range(levels):
+        low, high = tree[-1]
+        tree.append((low.reshape(-1, 2, 3).min(axis=1), high.reshape(-1, 2, 3).max(axis=1)))
+    pairs = np.zeros((1, 2), dtype=np.int64)
+    for low, high in tree[-2::-1]:
+        # Of two nodes all four pairs of halves, of a node with itself three.
+        own = pairs[:, 0] == pairs[:, 1]
+        a, b = 2 * pairs[:, 0], 2 * pairs[:, 1]
+        twice = [(a, b), (a, b + 1), (a + 1, b + 1)]
+        halves = [np.column_stack(pair) for pair in twice] + [np.column_stack((a + 1, b))[~own]]
+        if sum(map(len, halves)) > _BUDGET:
+            return None
+        pairs = np.concatenate([half[_boxes_meet(low, high, half)] for half in halves])
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    return np.sort(order[pairs], axis=1)
+
+
+def _boxes_meet(low: _Floats, high: _Floats, pairs: _Pairs) -> npt.NDArray[np.bool]:
+    a, b = pairs.T
+    meet = (low[a, 0] <= high[b, 0]) & (low[b, 0] <= high[a, 0])
+    for axis in (1, 2):
+        meet &= (low[a, axis] <= high[b, axis]) & (low[b, axis] <= high[a, axis])
+    return meet
+
+
+def _z_curve(points: _Floats) -> npt.NDArray[np.uint64]:
+    """Numbers of points along a curve on which near ones follow each other."""
+    span = np.ptp(points, axis=0).max()
+    cells = ((points - points.min(axis=0)) / (span if span > 0.0 else 1.0) * (2**20 - 1)).astype(np.uint64)
+    for shift, mask in (
+        (32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3), (2, 0x1249249249249249),
+    ):  # fmt: skip
+        cells = (cells | cells << np.uint64(shift)) & np.uint64(mask)
+    return cells[:, 0] | cells[:, 1] << np.uint64(1) | cells[:, 2] << np.uint64(2)
+
+
+def _meet(
+    corners: _Floats, normals: _Floats, faces: npt.NDArray[np.int64], pairs: _Pairs, near: float
+) -> npt.NDArray[np.bool]:
+    """Which pairs of faces cut each other or overlap in a plane."""
+    meet = np.zeros(len(pairs), dtype=bool)
+    left = np.arange(len(pairs))
+    heights: list[_Floats] = []
+    for a, b in ((0, 1), (1, 0)):  # what is wholly on one side of the other face is out
+        p, q = pairs[left, a], pairs[left, b]
+        height = np.einsum("ijk,ik->ij", corners[p] - corners[q][:, :1], normals[q])
+        across = (height.min(axis=1) <= near) & (height.max(axis=1) >= -near)
+        heights = [known[across] for known in (*heights, height)]
+        left = left[across]
+    some = pairs[left]
+    same = faces[some[:, 0]][:, :, None] == faces[some[:, 1]][:, None, :]
+    found = np.zeros(len(some), dtype=bool)
+    for (a, b), height, own in zip(((0, 1), (1, 0)), heights, (same.any(axis=2), same.any(axis=1)), strict=True):
+        p, q = some[:, a], some[:, b]
+        for i in range(3):
+            j = (i + 1) % 3
+            low, high = np.minimum(height[:, i], height[:, j]), np.maximum(height[:, i], height[:, j])
+            # An edge that ends in a corner of the other face touches it there.
+            todo = np.flatnonzero((low < -near) & (high > near) & ~own[:, i] & ~own[:, j] & ~found)
+            found[todo] = _passes(corners[p[todo], i], corners[p[todo], j], corners[q[todo]])
+        flat = np.flatnonzero((np.abs(height) <= near).all(axis=1) & ~found)
+        found[flat] = _overlap(corners[p[flat]], corners[q[flat]], normals[q[flat]], near)
+    meet[left] = found
+    return meet
+
+
+def _passes(tail: _Floats, head: _Floats, q: _Floats) -> npt.NDArray[np.bool]:
+    """Whether the line through two points (n, 3) passes through a triangle (n, 3, 3)."""
+    a, b, c = (q[:, i] - tail for i in range(3))
+    along = head - tail
+    sides = np.stack([np.einsum("ij,ij->i", along, np.cross(x, y)) for x, y in ((a, b), (b, c), (c, a))], axis=1)
+    total = np.abs(sides).sum(axis=1, keepdims=True)
+    return (sides >= -1e-9 * total).all(axis=1) | (sides <= 1e-9 * total).all(axis=1)
+
+
+def _overlap(p: _Floats, q: _Floats, normal: _Floats, near: float) -> npt.NDArray[np.bool]:
+    """Whether triangles (n, 3, 3) in one plane have an area in common: no side of either keeps them apart."""
+    left = np.arange(len(p))
+    for own in (True, False):
+        for i in range(3):
+            shape = (p if own else q)[left]
+            side = np.cross(shape[:, (i + 1) % 3] - shape[:, i], normal[left])
+            reach = near * np.sqrt(np.einsum("ij,ij->i", side, side))
+            s, t = (np.matmul(x[left], side[:, :, None])[:, :, 0] for x in (p, q))
+            apart = (s.min(axis=1) > t.max(axis=1) - reach) | (t.min(axis=1) > s.max(axis=1) - reach)
+            left = left[~apart]
+    overlap = np.zeros(len(p), dtype=bool)
+    overlap[left] = True
+    return overlap

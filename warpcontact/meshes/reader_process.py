@@ -1,0 +1,100 @@
+"""What runs in the process that reads a mesh file: limits first, then the reader, then the answer.
+
+Started by ``isolation``, never imported by the rest. The answer goes to what was standard output: eight bytes with
+the length of a header, the header as JSON, and the bytes of the arrays that it announces.
+"""
+
+import contextlib
+import json
+import os
+import sys
+import threading
+import time
+from typing import Any
+
+#: Exit code of a process that watched its own memory and found it too large.
+OUT_OF_MEMORY = 77
+
+
+def main(request: dict[str, Any]) -> None:
+    """Reads one file.
+
+    Args:
+        request: ``file``, ``prim``, and the limits ``memory`` [bytes], ``seconds`` and ``faces``.
+    """
+    limit(request["memory"], request["seconds"])
+    answer = os.fdopen(os.dup(1), "wb")
+    # What libraries print must neither mix with the answer nor fill a pipe that nobody empties.
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    try:
+        header, arrays = _read(request)
+    except MemoryError:
+        header, arrays = {"error": "it needs more memory than is allowed, see Limits"}, []
+    text = json.dumps(header).encode()
+    answer.write(len(text).to_bytes(8, "little") + text)
+    for array in arrays:
+        answer.write(array.data)
+    answer.flush()
+    os._exit(0)  # libraries have nothing to tidy up, and might crash at it
+
+
+def _read(request: dict[str, Any]) -> tuple[dict[str, Any], list[Any]]:
+    import numpy as np
+
+    from warpcontact.meshes.readers import Unreadable, read
+
+    try:
+        content = read(request["file"], request["prim"], request["faces"], confined=True)
+    except Unreadable as error:
+        return {"error": str(error)}, []
+    arrays = [
+        np.ascontiguousarray(content.vertices, dtype="<f8"),
+        np.ascontiguousarray(content.faces, dtype="<i8"),
+        *(np.ascontiguousarray(members, dtype="<i8") for members in content.groups.values()),
+    ]
+    header = {
+        "vertices": len(content.vertices),
+        "faces": len(content.faces),
+        "groups": [[name, len(members)] for name, members in content.groups.items()],
+        "unit": content.unit,
+        "unit_warning": content.unit_warning,
+        "warnings": content.warnings,
+        "notes": content.notes,
+    }
+    return header, [array.reshape(-1) for array in arrays if array.size]
+
+
+def limit(memory: int, seconds: float) -> None:
+    """Limits this process: address space, processor time, and no files or core dumps written.
+
+    Where the system has no such limits (Windows), or does not keep the one on memory (macOS), nothing stops a
+    process but the one that started it; the latter watches its own size.
+    """
+    try:
+        import resource
+    except ImportError:
+        return
+    for kind, value in (
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_FSIZE, 0),
+        (resource.RLIMIT_CPU, int(seconds) + 2),
+        (resource.RLIMIT_AS, memory),
+    ):
+        with contextlib.suppress(ValueError, OSError):
+            hard = resource.getrlimit(kind)[1]
+            allowed = value if hard == resource.RLIM_INFINITY else min(value, hard)
+            resource.setrlimit(kind, (allowed, hard))
+    if sys.platform != "linux":
+        threading.Thread(target=watch, args=(memory,), daemon=True).start()
+
+
+def watch(memory: int) -> None:
+    """Ends this process once it has held more than ``memory`` bytes."""
+    import resource
+
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes there, KiB elsewhere
+    while resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit < memory:
+        time.sleep(0.02)
+    os._exit(OUT_OF_MEMORY)

@@ -1,0 +1,62 @@
+"""What to know of a mesh before using it, in sentences made of the facts of its report."""
+
+from warpcontact.meshes.report import USUAL_SIZE, MeshReport, counted
+
+# So many nested components are named.
+_NAMED = 5
+
+
+def warnings_of(report: MeshReport, cut: tuple[int, int] | None) -> tuple[str, ...]:
+    """Returns what to know of a mesh before using it; ``cut`` are the first faces that cut each other."""
+    parts, inward, size = report.component_count, report.inward_component_count, max(report.size)
+    border, loops = counted(report.border_edge_count, "border edge"), counted(report.border_loop_count, "loop")
+    void = report.closed and report.orientation == "undefined" and parts > 0
+    few, many = USUAL_SIZE
+    remarks = {
+        f"the surface is open: {border} in {loops}": report.border_edge_count > 0,
+        f"{report.crack_vertex_count} border vertices nearly coincide with another one: cracks, at which "
+        'contact is lost; repair="merge" closes them': report.crack_vertex_count > 0,
+        "the surface is closed and faces inward, like a container seen from inside; "
+        "flipped() turns it": report.orientation == "inward",
+        f"{inward} of {parts} components closed and facing inward: cavities, or parts inside out": (
+            inward > 0 and parts > 1
+        ),
+        "the surface is closed but encloses no volume": void,
+        f"{counted(report.non_manifold_edge_count, 'edge')} with more than two faces (non-manifold): "
+        "no side of the surface is the outer one there": report.non_manifold_edge_count > 0,
+        f"{counted(report.non_manifold_vertex_count, 'vertex')} at which parts of the surface touch in a point "
+        "(non-manifold): no side of the surface is the outer one there".replace("vertexs", "vertices"): (
+            report.non_manifold_vertex_count > 0
+        ),
+        f"{counted(report.self_intersection_count or 0, 'pair')} of faces cut each other or overlap, first: faces "
+        f"{cut and cut[0]} and {cut and cut[1]}; the side of a point is not certain near them": cut is not None,
+        f"{parts} separate components": parts > 1,
+        _nested(report): bool(report.nested_components),
+        f"{report.unreferenced_vertex_count} of {report.vertex_count} vertices used by no face": (
+            report.unreferenced_vertex_count > 0
+        ),
+        f"the largest dimension is {size:.3g} m, outside {few:g} m to {many:g} m; is the unit right? "
+        '(unit="mm" for a file in mm)': parts > 0 and not few <= size <= many,
+        f"{counted(report.float32_sliver_count, 'face')} too thin or small for float32, which Warp will pass "
+        "over; move the mesh to its origin or enlarge them": report.float32_sliver_count > 0,
+    }
+    return tuple(remark for remark, holds in remarks.items() if holds)
+
+
+def notes_of(report: MeshReport) -> tuple[str, ...]:
+    """Returns what is as it has to be: an STL file has every vertex once for each of its faces."""
+    remark = f"{report.coincident_vertex_count} of {report.vertex_count} vertices coincide with another one and "
+    return (f"{remark}are taken as one with it",) if report.coincident_vertex_count else ()
+
+
+def _nested(report: MeshReport) -> str:
+    described = []
+    for i in report.nested_components[:_NAMED]:
+        part = report.components[i]
+        side = "inward, a cavity" if (part.volume or 0.0) < 0.0 else "outward, one solid within another"
+        described.append(
+            f"component {i} ({counted(part.face_count, 'face')} from face {part.first_face}, {side}) in "
+            f"component {part.inside}"
+        )
+    more = len(report.nested_components) - _NAMED
+    return "components lie inside others: " + "; ".join(described) + (f"; and {more} more" if more > 0 else "")

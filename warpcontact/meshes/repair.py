@@ -1,0 +1,253 @@
+"""Repairs on request: what can be mended without guessing, with a record of every change.
+
+What a repair cannot do is left as it is and stays in the report: holes are not filled, parts that cut each other
+are not united, one-sided surfaces and edges of more than two faces stay.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from warpcontact.meshes.examine import COORDINATE_LIMIT, examine
+from warpcontact.meshes.mesh import Mesh, MeshError, positive
+from warpcontact.meshes.orient import turned_over
+from warpcontact.meshes.report import RepairStep, counted
+from warpcontact.meshes.slivers import without_slivers
+from warpcontact.meshes.topology import CRACK_LIMIT, representatives
+
+Groups = dict[str, npt.NDArray[np.int64]]
+#: What ``repair`` may be besides ``True`` (all), ``False`` and ``None``: one of these, or several.
+RepairRequest = bool | str | Iterable[str] | None
+# So many near pairs per vertex mean that the tolerance is larger than the faces.
+_MOST_PAIRS = 30
+
+
+@dataclass
+class Draft:
+    """A surface that is being repaired.
+
+    Attributes:
+        vertices: Positions, (V, 3) [m].
+        faces: Vertex indices of each triangle, (F, 3), in range.
+        groups: Face numbers by name.
+        tolerance: Distance within which vertices are one [m].
+    """
+
+    vertices: npt.NDArray[np.float64]
+    faces: npt.NDArray[np.int64]
+    groups: Groups
+    tolerance: float
+
+    @property
+    def corners(self) -> npt.NDArray[np.int64]:
+        """Vertex indices of each triangle, with one for all vertices at the same place, (F, 3)."""
+        return representatives(self.vertices)[self.faces]
+
+    def take(self, faces: npt.NDArray[np.int64], source: npt.NDArray[np.int64]) -> None:
+        """Replaces the faces; each has the groups of face ``source``."""
+        for name, members in self.groups.items():
+            is_member = np.zeros(len(self.faces), dtype=bool)
+            is_member[members] = True
+            self.groups[name] = np.flatnonzero(is_member[source])
+        self.faces = faces
+
+    def keep(self, kept: npt.NDArray[np.bool]) -> None:
+        """Drops all other faces."""
+        self.take(self.faces[kept], np.flatnonzero(kept))
+
+
+def steps_of(repair: RepairRequest) -> tuple[str, ...]:
+    """Returns the names of the steps that are asked for, in the order in which they are done.
+
+    Raises:
+        ValueError: If there is no such step.
+    """
+    if repair is None or isinstance(repair, bool):
+        return REPAIRS if repair else ()
+    names = (repair,) if isinstance(repair, str) else repair
+    if not isinstance(names, list | tuple | set | frozenset):
+        raise ValueError(f"repair must be True, False, or names out of {', '.join(REPAIRS)}; got {repair!r}")
+    for name in names:
+        if name not in ("all", *REPAIRS):
+            raise ValueError(f"repair must be True, False, or names out of {', '.join(REPAIRS)}; got {name!r}")
+    return REPAIRS if "all" in names else tuple(step for step in REPAIRS if step in names)
+
+
+def check_tolerance(tolerance: object) -> float:
+    """Returns a tolerance, relative to the size of a mesh.
+
+    Raises:
+        ValueError: If it is not positive or above 0.01.
+    """
+    value = positive("tolerance", tolerance)
+    if value > 0.01:
+        raise ValueError(f"tolerance must be at most 0.01 of the size of the mesh, got {tolerance!r}")
+    return value
+
+
+def repair_arrays(
+    vertices: npt.NDArray[Any],
+    faces: npt.NDArray[Any],
+    groups: Groups,
+    steps: Iterable[str],
+    tolerance: float = CRACK_LIMIT,
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Groups, tuple[RepairStep, ...]]:
+    """Repairs a surface.
+
+    Args:
+        vertices: Positions, (V, 3) [m].
+        faces: Vertex indices of each triangle, (F, 3).
+        groups: Face numbers by name.
+        steps: Names out of ``REPAIRS``, in that order.
+        tolerance: Distance within which vertices are one, relative to the largest dimension.
+
+    Returns:
+        Vertices, faces and groups, and what was done; as given, and nothing, if a vertex is not finite or too far
+        away or an index out of range, which is beyond repair.
+
+    Raises:
+        MeshError: If the tolerance is larger than the faces.
+    """
+    if not _mendable(vertices, faces):
+        return vertices, faces, groups, ()
+    v, f = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
+    size = float(np.ptp(v[f], axis=(0, 1)).max())
+    draft = Draft(v, f, dict(groups), tolerance * size)
+    done = tuple(_STEPS[step](draft) for step in steps)
+    return draft.vertices, draft.faces, draft.groups, done
+
+
+def _mendable(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> bool:
+    """Whether these are arrays of usable vertices, and of faces of them."""
+    arrays = (vertices, "iuf"), (faces, "iu")
+    if not all(a.ndim == 2 and a.shape[1] == 3 and len(a) and a.dtype.kind in kinds for a, kinds in arrays):
+        return False
+    return bool(((faces >= 0) & (faces < len(vertices))).all() and (np.abs(vertices) <= COORDINATE_LIMIT).all())
+
+
+def repaired(mesh: Any, repair: RepairRequest = True, *, tolerance: float = CRACK_LIMIT, name: str = "") -> Mesh:
+    """Makes a mesh of anything with vertices and faces, repaired.
+
+    Args:
+        mesh: A ``Mesh``, a ``trimesh.Trimesh``, or another object with ``vertices`` (V, 3) [m] and ``faces``
+            (F, 3), broken or not.
+        repair: What to mend: ``True`` for all, or names out of ``REPAIRS``.
+        tolerance: Distance within which ``merge`` takes vertices for one, relative to the largest dimension.
+        name: Name of the mesh; that of ``mesh``, if it has one, if not given.
+
+    Returns:
+        The mesh; its ``report.repairs`` says what changed.
+
+    Raises:
+        TypeError: If there are no vertices and faces.
+        MeshError: If it is no usable mesh all the same, or the tolerance is larger than the faces.
+        ValueError: If an option is not allowed.
+    """
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise TypeError(f"mesh must have vertices and faces, like trimesh.Trimesh, got {type(mesh).__name__}")
+    steps, share = steps_of(repair), check_tolerance(tolerance)
+    title = name or (mesh.name if isinstance(mesh, Mesh) else "mesh")
+    groups = (
+        {key: members.astype(np.int64) for key, members in mesh.groups.items()} if isinstance(mesh, Mesh) else {}
+    )
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    vertices, faces, groups, done = repair_arrays(vertices, faces, groups, steps, share)
+    report = replace(examine(vertices, faces, title, overlaps=True), repairs=done)
+    return Mesh._examined(vertices, faces, groups, report, f"mesh {title!r}")
+
+
+def _merge(draft: Draft) -> RepairStep:
+    before, v = len(draft.vertices), draft.vertices
+    leader = representatives(v)
+    places = np.unique(leader)
+    near = _near_pairs(v[places], draft.tolerance)
+    distance = 0.0
+    for i, j in places[near].tolist():  # by j, then i: all before j are settled
+        if leader[j] == j and leader[i] == i:
+            leader[j] = i
+            distance = max(distance, float(np.linalg.norm(v[i] - v[j])))
+    leader = leader[leader]
+    kept = np.flatnonzero(leader == np.arange(before))
+    number = np.empty(before, dtype=np.int64)
+    number[kept] = np.arange(len(kept))
+    draft.vertices, draft.faces = v[kept], number[leader][draft.faces]
+    count = before - len(kept)
+    text = (
+        f"merge: {count} of {counted(before, 'vertex').replace('vertexs', 'vertices')} joined with another one, "
+        f"{distance:.3g} m away at most (tolerance {draft.tolerance:.3g} m)"
+    )
+    return RepairStep("merge", count, distance, text if count else "merge: no vertices to join")
+
+
+def _near_pairs(v: npt.NDArray[np.float64], distance: float) -> npt.NDArray[np.intp]:
+    """Pairs of points within ``distance``, the lower number first, in order of the higher one."""
+    from scipy.spatial import KDTree
+
+    tree = KDTree(v)
+    count = (int(tree.count_neighbors(tree, distance)) - len(v)) // 2
+    if count > _MOST_PAIRS * len(v):
+        raise MeshError(
+            f"within the tolerance of {distance:.3g} m there are {count} pairs of {len(v)} vertices: it is larger "
+            "than the faces; choose a smaller one"
+        )
+    pairs = np.sort(tree.query_pairs(distance, output_type="ndarray"), axis=1)
+    return pairs[np.lexsort((pairs[:, 0], pairs[:, 1]))]
+
+
+def _drop_degenerate(draft: Draft) -> RepairStep:
+    before = len(draft.faces)
+    faces, source, split, height = without_slivers(draft.vertices, draft.corners)
+    dropped = before - len(faces)
+    if dropped or split:
+        draft.take(faces, source)
+    parts = [f"{counted(dropped, 'face')} without area dropped"] if dropped else []
+    if split:
+        parts.append(f"{split} joined with the neighbour at the longest edge, {height:.3g} m away at most")
+    text = "degenerate: " + ("; ".join(parts) or "no face without area")
+    return RepairStep("degenerate", dropped + split, height, text)
+
+
+def _drop_duplicates(draft: Draft) -> RepairStep:
+    original = representatives(np.sort(draft.corners, axis=1))
+    kept = original == np.arange(len(original))
+    count = int((~kept).sum())
+    draft.keep(kept)
+    text = f"{counted(count, 'face')} with the corners of an earlier one dropped" if count else "no copied face"
+    return RepairStep("duplicate", count, 0.0, f"duplicate: {text}")
+
+
+def _orient(draft: Draft) -> RepairStep:
+    corners = draft.corners
+    sound = (corners != corners[:, [1, 2, 0]]).all(axis=1)
+    turn, one_sided = np.zeros(len(corners), dtype=bool), 0
+    if sound.any():
+        turn[sound], one_sided = turned_over(draft.vertices, corners[sound])
+    draft.faces = np.where(turn[:, None], draft.faces[:, [0, 2, 1]], draft.faces)
+    count = int(turn.sum())
+    text = f"orient: {count} of {counted(len(turn), 'face')} turned over" if count else "orient: no face turned"
+    if one_sided:
+        text += f"; {counted(one_sided, 'part')} one-sided, as a Möbius strip, left as is"
+    return RepairStep("orient", count, 0.0, text)
+
+
+def _drop_unused(draft: Draft) -> RepairStep:
+    used = np.zeros(len(draft.vertices), dtype=bool)
+    used[draft.faces] = True
+    count = int((~used).sum())
+    draft.vertices, draft.faces = draft.vertices[used], (np.cumsum(used) - 1)[draft.faces]
+    text = f"{count} of {len(used)} vertices dropped, of no face" if count else "every vertex is of a face"
+    return RepairStep("unused", count, 0.0, f"unused: {text}")
+
+
+_STEPS: dict[str, Callable[[Draft], RepairStep]] = {
+    "merge": _merge,
+    "degenerate": _drop_degenerate,
+    "duplicate": _drop_duplicates,
+    "orient": _orient,
+    "unused": _drop_unused,
+}
+#: The steps of a repair, in the order in which they are done.
+REPAIRS = tuple(_STEPS)
