@@ -36,6 +36,8 @@ BORDER_TOLERANCE = 1.0e-4
 # Rounding, in units of epsilon times the size of the differences: below it a direction between two points means
 # nothing.
 ROUNDING = 16.0
+# The same of a point alone, in units of epsilon times its coordinates: on fine meshes this is more.
+POINT_ROUNDING = 4.0
 # Contacts that stay with the part of the surface that they touched.
 FOLLOWS = LATCHED | SWEPT
 
@@ -55,6 +57,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
     frame = frames.functions(real)
     point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
+    point_epsilon = wp.constant(real(t.epsilon * POINT_ROUNDING))
     # The mesh that the query searches is stored in float32, whatever the precision of the simulation.
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
     border_tolerance = wp.constant(real(BORDER_TOLERANCE))
@@ -127,12 +130,13 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
             contacts.armed[env, contact] = history.armed[env, contact]
             return
 
-        # Within the query's own rounding, and wherever it matters, its choice is looked at again.
+        # Wherever its rounding matters, the choice of the query is looked at again.
         start = model.patch_face_start[patch]
         foot = foot_on(model, start + query.face, p_S)
         extent = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
         margin = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
-        if foot.inner or foot.distance < reach + margin or wp.static(real is wp.float64):
+        doubtful = foot.inner or foot.distance < reach + margin or model.patch_doubtful[patch]
+        if doubtful or wp.static(real is wp.float64):
             foot = nearest_of_all(model, patch, p_S, foot, margin)
         option = model.contact_options[contact]
         if wp.static(follows):
@@ -158,7 +162,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                 beside = sideways > border_tolerance * edge_length(model, foot.row, foot.feature)
             if beside or (flags & FEATURE_BORDER) == 0:
                 s = sign * foot.distance
-                if foot.distance > epsilon * foot.span:
+                if foot.distance > wp.max(epsilon * foot.span, point_epsilon * extent):
                     n_S = (sign / foot.distance) * foot.to_point
         s = scale * s
         distance = scale * foot.distance

@@ -88,6 +88,7 @@ def structs(real: type) -> SimpleNamespace:
         patch_surface: wp.array(dtype=wp.int32)  # [patch]
         patch_face_start: wp.array(dtype=wp.int32)  # [patch + 1] first row in the tables below
         patch_slack: wp.array(dtype=real)  # [patch] how far a float32 query may be off [m]
+        patch_doubtful: wp.array(dtype=wp.bool)  # [patch] whether that is more than rounding
         patch_thin: wp.array(dtype=wp.bool)  # [patch] whether a float32 distance to a face may mean nothing
         face_corner: wp.array2d(dtype=vec3)  # [face, corner], S [m]
         face_normal: wp.array2d(dtype=vec3)  # [face, feature] unit pseudonormal, S

@@ -22,9 +22,10 @@ def square(half=1.0, z=0.0):
 def probe(mesh, positions, *, device="cpu", precision="float32", **options):
     """Returns the readings of one contact at each of ``positions``, one environment per position.
 
-    ``options`` go to ``add_contact``; those of the surface are ``active_faces`` and ``flip``.
+    ``options`` go to ``add_contact``, but for those of the surface.
     """
-    surface_options = {key: options.pop(key) for key in ("active_faces", "flip") if key in options}
+    of_surface = ("active_faces", "flip", "position", "orientation", "scale")
+    surface_options = {key: options.pop(key) for key in of_surface if key in options}
     scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
     surface = scene.add_surface(mesh, name="surface", **surface_options)
     body = scene.add_body(mass=1.0, inertia=(0.1, 0.1, 0.1), name="body")

@@ -117,9 +117,10 @@ def upload_patches(
     model.patch_mesh = send([mesh.id for mesh in meshes], wp.uint64, np.uint64)
     model.patch_surface = send(surfaces, wp.int32, np.int32)
     model.patch_face_start = send(starts, wp.int32, np.int32)
-    trust = [_query_error(patch) for patch in patches]
-    model.patch_slack = send([slack for slack, _ in trust], t.real, real)
-    model.patch_thin = send([thin for _, thin in trust], wp.bool, bool)
+    errors = [_query_error(patch) for patch in patches]
+    model.patch_slack = send([slack for slack, _, _ in errors], t.real, real)
+    model.patch_doubtful = send([doubtful for _, doubtful, _ in errors], wp.bool, bool)
+    model.patch_thin = send([thin for _, _, thin in errors], wp.bool, bool)
     if patches:
         model.face_corner = send(np.concatenate([patch.corner for patch in patches]), t.vec3, real)
         model.face_normal = send(np.concatenate([patch.normal for patch in patches]), t.vec3, real)
@@ -187,8 +188,8 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def _query_error(patch: Patch) -> tuple[float, bool]:
-    """Returns how far the float32 query may be off [m], and whether some triangles are too thin for its distances.
+def _query_error(patch: Patch) -> tuple[float, bool, bool]:
+    """Returns how far the float32 query may be off, and whether this is more than rounding, and may be anything.
 
     The query's areas lose ε (length/height)² of the length along a triangle, and at most its height in distance:
     where that limit is reached, about length/height = 200, the distance it sees to that triangle is arbitrary.
@@ -200,4 +201,5 @@ def _query_error(patch: Patch) -> tuple[float, bool]:
     epsilon = float(np.finfo(np.float32).eps)
     lost = epsilon * longest * (longest / height) ** 2
     rounding = 16.0 * epsilon * (np.abs(corner).max() + longest)
-    return float((np.minimum(lost, height) + rounding).max()), bool((lost > height).any())
+    slack = float((np.minimum(lost, height) + rounding).max())
+    return slack, bool((lost > rounding).any()), bool((lost > height).any())

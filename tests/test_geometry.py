@@ -1,0 +1,161 @@
+"""Gap, side, nearest point and normal against a search over all triangles, where they are easily wrong."""
+
+import hard_cases
+import numpy as np
+import pytest
+from brute_force import Surface
+from scenes import probe
+
+import warpcontact as wc
+
+# Errors are in units of the size of the mesh, or of the distance where that is larger. A coordinate of the mesh
+# or of the point carries half an epsilon, of which a difference of two vectors of them may collect a few.
+LENGTH = {"float32": 2e-6, "float64": 1e-12}
+# Nearer to the surface than this, rounding of the coordinates itself puts a point on the other side.
+SIDE = {"float32": 5e-7, "float64": 1e-15}
+# Within 16 roundings of the differences, √3 times the size at most, a direction means nothing and the normal is
+# that of the feature: P − S and gap n, both that short, then need not agree.
+ON_SURFACE = {"float32": 16 * 1.2e-7 * 1.8, "float64": 16 * 2.2e-16 * 1.8}
+# Beside a border is what is farther sideways than this part of the border edge.
+BORDER = 1e-4
+
+PRECISIONS = ("float32", "float64")
+
+
+def placed(name):
+    """Returns the mesh, where its surface is put, and the triangles that this makes."""
+    mesh = {**hard_cases.CLOSED, **hard_cases.OPEN}[name]()
+    position = -hard_cases.FAR_AWAY if "km" in name else np.zeros(3)
+    return mesh, position, Surface(mesh.vertices[mesh.faces] + position)
+
+
+def measured(mesh, position, surface, count, precision, device, seed=1):
+    """Returns points as the precision holds them, their true distance, and the readings of them."""
+    kinds = hard_cases.hard_points(surface, count, seed)
+    points = np.concatenate(list(kinds.values())).astype(precision).astype(np.float64)
+    readings = probe(mesh, points, position=position, kappa=0.0, precision=precision, device=device)
+    return points, surface.nearest(points)[0], readings
+
+
+def assert_nearest(points, distance, readings, surface, precision):
+    """The reported point is one of the nearest of the surface, whichever of several, and the normal points to it."""
+    scale = np.maximum(surface.size, distance)
+    foot = readings["point"].astype(np.float64)
+    to_point = points - foot
+    assert (np.abs(np.linalg.norm(to_point, axis=1) - distance) / scale).max() < LENGTH[precision]
+    assert (surface.nearest(foot)[0] / scale).max() < LENGTH[precision]
+    normal, gap = readings["normal"].astype(np.float64), readings["gap"].astype(np.float64)[:, None]
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=0, atol=LENGTH[precision])
+    # Beside a border the gap has no sign.
+    away = [np.linalg.norm(to_point - sign * gap * normal, axis=1) / scale for sign in (1, -1)]
+    return np.minimum(*away), away[0]
+
+
+def assert_exact_on_closed(mesh, position, surface, count, precision, device, *, sides=True):
+    points, distance, readings = measured(mesh, position, surface, count, precision, device)
+    scale = np.maximum(surface.size, distance)
+    gap = readings["gap"].astype(np.float64)
+    assert (np.abs(np.abs(gap) - distance) / scale).max() < LENGTH[precision]
+    _, away = assert_nearest(points, distance, readings, surface, precision)
+    clear = distance / scale > ON_SURFACE[precision]
+    assert away[clear].max() < LENGTH[precision]
+    assert away.max() < LENGTH[precision] + 2 * ON_SURFACE[precision]
+    if sides:
+        turns = surface.winding(points)
+        clear = distance / scale > SIDE[precision]
+        assert np.abs(turns - np.round(turns))[clear].max() < 1e-3
+        np.testing.assert_array_equal(gap[clear] < 0, np.round(turns[clear]) == 1)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("name", hard_cases.CLOSED)
+def test_closed_meshes_are_exact_where_it_is_hard(name, precision, device):
+    assert_exact_on_closed(*placed(name), 1500, precision, device)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("name", hard_cases.CLOSED)
+def test_closed_meshes_are_exact_at_very_many_points(name, precision, device):
+    assert_exact_on_closed(*placed(name), 100_000, precision, device)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("name", hard_cases.FILES)
+def test_meshes_from_files_are_exact_where_it_is_hard(name, precision, shared_data, device):
+    mesh = wc.load_mesh(shared_data / "meshes" / name)
+    surface = Surface(mesh.vertices[mesh.faces])
+    # A mesh that cuts itself has no inside where it does.
+    assert_exact_on_closed(
+        mesh, np.zeros(3), surface, 1500, precision, device, sides=name not in hard_cases.CUTS_ITSELF
+    )
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("name", hard_cases.OPEN)
+def test_open_meshes_are_exact_over_their_faces_and_beside_their_borders(name, precision, device):
+    mesh, position, surface = placed(name)
+    points, distance, readings = measured(mesh, position, surface, 3000, precision, device)
+    scale = np.maximum(surface.size, distance)
+    away, _ = assert_nearest(points, distance, readings, surface, precision)
+    gap, foot = readings["gap"].astype(np.float64), readings["point"].astype(np.float64)
+    edges = np.linalg.norm(np.diff(surface.corners, axis=1, append=surface.corners[:, :1]), axis=2)
+    # Where the nearest point is on the rectangle's border, P may be a little beside it and count as over it.
+    inset = np.minimum(foot - surface.low, surface.high - foot)[:, :2].min(axis=1)
+    border = inset < LENGTH[precision] * scale
+    over = ~border
+    assert over.sum() > 1000
+    assert border.sum() > 300
+    clear = distance / scale > ON_SURFACE[precision]
+    assert away[over & clear].max() < LENGTH[precision]
+    assert (np.abs(np.abs(gap) - distance) / scale)[over].max() < LENGTH[precision]
+    sideways = np.sqrt(np.maximum(distance**2 - gap**2, 0))
+    # To the gap's rounding the root of a difference of squares is far from exact.
+    rounding = np.sqrt(2 * distance * LENGTH[precision] * scale)
+    assert (sideways - rounding)[border].max() <= BORDER * edges.max()
+    # A height field: inside is what lies below.
+    bottom = np.column_stack([points[:, :2], np.full(len(points), surface.low[2] - surface.size)])
+    height = surface.first_hit(bottom, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
+    below = points[:, 2] - bottom[:, 2] < height
+    decided = over & np.isfinite(height) & (distance > SIDE[precision] * scale)
+    np.testing.assert_array_equal((gap < 0)[decided], below[decided])
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("name", hard_cases.CLOSED)
+def test_on_the_surface_the_normal_is_that_of_a_feature_there(name, precision, device):
+    mesh, position, surface = placed(name)
+    corners = surface.corners[:: len(surface.corners) // 300 + 1]
+    points = np.concatenate([corners[:, 0], 0.5 * (corners[:, 0] + corners[:, 1]), corners.mean(axis=1)])
+    readings = probe(mesh, points, position=position, precision=precision, device=device)
+    assert np.abs(readings["gap"]).max() < LENGTH[precision] * surface.size
+    for point, normal in zip(points, readings["normal"], strict=True):
+        off = np.linalg.norm(surface.pseudonormals(point) - normal, axis=1)
+        # The direction of a blade's edge is a small difference of the normals of its faces.
+        assert off.min() < 10 * LENGTH[precision]
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_turned_and_moved_surface_is_as_exact_as_one_in_place(precision, device):
+    mesh = hard_cases.angle_bracket()
+    turn = np.array([0.3, -0.5, 0.2, 0.8])
+    turn /= np.linalg.norm(turn)
+    axis, w = turn[:3], turn[3]
+    rotated = mesh.vertices + 2 * np.cross(axis, np.cross(axis, mesh.vertices) + w * mesh.vertices)
+    position = np.array([0.25, -0.5, 0.125])
+    surface = Surface((rotated + position)[mesh.faces])
+    points = np.concatenate(list(hard_cases.hard_points(surface, 1500).values()))
+    points = points.astype(precision).astype(np.float64)
+    readings = probe(mesh, points, position=position, orientation=turn, precision=precision, device=device)
+    distance, turns = surface.nearest(points)[0], surface.winding(points)
+    expected = np.where(turns > 0.5, -distance, distance)
+    scale = np.maximum(surface.size, distance)
+    # The rotation is rounded as well.
+    assert (np.abs(readings["gap"] - expected) / scale).max() < LENGTH[precision]
+
+
+@pytest.mark.parametrize("thickness", [1e-2, 1e-3])
+def test_thin_triangles_are_exact_in_float32_away_from_contact_too(thickness, device):
+    """Where the float32 query may name a wrong face, its choice is looked at again at any distance."""
+    mesh = wc.meshes.box((1.0, 0.7, thickness))
+    assert_exact_on_closed(mesh, np.zeros(3), Surface(mesh.vertices[mesh.faces]), 20_000, "float32", device)
