@@ -53,7 +53,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
     t = structs(real)
     vec3, Model, State, History, Contacts = t.vec3, t.Model, t.State, t.History, t.Contacts
     near = feet.functions(real)
-    foot_on, nearest_of_all, walk = near.foot_on, near.nearest_of_all, near.walk
+    Foot, foot_on, nearest_of_all, walk = near.Foot, near.foot_on, near.nearest_of_all, near.walk
     frame = frames.functions(real)
     point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
@@ -117,37 +117,39 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
         q_WS = orientation_to_world(state, env, body, model.surface_orientation[env, surface])
         p_S = wp.quat_rotate_inv(q_WS, p_W - o_W) / scale
 
-        mesh = model.patch_mesh[patch]
-        query = wp.mesh_query_point_no_sign(
-            mesh,
-            wp.vec3f(wp.float32(p_S[0]), wp.float32(p_S[1]), wp.float32(p_S[2])),
-            wp.float32(wp.max(geometry.search_radius / scale, reach)),
-        )
-        if not query.result:
-            # A sphere sees at least what it overlaps.
-            contacts.gap[env, contact] = wp.max(geometry.search_radius - radius, real(0.0))
-            contacts.status[env, contact] = FAR
-            contacts.armed[env, contact] = history.armed[env, contact]
-            return
-
-        # Wherever its rounding matters, the choice of the query is looked at again.
-        start = model.patch_face_start[patch]
-        foot = foot_on(model, start + query.face, p_S)
-        extent = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
-        margin = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
-        doubtful = foot.inner or foot.distance < reach + margin or model.patch_doubtful[patch]
-        if doubtful or wp.static(real is wp.float64):
-            foot = nearest_of_all(model, patch, p_S, foot, margin)
         option = model.contact_options[contact]
+        extent = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
+        start = model.patch_face_start[patch]
+        foot = Foot()
+        held = wp.bool(False)
         if wp.static(follows):
-            last = start + history.face[env, contact]
+            # A face of another mesh, which the surface had before, says nothing.
+            last = history.face[env, contact]
             if last >= start and last < model.patch_face_start[patch + 1] and (option & FOLLOWS) != 0:
-                known = walk(model, last, p_S)
-                if known.inner:
-                    foot = known
+                foot = walk(model, last, p_S)
+                held = foot.inner
+        if not held:
+            mesh = model.patch_mesh[patch]
+            query = wp.mesh_query_point_no_sign(
+                mesh,
+                wp.vec3f(wp.float32(p_S[0]), wp.float32(p_S[1]), wp.float32(p_S[2])),
+                wp.float32(wp.max(geometry.search_radius / scale, reach)),
+            )
+            if not query.result:
+                # A sphere sees at least what it overlaps.
+                contacts.gap[env, contact] = wp.max(geometry.search_radius - radius, real(0.0))
+                contacts.status[env, contact] = FAR
+                contacts.armed[env, contact] = history.armed[env, contact]
+                return
+            # Wherever its rounding matters, the choice of the query is looked at again.
+            foot = foot_on(model, start + query.face, p_S)
+            margin = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
+            doubtful = foot.inner or foot.distance < reach + margin or model.patch_doubtful[patch]
+            if doubtful or wp.static(real is wp.float64):
+                foot = nearest_of_all(model, patch, p_S, foot, margin)
         n_S = model.face_normal[foot.row, foot.feature]
         flags = wp.int32(model.face_flags[foot.row, foot.feature])
-        contacts.face[env, contact] = foot.row - start
+        contacts.face[env, contact] = foot.row
 
         # Signed distance s [m], direction n, and whether P lies beside an open border.
         side = wp.dot(foot.to_point, n_S)

@@ -11,9 +11,10 @@ from warpcontact.kernels.types import FEATURE_ACTIVE, structs
 # the distances to a face and to its neighbour's edge differ in second order only, and the pseudonormal of an edge
 # tells the side of a point only if the edge is nearest.
 TIE = 3.0
-# Faces about a corner that a walk looks at, and steps of a walk; beyond them it goes on in the next step.
-LARGEST_FAN = 64
-LONGEST_WALK = 64
+# Faces about a corner that a walk looks at, and steps of a walk: only to have an end. A swept point may have come
+# over hundreds of faces in one step.
+LARGEST_FAN = 1024
+LONGEST_WALK = 4096
 
 
 @functools.cache

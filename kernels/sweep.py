@@ -4,7 +4,16 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, ENV_CROSSED, ENV_WAITING, FEATURE_ACTIVE, SWEPT, structs
+from warpcontact.kernels.types import (
+    CONTACT,
+    ENV_ACTIVE,
+    ENV_CROSSED,
+    ENV_WAITING,
+    FEATURE_ACTIVE,
+    LATCHED,
+    SWEPT,
+    structs,
+)
 
 # Rounding of the test, in units of epsilon times the size of the coordinates: what passes between two faces would
 # be lost, so each takes in a little more than itself.
@@ -15,11 +24,10 @@ ROUNDING = 64.0
 def kernel(real: type) -> wp.Kernel:
     """Returns the kernel that looks for the first crossing of every swept contact. Launch with dim (env, contact).
 
-    A point moves on a straight line from ``state_in`` to ``state_out`` as seen from the surface. Contacts that
-    touch already are not looked at: they are held by the surface that they are in.
+    A point moves on a straight line from ``state_in`` to ``state_out`` as seen from the surface.
     """
     t = structs(real)
-    vec3, Model, State, History, Contacts = t.vec3, t.Model, t.State, t.History, t.Contacts
+    vec3, Model, State, Contacts = t.vec3, t.Model, t.State, t.Contacts
     frame = frames.functions(real)
     point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
@@ -60,13 +68,22 @@ def kernel(real: type) -> wp.Kernel:
             return real(2.0)
         return at
 
+    @wp.func
+    def comes_out(model: Model, row: int, p: vec3, q: vec3):
+        """Where on the way from ``p`` to ``q`` the plane of face ``row`` is left outwards, 0 to 1; 1: nowhere."""
+        n = model.face_normal[row, 0]
+        before = wp.dot(p - model.face_corner[row, 0], n)
+        after = wp.dot(q - model.face_corner[row, 0], n)
+        if before >= real(0.0) or after <= real(0.0):
+            return real(1.0)
+        return before / (before - after)
+
     @wp.kernel(module="unique", enable_backward=False)
     def sweep(
         status: wp.array(dtype=wp.int32),
         model: Model,
         state_in: State,
         state_out: State,
-        history: History,
         contacts: Contacts,
         mark: wp.int32,  # whether environments with a crossing are to take the step again
         marked: wp.array(dtype=wp.int32),  # [0] set if there are any
@@ -74,15 +91,26 @@ def kernel(real: type) -> wp.Kernel:
         env, contact = wp.tid()
         if status[env] != ENV_ACTIVE:
             return
-        if (model.contact_options[contact] & SWEPT) == 0 or model.contact_geometry[env, contact].enabled == 0:
+        option = model.contact_options[contact]
+        if (option & SWEPT) == 0:
             return
-        if contacts.status[env, contact] == CONTACT or history.face[env, contact] >= 0:
+        geometry = model.contact_geometry[env, contact]
+        if geometry.enabled == 0:
+            return
+        if (option & LATCHED) != 0 and contacts.armed[env, contact] == 0:
             return
         base = model.contact_patch[contact]
         surface = model.patch_surface[base]
         patch = base + model.surface_mesh[env, surface]
         p = to_surface(model, state_in, env, contact, surface)
         q = to_surface(model, state_out, env, contact, surface)
+        gone = real(0.0)
+        if contacts.status[env, contact] == CONTACT and contacts.penetration[env, contact] >= geometry.radius:
+            # On the inner side it is held by a face, and free from where it comes out of that.
+            gone = comes_out(model, contacts.face[env, contact], p, q)
+            if gone >= real(1.0):
+                return
+            p = p + gone * (q - p)
         scale = size(p) + size(q)
         slack = epsilon * scale
         margin = model.patch_slack[patch] + query_epsilon * scale
@@ -105,8 +133,8 @@ def kernel(real: type) -> wp.Kernel:
                     first = at
                     crossed = face
         if crossed >= 0:
-            contacts.crossed_face[env, contact] = crossed
-            contacts.crossed_at[env, contact] = first
+            contacts.crossed_face[env, contact] = start + crossed
+            contacts.crossed_at[env, contact] = gone + (real(1.0) - gone) * first
             if mark != 0:
                 # Many threads may say so, all the same.
                 status[env] = ENV_CROSSED

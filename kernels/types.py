@@ -116,7 +116,9 @@ def structs(real: type) -> SimpleNamespace:
 
         entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not touching
         armed: wp.array2d(dtype=wp.int32)  # [env, contact] latch of entry="latched"
-        face: wp.array2d(dtype=wp.int32)  # [env, contact] face touched last; −1: none. Of contacts that follow
+        face: wp.array2d(
+            dtype=wp.int32
+        )  # [env, contact] row of the face touched last; −1: none. Of contacts that follow
         crossings: wp.array2d(dtype=wp.int32)  # [env, contact] times the surface was crossed within a step
         crossing_time: wp.array2d(dtype=real)  # [env, contact] of the first of them [s]; NaN: none
 
@@ -126,10 +128,10 @@ def structs(real: type) -> SimpleNamespace:
         penetration: wp.array2d(dtype=real)  # [env, contact] 0 unless status is CONTACT [m]
         normal: wp.array2d(dtype=vec3)  # [env, contact] out of the surface, W
         point: wp.array2d(dtype=vec3)  # [env, contact] K, where the force acts, W [m]
-        face: wp.array2d(dtype=wp.int32)  # [env, contact] face of the patch; −1: none
+        face: wp.array2d(dtype=wp.int32)  # [env, contact] row of the face; −1: none
         status: wp.array2d(dtype=wp.int32)  # [env, contact] OPEN, CONTACT, …
         armed: wp.array2d(dtype=wp.int32)  # [env, contact] the latch this geometry leads to
-        crossed_face: wp.array2d(dtype=wp.int32)  # [env, contact] crossed in this step; −1: none
+        crossed_face: wp.array2d(dtype=wp.int32)  # [env, contact] row of that crossed in this step; −1: none
         crossed_at: wp.array2d(dtype=real)  # [env, contact] when in this step, 0 to 1
         approach_speed: wp.array2d(dtype=real)  # [env, contact] dδ/dt at K, 0 unless CONTACT [m/s]
         normal_force: wp.array2d(dtype=real)  # [env, contact] [N]

@@ -36,7 +36,7 @@ def slotted_block(gap=1e-2):
     return extruded(outline, [(0, 5, 7), (5, 6, 7), (0, 4, 5), (0, 1, 4), (1, 2, 4), (2, 3, 4)], 0.7)
 
 
-def rod(sides=200, radius=0.5):
+def rod(sides=100, radius=0.5):
     """A cylinder of long facets over fans of blade-like triangles."""
     angle = 2 * np.pi * np.arange(sides) / sides
     outline = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -155,3 +155,18 @@ def hard_points(surface, count, seed=1):
         "half way": on_face[: n // 2] + 0.5 * opposite[:, None] * through,
         "far": middle + 100 * size * directions(n // 2),
     }
+
+
+def plate(size=(2.0, 2.0), thickness=2e-3, cells=(8, 8)):
+    """A closed plate about the origin, both sides divided into cells of two triangles."""
+    top = wc.meshes.grid(size, cells)
+    count = len(top.vertices)
+    ends = np.concatenate([top.faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    there = {tuple(edge) for edge in ends.tolist()}
+    rim = [(a, b) for a, b in there if (b, a) not in there]
+    sides = [face for a, b in rim for face in ((a, a + count, b + count), (a, b + count, b))]
+    up = 0.5 * thickness * np.array([0.0, 0.0, 1.0])
+    return wc.Mesh(
+        np.concatenate([top.vertices + up, top.vertices - up]),
+        np.concatenate([top.faces, top.faces[:, ::-1] + count, sides]),
+    )

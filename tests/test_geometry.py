@@ -38,7 +38,10 @@ def measured(mesh, position, surface, count, precision, device, seed=1):
 
 
 def assert_nearest(points, distance, readings, surface, precision):
-    """The reported point is one of the nearest of the surface, whichever of several, and the normal points to it."""
+    """The reported point is a nearest one of the surface, whichever of several.
+
+    Returns how far the normal is off the direction to the point, either way round and as the gap's sign has it.
+    """
     scale = np.maximum(surface.size, distance)
     foot = readings["point"].astype(np.float64)
     to_point = points - foot

@@ -80,7 +80,7 @@ def step_stages(
             model,
             sweep.kernel(real),
             contacts,
-            [a.status, a.model, state_in, state_out, a.history, a.contacts, int(mark is not None), marked],
+            [a.status, a.model, state_in, state_out, a.contacts, int(mark is not None), marked],
         )
     return launches
 
