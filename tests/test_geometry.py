@@ -11,8 +11,9 @@ import warpcontact as wc
 # Errors are in units of the size of the mesh, or of the distance where that is larger. A coordinate of the mesh
 # or of the point carries half an epsilon, of which a difference of two vectors of them may collect a few.
 LENGTH = {"float32": 2e-6, "float64": 1e-12}
-# Nearer to the surface than this, rounding of the coordinates itself puts a point on the other side.
-SIDE = {"float32": 5e-7, "float64": 1e-15}
+# Feet whose distances differ by 3 roundings of the coordinates, which are up to √3 times the size apart, count as
+# equally near. About a sharp corner one of them may be inner: nearer to the surface than this the side is open.
+SIDE = {"float32": 1e-6, "float64": 2e-15}
 # Within 16 roundings of the differences, √3 times the size at most, a direction means nothing and the normal is
 # that of the feature: P − S and gap n, both that short, then need not agree.
 ON_SURFACE = {"float32": 16 * 1.2e-7 * 1.8, "float64": 16 * 2.2e-16 * 1.8}

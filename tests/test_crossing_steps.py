@@ -1,0 +1,138 @@
+"""Steps in which a surface is crossed, taken again in parts: accuracy, and what they leave alone."""
+
+import hard_cases
+import numpy as np
+import pytest
+from test_swept import PRECISIONS, SPRING, fan_of_shots, shots
+
+import warpcontact as wc
+
+STATE = ("ball.position", "ball.orientation", "ball.linear_velocity", "ball.angular_velocity")
+
+
+@PRECISIONS
+def test_the_step_of_a_crossing_is_resolved_in_parts(precision, device):
+    """At its end depth and speed are those of the closed form, to first order in the part."""
+    start = np.column_stack([np.zeros((64, 2)), np.linspace(0.02, 0.095, 64)])
+    velocity = np.tile([0.0, 0.0, -10.0], (64, 1))
+    omega, dt, parts = 100.0, 1e-2, np.array([1, 2, 4, 8, 16])
+    errors = []
+    for count in parts.tolist():
+        sim = shots(
+            hard_cases.plate(), start, velocity, dt=dt, precision=precision, device=device, crossing_steps=count,
+            law=wc.laws.Hooke(stiffness=omega**2),
+        )  # fmt: skip
+        depth, speed = np.full(64, np.nan), np.full(64, np.nan)
+        for _ in range(10):
+            sim.step()
+            new = np.isnan(depth) & (sim.model.reading("touch.crossings") > 0)
+            depth[new] = 1e-3 - sim.model.reading("ball.position")[new, 2]
+            speed[new] = -sim.model.reading("ball.linear_velocity")[new, 2]
+        due = (start[:, 2] - 1e-3) / 10.0
+        np.testing.assert_allclose(sim.model.reading("touch.crossing_time"), due, rtol=0, atol=3e-7)
+        since = np.ceil(due / dt) * dt - due
+        late = np.abs(depth - 10.0 / omega * np.sin(omega * since)).max()
+        fast = np.abs(speed - 10.0 * np.cos(omega * since)).max()
+        errors.append((late, fast))
+    errors = np.array(errors)
+    # A part after the crossing passes without force, and its velocity is half a part behind.
+    bound = 10.0 * (omega * dt / parts) * np.array([[1.0 / omega], [1.0]])
+    assert (bound > errors.T).all()
+    order = np.log2(errors[1:-1] / errors[2:]).mean(axis=0)
+    assert (order > 0.8).all()
+
+
+@PRECISIONS
+@pytest.mark.parametrize("parts", [2, 3, 16])
+def test_environments_without_a_crossing_do_not_notice_the_others(parts, precision, device):
+    start, velocity, _ = fan_of_shots(60, 1.0)
+    slow = np.arange(60) % 3 == 0
+    velocity[slow] *= 1e-3  # these reach nothing
+    spin = np.random.default_rng(2).normal(size=(60, 3))
+
+    def run(rows, count=12):
+        sim = shots(
+            hard_cases.plate(), start[rows], velocity[rows], dt=1e-2, precision=precision, device=device,
+            crossing_steps=parts,
+        )  # fmt: skip
+        sim.model["ball.angular_velocity"] = spin[rows]
+        sim.step(count)
+        return sim
+
+    together, alone = run(np.arange(60)), run(np.flatnonzero(slow))
+    assert (together.model.reading("touch.crossings")[~slow] > 0).all()
+    for name in STATE:
+        np.testing.assert_array_equal(together.model.reading(name)[slow], alone.model.reading(name))
+    # And one that crosses does not notice who crosses beside it, now or later.
+    single = run(np.array([1]))
+    for name in (*STATE, "touch.crossing_time"):
+        np.testing.assert_array_equal(together.model.reading(name)[[1]], single.model.reading(name))
+
+
+@PRECISIONS
+@pytest.mark.parametrize("parts", [3, 16])
+def test_where_nothing_crosses_the_steps_are_the_same_bits(parts, precision, device):
+    start = np.array([[0.1, 0.2, 0.05], [0.3, -0.2, 0.02]])
+    velocity = np.array([[0.0, 0.1, -0.25], [0.3, 0.0, -0.1]])
+    results = []
+    for options in ({"swept": False}, {"swept": True}, {"swept": True, "crossing_steps": parts}):
+        sim = shots(
+            hard_cases.plate(),
+            start,
+            velocity,
+            dt=1e-3,
+            precision=precision,
+            device=device,
+            radius=0.01,
+            **options,
+        )
+        sim.step(200)
+        results.append([sim.model.reading(name) for name in (*STATE, "touch.gap", "touch.normal_force")])
+    assert results[0][-1].max() > 0
+    for other in results[1:]:
+        for expected, value in zip(results[0], other, strict=True):
+            np.testing.assert_array_equal(value, expected)
+
+
+@PRECISIONS
+def test_frozen_environments_stay_as_they_are(precision, device):
+    start, velocity, _ = fan_of_shots(12, 1.0)
+    sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_steps=4)
+    broken = velocity.copy()
+    broken[3] = (np.nan, 0, 0)
+    # A body that turns non-finite while others cross.
+    sim.step(1)
+    state = sim.state.body_linear_velocity.numpy().copy()
+    state[3] = np.nan
+    sim.state.body_linear_velocity.assign(state)
+    sim.step(1)
+    assert sim.model.health().frozen.tolist() == [3]
+    held = [sim.model.reading(name)[3] for name in STATE]
+    sim.step(20)
+    for name, before in zip(STATE, held, strict=True):
+        np.testing.assert_array_equal(sim.model.reading(name)[3], before)
+    others = np.arange(12) != 3
+    assert (sim.model.reading("touch.crossings")[others] > 0).all()
+    assert (sim.model.reading("ball.linear_velocity")[others, 2] > 0).all()
+
+
+@PRECISIONS
+def test_two_simulations_of_one_model_take_turns(precision, device):
+    start, velocity, _ = fan_of_shots(12, 1.0)
+    one = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_steps=3)
+    whole = [one.model.reading(name) for _ in [one.step(16)] for name in STATE]
+    other = wc.Simulation(one.model, dt=1e-2, crossing_steps=3)
+    one.reset()
+    for turn in range(16):
+        (one if turn % 3 else other).step()
+    for expected, name in zip(whole, STATE, strict=True):
+        np.testing.assert_array_equal(one.model.reading(name), expected)
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "4"])
+def test_wrong_numbers_of_parts_are_refused_by_name(wrong, device):
+    model = shots(
+        hard_cases.plate(), [[0, 0, 1.0]], [[0, 0, 0]], dt=1e-3, precision="float32", device=device, law=SPRING
+    ).model
+    with pytest.raises(ValueError, match=r"crossing_steps must be a whole number of at least 1"):
+        wc.Simulation(model, dt=1e-3, crossing_steps=wrong)
