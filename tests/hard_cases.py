@@ -87,6 +87,7 @@ CLOSED = {
     "wedge": wedge,
     "rod, uneven triangles": rod,
     "slotted block": slotted_block,
+    "bracket, beside its origin": lambda: moved(angle_bracket(), np.array([3.0, -1.3, 2.7])),
     "bracket, modelled 1 km away": lambda: moved(angle_bracket(), FAR_AWAY),
 }
 #: With borders; they are height fields over a rectangle.
