@@ -32,23 +32,30 @@ def box_points(count: int) -> np.ndarray:
     return np.array(np.meshgrid(ticks, ticks, ticks)).reshape(3, -1).T
 
 
-def build(scene_name: str, envs: int, device: str) -> wc.Simulation:
+def build(
+    scene_name: str,
+    envs: int,
+    device: str,
+    precision: str = "float32",
+    crossing_steps: int = 1,
+    **contact: object,
+) -> wc.Simulation:
     """Returns a simulation of one of the scenes, its environments spread over the terrain."""
     scene = wc.Scene()
     ground = scene.add_surface(TERRAIN, name="ground")
     if scene_name == "W1":
         mass = 1000 * 4 / 3 * np.pi * 0.1**3
         body = scene.add_body(mass, [0.4 * mass * 0.01] * 3, name="body")
-        scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, TEMPLATE, radius=0.1, name="touch")
+        scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, TEMPLATE, radius=0.1, name="touch", **contact)
     else:
         mass = 1000 * 0.2**3
         body = scene.add_body(mass, [mass * 0.2**2 / 6] * 3, name="body")
         points = scene.add_points(body, box_points(int(scene_name.removeprefix("W2p"))))
-        scene.add_contact(points, ground, TEMPLATE, name="touch")
-    model = scene.build(envs=envs, device=device)
+        scene.add_contact(points, ground, TEMPLATE, name="touch", **contact)
+    model = scene.build(envs=envs, device=device, precision=precision)
     rng = np.random.default_rng(1)
     model["body.position"] = np.column_stack([rng.uniform(-4.5, 4.5, (envs, 2)), np.full(envs, 0.7)])
-    return wc.Simulation(model, dt=1e-3)
+    return wc.Simulation(model, dt=1e-3, crossing_steps=crossing_steps)
 
 
 def rate(scene_name: str, envs: int, device: str, steps: int, repeats: int) -> dict[str, float]:

@@ -1,0 +1,82 @@
+"""What float64 costs, and contacts that follow or are swept: step rates as ratios, in alternating runs.
+
+    python benchmarks/precision.py --out benchmarks/results/precision-cpu.json
+
+The scenes are those of ``step_rate.py``. Each round runs the reference and then the other; the ratio of a round
+compares neighbours in time, and the report has the median and the spread over the rounds, so that a machine that
+others use as well tells something too.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import time
+from pathlib import Path
+
+import warp as wp
+from step_rate import build, device_facts
+
+import warpcontact as wc
+
+#: What is compared: name, options of the reference, options of the other.
+COMPARISONS = {
+    "float64 against float32": ({}, {"precision": "float64"}),
+    "latched against literal": ({}, {"entry": "latched"}),
+    "swept against not": ({}, {"swept": True}),
+    "swept in 16 parts against not": ({}, {"swept": True, "crossing_steps": 16}),
+}
+
+
+def seconds(sim: wc.Simulation, device: str, steps: int) -> float:
+    """Returns how long ``steps`` steps from the start take."""
+    sim.reset()
+    wp.synchronize_device(device)
+    start = time.perf_counter()
+    sim.step(steps)
+    wp.synchronize_device(device)
+    return time.perf_counter() - start
+
+
+def compare(
+    scene: str, envs: int, device: str, steps: int, rounds: int, pair: tuple[dict, dict]
+) -> dict[str, float]:
+    """Returns the ratio of the times of the other to those of the reference, and the rate of the reference."""
+    sims = [build(scene, envs, device, **options) for options in pair]
+    for sim in sims:
+        sim.step(2)
+    times = [[seconds(sim, device, steps) for sim in sims] for _ in range(rounds)]
+    ratios = [other / reference for reference, other in times]
+    return {
+        "ratio": round(statistics.median(ratios), 3),
+        "lowest": round(min(ratios), 3),
+        "highest": round(max(ratios), 3),
+        "reference_env_steps_per_s": round(envs * steps / statistics.median(first for first, _ in times)),
+    }
+
+
+def main() -> None:
+    """Prints a table and writes the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--envs", type=int, default=1024)
+    parser.add_argument("--scenes", nargs="+", default=["W1", "W2p8"])
+    parser.add_argument("--steps", type=int, default=500)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    wp.config.log_level = wp.LOG_ERROR
+    results: dict[str, dict[str, dict[str, float]]] = {}
+    for name, pair in COMPARISONS.items():
+        for scene in options.scenes:
+            figures = compare(scene, options.envs, options.device, options.steps, options.rounds, pair)
+            results.setdefault(name, {})[scene] = figures
+            print(f"{name:32} {scene:6} {figures['ratio']:6.2f} times the time", flush=True)
+    if options.out:
+        facts = {**device_facts(options.device), "cpu cores": os.cpu_count(), "environments": options.envs}
+        report = {"facts": facts, "steps": options.steps, "rounds": options.rounds, "time_ratio": results}
+        options.out.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
