@@ -60,10 +60,10 @@ def main() -> None:
     """Prints a table and writes the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--envs", type=int, default=256)
+    parser.add_argument("--envs", type=int, default=128)
     parser.add_argument("--scenes", nargs="+", default=["W1", "W2p8"])
-    parser.add_argument("--steps", type=int, default=400)
-    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--steps", type=int, default=600)
+    parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     wp.config.log_level = wp.LOG_ERROR

@@ -43,6 +43,25 @@ def test_the_step_of_a_crossing_is_resolved_in_parts(precision, device):
 
 
 @PRECISIONS
+@pytest.mark.parametrize("whole", [0.1, 0.3])
+def test_a_bounce_in_parts_gains_no_energy_to_speak_of(whole, precision, device):
+    """ω dt = ``whole``: the energy of a bounce is right to its square, with parts and without."""
+    start = np.column_stack([np.zeros((64, 2)), np.linspace(0.02, 0.12, 64)])
+    velocity = np.tile([0.0, 0.0, -10.0], (64, 1))
+    for parts in (1, 4, 16):
+        sim = shots(
+            hard_cases.plate(), start, velocity, dt=1e-2, precision=precision, device=device, crossing_steps=parts,
+            law=wc.laws.Hooke(stiffness=(whole / 1e-2) ** 2),
+        )  # fmt: skip
+        sim.step(14 + round(4 / whole))
+        gain = (sim.model.reading("ball.linear_velocity")[:, 2] / 10.0) ** 2 - 1
+        # Velocities are half a step behind. A part of h in which the contact begins is followed by steps of dt:
+        # ½ (dt − h) of the force at depth v dt, k v² dt²/2 of the energy m v²/2 at most, is taken away by that.
+        assert gain.min() > -(whole**2)
+        assert gain.max() < 0.25 * whole**2 + 1e-4
+
+
+@PRECISIONS
 @pytest.mark.parametrize("parts", [2, 3, 16])
 def test_environments_without_a_crossing_do_not_notice_the_others(parts, precision, device):
     start, velocity, _ = fan_of_shots(60, 1.0)
