@@ -77,8 +77,9 @@ def test_defects_of_a_mesh_file_are_reported_with_its_key(tmp_path):
 
 
 def test_face_that_vanishes_in_float32_is_reported_with_its_surface(tmp_path):
-    far = "".join(f"v {x} {y} 0\n" for x, y in ((999999, 0), (999999.001, 0), (999999, 0.001)))
-    (tmp_path / "far.obj").write_text(far + "f 1 2 3\n")
+    corners = ((999999, 0), (999999.001, 0), (999999, 0.001), (0, 0), (1, 0), (0, 1))
+    far = "".join(f"v {x} {y} 0\n" for x, y in corners)
+    (tmp_path / "far.obj").write_text(far + "f 1 2 3\nf 4 5 6\n")
     (problem,) = problems_of(wrong(((*GROUND, "mesh"), {"file": "far.obj"})), tmp_path)
     assert problem.startswith("surface[0]: face 0 ")
 

@@ -84,9 +84,10 @@ def test_lines_are_split_where_the_surface_hides_them():
 def test_defects_are_as_many_as_the_report_counts(name, shared):
     path = shared / "data" / "meshes" / name
     report = examine_file(path)
-    from warpcontact.meshes.load import _examined
+    from warpcontact.meshes.load import Options, examined
 
-    vertices, faces, _ = _examined(path, 1.0, None)
+    options = Options(1.0, None, None, False, 1e-6, True, None)
+    vertices, faces, _, _ = examined(path, None, options)
     check_counts(find_defects(vertices, faces), report)
 
 
