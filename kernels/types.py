@@ -116,9 +116,7 @@ def structs(real: type) -> SimpleNamespace:
 
         entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not touching
         armed: wp.array2d(dtype=wp.int32)  # [env, contact] latch of entry="latched"
-        face: wp.array2d(
-            dtype=wp.int32
-        )  # [env, contact] row of the face touched last; −1: none. Of contacts that follow
+        face: wp.array2d(dtype=wp.int32)  # [env, contact] row of the face followed; −1: none
         crossings: wp.array2d(dtype=wp.int32)  # [env, contact] times the surface was crossed within a step
         crossing_time: wp.array2d(dtype=real)  # [env, contact] of the first of them [s]; NaN: none
 
