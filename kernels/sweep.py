@@ -147,14 +147,14 @@ def kernel(real: type) -> wp.Kernel:
 def turn() -> wp.Kernel:
     """Returns the kernel that lets environments take turns. Launch with dim env.
 
-    ``back`` 0: those with a crossing become active and the active ones wait; 1: those that waited are active.
+    ``back`` 0: those with a crossing become active and the active ones wait; 1: all that can be are active.
     """
 
     @wp.kernel(module="unique", enable_backward=False)
     def take_turns(status: wp.array(dtype=wp.int32), back: wp.int32):
         env = wp.tid()
         if back != 0:
-            if status[env] == ENV_WAITING:
+            if status[env] == ENV_WAITING or status[env] == ENV_CROSSED:
                 status[env] = ENV_ACTIVE
         elif status[env] == ENV_CROSSED:
             status[env] = ENV_ACTIVE

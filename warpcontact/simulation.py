@@ -122,6 +122,11 @@ class Simulation:
             while done < count:
                 self._take(steps, done % 2)
                 done += 1
+        except BaseException:
+            # Whoever was waiting for the others would wait for ever.
+            if self._mark is not None:
+                self._turn(back=True)
+            raise
         finally:
             # Also after an interruption: the state is in the model's buffer, and the clock tells its time.
             if done % 2:
