@@ -1,6 +1,7 @@
 """PLY, binary of both byte orders and text."""
 
 import re
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -91,12 +92,12 @@ def _header(data: bytes) -> tuple[str, list[_Element], int]:
     return order, elements, end.end()
 
 
-class _Body:
+class _Body(ABC):
     """The rows of all elements, one element after the other."""
 
+    @abstractmethod
     def rows(self, element: _Element) -> _Columns:
         """Returns the rows of the next element."""
-        raise NotImplementedError
 
 
 class _TextBody(_Body):
