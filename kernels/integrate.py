@@ -8,6 +8,19 @@ from warpcontact.kernels.types import ENV_ACTIVE, ENV_FAILED, ENV_FROZEN, struct
 
 
 @functools.cache
+def _spin(real: type) -> wp.Function:
+    t = structs(real)
+    vec3, quat, mat33 = t.vec3, t.quat, t.mat33
+
+    @wp.func
+    def spin(inverse_inertia_B: mat33, q_WB: quat, momentum_W: vec3):
+        """Angular velocity in W of a body with angular momentum ``momentum_W``."""
+        return wp.quat_rotate(q_WB, inverse_inertia_B * wp.quat_rotate_inv(q_WB, momentum_W))
+
+    return spin
+
+
+@functools.cache
 def semi_implicit_euler(real: type) -> wp.Kernel:
     """Returns the semi-implicit Euler kernel. Launch with dim (env, body).
 
@@ -17,14 +30,9 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
     order.
     """
     t = structs(real)
-    vec3, quat, mat33 = t.vec3, t.quat, t.mat33
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     rotated = frames.functions(real).rotated
-
-    @wp.func
-    def spin(inverse_inertia_B: mat33, q_WB: quat, momentum_W: vec3):
-        """Angular velocity in W of a body with angular momentum ``momentum_W``."""
-        return wp.quat_rotate(q_WB, inverse_inertia_B * wp.quat_rotate_inv(q_WB, momentum_W))
+    spin = _spin(real)
 
     @wp.kernel(module="unique", enable_backward=False)
     def semi_implicit_euler(
@@ -64,6 +72,39 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
             status[env] = ENV_FAILED
 
     return semi_implicit_euler
+
+
+@functools.cache
+def change_step(real: type) -> wp.Kernel:
+    """Returns the kernel that readies a state for steps of another length. Launch with dim (env, body).
+
+    The velocities of semi-implicit Euler belong to half a step before the positions, so a step that is longer by
+    ``change`` begins from velocities of change/2 earlier. Without this the energy of a contact jumps with the length of the step.
+    """
+    t = structs(real)
+    Model, State, Wrenches = t.Model, t.State, t.Wrenches
+    spin = _spin(real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def change_step(
+        status: wp.array(dtype=wp.int32),
+        change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
+        model: Model,
+        wrenches: Wrenches,  # of this instant
+        state: State,
+    ):
+        env, body = wp.tid()
+        if status[env] != ENV_ACTIVE:
+            return
+        earlier = real(0.5) * change[env, 0]
+        acceleration = wrenches.force[env, body] / model.body_mass[env, body] + model.gravity[env, 0]
+        turning = spin(
+            model.body_inverse_inertia[env, body], state.body_orientation[env, body], wrenches.torque[env, body]
+        )
+        state.body_linear_velocity[env, body] = state.body_linear_velocity[env, body] - earlier * acceleration
+        state.body_angular_velocity[env, body] = state.body_angular_velocity[env, body] - earlier * turning
+
+    return change_step
 
 
 @functools.cache

@@ -18,6 +18,14 @@ class Integrator(ABC):
     def kernel(self, real: type) -> wp.Kernel:
         """Returns the kernel (status, dt, model, state_in, wrenches, state_out), dim (env, body)."""
 
+    def change_step(self, real: type) -> wp.Kernel | None:
+        """Returns the kernel (status, change, model, wrenches, state), dim (env, body), between unequal steps.
+
+        It readies ``state`` for a step that is longer by ``change`` [s] than the last. ``None``: a state does not
+        depend on the step that led to it.
+        """
+        return None
+
 
 @dataclass(frozen=True)
 class SemiImplicitEuler(Integrator):
@@ -31,6 +39,10 @@ class SemiImplicitEuler(Integrator):
     def kernel(self, real: type) -> wp.Kernel:
         """Returns the kernel for precision ``real``."""
         return integrate.semi_implicit_euler(real)
+
+    def change_step(self, real: type) -> wp.Kernel:
+        """Returns the kernel for precision ``real``; velocities are half a step behind the positions."""
+        return integrate.change_step(real)
 
 
 __all__ = ["Integrator", "SemiImplicitEuler"]

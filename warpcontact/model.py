@@ -89,7 +89,8 @@ class Model:
         self._meshes = meshes  # kept alive: a kernel only holds their ids
         self._readings = readings
         self._instant = wp.zeros((1, 1), dtype=types.real, device=device)
-        self._no_step = broadcast(self._instant, envs)
+        # Step of 0 [env, 0]: for the forces of an instant.
+        self.no_step = broadcast(self._instant, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
         self._send(uploads)
@@ -182,7 +183,7 @@ class Model:
     def evaluate(self) -> None:
         """Computes contacts and wrenches of the current state; changes neither state nor history."""
         if self._evaluation[0] != self.revision:
-            self._evaluation = (self.revision, force_stages(self, self.arrays.state, self._no_step))
+            self._evaluation = (self.revision, force_stages(self, self.arrays.state, self.no_step))
         for launch in self._evaluation[1]:
             launch.launch()
 

@@ -85,6 +85,16 @@ def step_stages(
     return launches
 
 
+def change_stages(model: "Model", integrator: "Integrator", change: wp.array, state: Any) -> list[wp.Launch]:
+    """Returns the launches that ready ``state`` for steps longer by ``change`` [env, 0] than those before [s]."""
+    a, kernel = model.arrays, integrator.change_step(model.types.real)
+    if kernel is None:
+        return []
+    return force_stages(model, state, model.no_step) + _prepare(
+        model, kernel, (model.envs, model.body_count), [a.status, change, a.model, a.wrenches, state]
+    )
+
+
 def accept_stages(model: "Model", dt: wp.array, state_in: Any, state_out: Any) -> list[wp.Launch]:
     """Returns the launches that accept a proposed step in all active environments."""
     a, real = model.arrays, model.types.real

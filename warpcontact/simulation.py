@@ -17,7 +17,7 @@ from warpcontact.kernels import integrate, sweep
 from warpcontact.model import Model
 from warpcontact.parameters import broadcast, rounded
 from warpcontact.recorder import Recorder, Recording
-from warpcontact.schedule import accept_stages, step_stages
+from warpcontact.schedule import accept_stages, change_stages, step_stages
 
 # Steps between two looks at the progress bar; a step of a large model takes milliseconds.
 STEPS_PER_UPDATE = 50
@@ -31,6 +31,8 @@ class _Step:
     state_out: Any
     whole: list[wp.Launch]
     part: list[wp.Launch]
+    divide: list[wp.Launch]  # before a first part from the first buffer
+    resume: list[wp.Launch]  # after a last part into the second
 
 
 class Simulation:
@@ -67,11 +69,14 @@ class Simulation:
             raise ValueError(f"crossing_steps must be a whole number of at least 1, got {crossing_steps!r}")
         self.crossing_steps = int(crossing_steps)
         self._advised = False
+        part = self.dt / self.crossing_steps
         self._dt_memory = [
-            wp.full((1, 1), self.dt / parts, dtype=model.types.real, device=model.device)
-            for parts in (1, self.crossing_steps)
+            wp.full((1, 1), value, dtype=model.types.real, device=model.device)
+            for value in (self.dt, part, part - self.dt, self.dt - part)
         ]
-        self._dt, self._part = (broadcast(memory, model.envs) for memory in self._dt_memory)
+        self._dt, self._part, self._shorter, self._longer = (
+            broadcast(memory, model.envs) for memory in self._dt_memory
+        )
         divides = model.sweeps and self.crossing_steps > 1
         self._mark = wp.zeros(1, dtype=wp.int32, device=model.device) if divides else None
         # Steps go from one buffer to the other and back; between calls the state is always in the model's.
@@ -135,16 +140,20 @@ class Simulation:
 
     def _prepare(self, state_in: Any, state_out: Any) -> "_Step":
         model, integrator, mark = self.model, self.integrator, self._mark
-        part = []
+        part, divide, resume = [], [], []
         if mark is not None:
             part = step_stages(model, integrator, self._part, state_in, state_out, None)
             part += accept_stages(model, self._part, state_in, state_out)
+            divide = change_stages(model, integrator, self._shorter, state_in)
+            resume = change_stages(model, integrator, self._longer, state_out)
         return _Step(
             state_in,
             state_out,
             whole=step_stages(model, integrator, self._dt, state_in, state_out, mark)
             + accept_stages(model, self._dt, state_in, state_out),
             part=part,
+            divide=divide,
+            resume=resume,
         )
 
     def _take(self, steps: "list[_Step]", way: int) -> None:
@@ -157,11 +166,15 @@ class Simulation:
             return
         # Environments with a crossing have not moved on. The others wait.
         self._turn(back=False)
+        for launch in steps[way].divide:
+            launch.launch()
         for part in range(self.crossing_steps):
             for launch in steps[(way + part) % 2].part:
                 launch.launch()
         if self.crossing_steps % 2 == 0:
             self._adopt(steps[way].state_in, steps[way].state_out)
+        for launch in steps[way].resume:
+            launch.launch()
         self._turn(back=True)
 
     def _turn(self, *, back: bool) -> None:
