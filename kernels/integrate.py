@@ -79,7 +79,7 @@ def change_step(real: type) -> wp.Kernel:
     """Returns the kernel that readies a state for steps of another length. Launch with dim (env, body).
 
     The velocities of semi-implicit Euler belong to half a step before the positions, so a step that is longer by
-    ``change`` begins from velocities of change/2 earlier. Without this the energy of a contact jumps with the length of the step.
+    ``change`` begins from velocities of change/2 earlier. Without this the energy of a contact jumps.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
