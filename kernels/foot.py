@@ -15,6 +15,8 @@ TIE = 3.0
 # over hundreds of faces in one step.
 LARGEST_FAN = 1024
 LONGEST_WALK = 4096
+# Steps at most in which a point is followed.
+MOST_STEPS = 32
 
 
 @functools.cache
@@ -126,25 +128,45 @@ def functions(real: type) -> SimpleNamespace:
         return best
 
     @wp.func
+    def about(model: Model, at: Foot, best: Foot, p: vec3):
+        """Looks at the faces that meet in the feature of ``at``."""
+        if at.feature > 3:
+            # Out across the edge that begins at this corner, and the one that ends there.
+            corner = at.feature - 4
+            best = about_corner(model, best, at.row, corner, 0, p)
+            best = about_corner(model, best, at.row, (corner + 2) % 3, 1, p)
+        elif at.feature > 0:
+            across = model.face_neighbor[at.row, at.feature - 1]
+            if across >= 0:
+                best = nearer(best, foot_on(model, across // 3, p))
+        best.distance = wp.length(best.to_point)
+        return best
+
+    @wp.func
     def walk(model: Model, row: int, p: vec3):
         """The nearest point that is reached from face ``row`` by going from face to neighbour, ever nearer."""
         best = foot_on(model, row, p)
         for _ in range(wp.static(LONGEST_WALK)):
             at = best
-            if at.feature == 0:
-                break
-            if at.feature < 4:
-                across = model.face_neighbor[at.row, at.feature - 1]
-                if across >= 0:
-                    best = nearer(at, foot_on(model, across // 3, p))
-            else:
-                # Out across the edge that begins at this corner, and the one that ends there.
-                corner = at.feature - 4
-                best = about_corner(model, best, at.row, corner, 0, p)
-                best = about_corner(model, best, at.row, (corner + 2) % 3, 1, p)
-            best.distance = wp.length(best.to_point)
+            best = about(model, at, best, p)
             if best.row == at.row:
                 break
         return best
 
-    return SimpleNamespace(Foot=Foot, foot_on=foot_on, nearest_of_all=nearest_of_all, walk=walk)
+    @wp.func
+    def follow(model: Model, row: int, p: vec3, q: vec3):
+        """The nearest point to ``q`` on the sheet whose face ``row`` is nearest to ``p``, from there to here.
+
+        In steps as long as the sheet is far: a longer one could miss an edge that is passed, behind which the
+        face that is left looks as near as any.
+        """
+        foot = foot_on(model, row, p)
+        length = wp.length(q - p)
+        way = real(0.0)
+        while way < length:
+            way = wp.min(way + wp.max(foot.distance, length / real(wp.static(MOST_STEPS))), length)
+            at = p + (way / length) * (q - p)
+            foot = walk(model, about(model, foot, foot_on(model, foot.row, at), at).row, at)
+        return foot
+
+    return SimpleNamespace(Foot=Foot, foot_on=foot_on, nearest_of_all=nearest_of_all, walk=walk, follow=follow)

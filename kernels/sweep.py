@@ -2,7 +2,9 @@
 
 import functools
 
+import numpy as np
 import warp as wp
+from warpcontact.kernels import foot as feet
 from warpcontact.kernels import frames
 from warpcontact.kernels.types import (
     CONTACT,
@@ -28,10 +30,11 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     vec3, Model, State, Contacts = t.vec3, t.Model, t.State, t.Contacts
+    follow = feet.functions(real).follow
     frame = frames.functions(real)
     point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
-    query_epsilon = wp.constant(real(1.2e-7 * ROUNDING))
+    query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
 
     @wp.func
     def to_surface(model: Model, state: State, env: int, contact: int, surface: int):
@@ -48,14 +51,17 @@ def kernel(real: type) -> wp.Kernel:
         return wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.abs(v[2]))
 
     @wp.func
-    def crossing(model: Model, row: int, p: vec3, q: vec3, slack: real):
-        """Where on the way from ``p`` to ``q`` face ``row`` is crossed inwards, 0 to 1; 2: nowhere."""
+    def crossing(model: Model, row: int, p: vec3, q: vec3, sense: real, slack: real):
+        """Where on the way from ``p`` to ``q`` face ``row`` is crossed, 0 to 1; 2: nowhere.
+
+        Inwards with ``sense`` 1, outwards with −1.
+        """
         n = model.face_normal[row, 0]
         a = model.face_corner[row, 0]
         b = model.face_corner[row, 1]
         c = model.face_corner[row, 2]
-        before = wp.dot(p - a, n)
-        after = wp.dot(q - a, n)
+        before = sense * wp.dot(p - a, n)
+        after = sense * wp.dot(q - a, n)
         if before < -slack or after >= real(0.0) or after >= before:
             return real(2.0)
         at = wp.clamp(before / (before - after), real(0.0), real(1.0))
@@ -69,14 +75,54 @@ def kernel(real: type) -> wp.Kernel:
         return at
 
     @wp.func
-    def comes_out(model: Model, row: int, p: vec3, q: vec3):
-        """Where on the way from ``p`` to ``q`` the plane of face ``row`` is left outwards, 0 to 1; 1: nowhere."""
-        n = model.face_normal[row, 0]
-        before = wp.dot(p - model.face_corner[row, 0], n)
-        after = wp.dot(q - model.face_corner[row, 0], n)
-        if before >= real(0.0) or after <= real(0.0):
-            return real(1.0)
-        return before / (before - after)
+    def first_crossing(model: Model, patch: int, held: int, p: vec3, q: vec3):
+        """Where on the way from ``p`` to ``q`` a face is first crossed, 0 to 1, and its row; 2 and −1: nowhere.
+
+        An active face, inwards; or if face ``held`` holds the point, one of the sheet that holds it, outwards.
+        """
+        sense = wp.where(held >= 0, real(-1.0), real(1.0))
+        scale = size(p) + size(q)
+        slack = epsilon * scale
+        margin = model.patch_slack[patch] + query_epsilon * scale
+        around = vec3(margin, margin, margin)
+        low = wp.min(p, q) - around
+        high = wp.max(p, q) + around
+        start = model.patch_face_start[patch]
+        boxes = wp.mesh_query_aabb(
+            model.patch_mesh[patch],
+            wp.vec3f(wp.float32(low[0]), wp.float32(low[1]), wp.float32(low[2])),
+            wp.vec3f(wp.float32(high[0]), wp.float32(high[1]), wp.float32(high[2])),
+        )
+        face = wp.int32(0)
+        first = real(2.0)
+        crossed = wp.int32(-1)
+        while wp.mesh_query_aabb_next(boxes, face):
+            row = start + face
+            at = crossing(model, row, p, q, sense, slack)
+            if at < first or (at == first and at < real(2.0) and row < crossed):
+                counts = (wp.int32(model.face_flags[row, 0]) & FEATURE_ACTIVE) != 0
+                if held >= 0:
+                    counts = follow(model, held, p, p + at * (q - p)).distance <= real(2.0) * slack
+                if counts:
+                    first = at
+                    crossed = row
+        return first, crossed
+
+    @wp.func
+    def leaves(model: Model, patch: int, held: int, p: vec3, q: vec3):
+        """Where on the way from ``p`` to ``q`` the point comes out of what holds it, 0 to 1; 2: nowhere."""
+        at, _ = first_crossing(model, patch, held, p, q)
+        if at <= real(1.0):
+            return at
+        # Past a border it comes out where it passes the plane of the face there.
+        foot = follow(model, held, p, q)
+        if not foot.inner:
+            n = model.face_normal[foot.row, 0]
+            before = wp.dot(p - model.face_corner[foot.row, 0], n)
+            after = wp.dot(q - model.face_corner[foot.row, 0], n)
+            if before < real(0.0) and after > real(0.0):
+                at = before / (before - after)
+        return at
 
     @wp.kernel(module="unique", enable_backward=False)
     def sweep(
@@ -106,34 +152,14 @@ def kernel(real: type) -> wp.Kernel:
         q = to_surface(model, state_out, env, contact, surface)
         gone = real(0.0)
         if contacts.status[env, contact] == CONTACT and contacts.penetration[env, contact] >= geometry.radius:
-            # On the inner side it is held by a face, and free from where it comes out of that.
-            gone = comes_out(model, contacts.face[env, contact], p, q)
+            # On the inner side it is held by a face, and free from where it comes out of that sheet.
+            gone = leaves(model, patch, contacts.face[env, contact], p, q)
             if gone >= real(1.0):
                 return
             p = p + gone * (q - p)
-        scale = size(p) + size(q)
-        slack = epsilon * scale
-        margin = model.patch_slack[patch] + query_epsilon * scale
-        around = vec3(margin, margin, margin)
-        low = wp.min(p, q) - around
-        high = wp.max(p, q) + around
-        start = model.patch_face_start[patch]
-        boxes = wp.mesh_query_aabb(
-            model.patch_mesh[patch],
-            wp.vec3f(wp.float32(low[0]), wp.float32(low[1]), wp.float32(low[2])),
-            wp.vec3f(wp.float32(high[0]), wp.float32(high[1]), wp.float32(high[2])),
-        )
-        face = wp.int32(0)
-        first = real(2.0)
-        crossed = wp.int32(-1)
-        while wp.mesh_query_aabb_next(boxes, face):
-            if (wp.int32(model.face_flags[start + face, 0]) & FEATURE_ACTIVE) != 0:
-                at = crossing(model, start + face, p, q, slack)
-                if at < first or (at == first and at < real(2.0) and face < crossed):
-                    first = at
-                    crossed = face
+        first, crossed = first_crossing(model, patch, -1, p, q)
         if crossed >= 0:
-            contacts.crossed_face[env, contact] = start + crossed
+            contacts.crossed_face[env, contact] = crossed
             contacts.crossed_at[env, contact] = gone + (real(1.0) - gone) * first
             if mark != 0:
                 # Many threads may say so, all the same.
