@@ -155,15 +155,18 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def follow(model: Model, row: int, p: vec3, q: vec3):
-        """The nearest point to ``q`` on the sheet whose face ``row`` is nearest to ``p``, from there to here.
+        """The nearest point to ``q`` on the sheet that has face ``row`` nearest to ``p``, followed on the way.
 
-        In steps as long as the sheet is far: a longer one could miss an edge that is passed, behind which the
-        face that is left looks as near as any.
+        In steps as long as the sheet is far, but where one face stays nearest: a longer one could miss an edge
+        that is passed, from behind which the face that was left looks as near as any.
         """
         foot = foot_on(model, row, p)
         length = wp.length(q - p)
         way = real(0.0)
         while way < length:
+            last = foot_on(model, foot.row, q)
+            if foot.feature == 0 and last.feature == 0:
+                return last
             way = wp.min(way + wp.max(foot.distance, length / real(wp.static(MOST_STEPS))), length)
             at = p + (way / length) * (q - p)
             foot = walk(model, about(model, foot, foot_on(model, foot.row, at), at).row, at)

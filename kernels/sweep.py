@@ -20,6 +20,8 @@ from warpcontact.kernels.types import (
 # Rounding of the test, in units of epsilon times the size of the coordinates: what passes between two faces would
 # be lost, so each takes in a little more than itself.
 ROUNDING = 64.0
+# Times a point may go in and out within a step.
+MOST_CROSSINGS = 8
 
 
 @functools.cache
@@ -109,20 +111,14 @@ def kernel(real: type) -> wp.Kernel:
         return first, crossed
 
     @wp.func
-    def leaves(model: Model, patch: int, held: int, p: vec3, q: vec3):
-        """Where on the way from ``p`` to ``q`` the point comes out of what holds it, 0 to 1; 2: nowhere."""
-        at, _ = first_crossing(model, patch, held, p, q)
-        if at <= real(1.0):
-            return at
-        # Past a border it comes out where it passes the plane of the face there.
-        foot = follow(model, held, p, q)
-        if not foot.inner:
-            n = model.face_normal[foot.row, 0]
-            before = wp.dot(p - model.face_corner[foot.row, 0], n)
-            after = wp.dot(q - model.face_corner[foot.row, 0], n)
-            if before < real(0.0) and after > real(0.0):
-                at = before / (before - after)
-        return at
+    def passes(model: Model, row: int, p: vec3, q: vec3):
+        """Where on the way from ``p`` to ``q`` the plane of face ``row`` is passed, 0 to 1."""
+        n = model.face_normal[row, 0]
+        before = wp.dot(p - model.face_corner[row, 0], n)
+        after = wp.dot(q - model.face_corner[row, 0], n)
+        if before >= real(0.0) or after <= real(0.0):
+            return real(1.0)
+        return before / (before - after)
 
     @wp.kernel(module="unique", enable_backward=False)
     def sweep(
@@ -150,17 +146,36 @@ def kernel(real: type) -> wp.Kernel:
         patch = base + model.surface_mesh[env, surface]
         p = to_surface(model, state_in, env, contact, surface)
         q = to_surface(model, state_out, env, contact, surface)
-        gone = real(0.0)
+        # A point on the inner side is held by a face, and free from where it comes out of that sheet.
+        held = wp.int32(-1)
         if contacts.status[env, contact] == CONTACT and contacts.penetration[env, contact] >= geometry.radius:
-            # On the inner side it is held by a face, and free from where it comes out of that sheet.
-            gone = leaves(model, patch, contacts.face[env, contact], p, q)
-            if gone >= real(1.0):
-                return
-            p = p + gone * (q - p)
-        first, crossed = first_crossing(model, patch, -1, p, q)
-        if crossed >= 0:
-            contacts.crossed_face[env, contact] = crossed
-            contacts.crossed_at[env, contact] = gone + (real(1.0) - gone) * first
+            held = contacts.face[env, contact]
+        over = held
+        gone = real(0.0)
+        entered = real(2.0)
+        for _ in range(wp.static(MOST_CROSSINGS)):
+            at, row = first_crossing(model, patch, held, p, q)
+            if held >= 0:
+                foot = follow(model, held, p, q)
+                over = foot.row
+                if at > real(1.0):
+                    if foot.inner:
+                        break
+                    # Past a border it comes out where it passes the plane of the face there.
+                    at = passes(model, over, p, q)
+            elif row < 0:
+                break
+            else:
+                entered = wp.min(entered, gone + (real(1.0) - gone) * at)
+            held = wp.where(held >= 0, -1, row)
+            p = p + at * (q - p)
+            gone = gone + (real(1.0) - gone) * at
+        if over >= 0:
+            # Whatever face it was held by, from the one that it is over now its nearest point is found.
+            contacts.face[env, contact] = over
+        if entered <= real(1.0):
+            contacts.crossed_face[env, contact] = over
+            contacts.crossed_at[env, contact] = entered
             if mark != 0:
                 # Many threads may say so, all the same.
                 status[env] = ENV_CROSSED
