@@ -11,6 +11,7 @@ from warpcontact.kernels.types import (
     ENV_ACTIVE,
     ENV_CROSSED,
     ENV_WAITING,
+    FAR,
     FEATURE_ACTIVE,
     LATCHED,
     SWEPT,
@@ -139,7 +140,8 @@ def kernel(real: type) -> wp.Kernel:
         geometry = model.contact_geometry[env, contact]
         if geometry.enabled == 0:
             return
-        if (option & LATCHED) != 0 and contacts.armed[env, contact] == 0:
+        # Not armed is what is known to be on the wrong side, or was never near enough for its side to be known.
+        if (option & LATCHED) != 0 and contacts.armed[env, contact] == 0 and contacts.status[env, contact] != FAR:
             return
         base = model.contact_patch[contact]
         surface = model.patch_surface[base]
@@ -174,6 +176,7 @@ def kernel(real: type) -> wp.Kernel:
             # Whatever face it was held by, from the one that it is over now its nearest point is found.
             contacts.face[env, contact] = over
         if entered <= real(1.0):
+            contacts.armed[env, contact] = 1
             contacts.crossed_face[env, contact] = over
             contacts.crossed_at[env, contact] = entered
             if mark != 0:

@@ -160,13 +160,36 @@ def test_a_point_that_came_far_is_held_by_where_it_is_over(precision, device):
 
 
 @PRECISIONS
-def test_a_search_radius_does_not_lose_what_has_crossed(precision, device):
+@pytest.mark.parametrize("parts", [1, 4])
+@pytest.mark.parametrize("entry", ["literal", "latched"])
+def test_a_search_radius_does_not_lose_what_has_crossed(entry, parts, precision, device):
+    """It has never been near enough to be seen."""
     sim = shots(
         hard_cases.plate(), [[0.1, 0.2, 0.05]], [[0, 0, -10.0]], dt=1e-2, precision=precision, device=device,
-        search_radius=0.03,
+        search_radius=0.03, entry=entry, crossing_steps=parts,
     )  # fmt: skip
+    assert sim.model.reading("touch.status").tolist() == [Status.FAR]
     sim.step(20)
     assert sim.model.reading("ball.linear_velocity")[0, 2] > 0
+
+
+@PRECISIONS
+def test_what_is_known_to_be_on_the_wrong_side_is_not_armed_by_a_crossing(precision, device):
+    """From between the faces of a thick plate into a plate under it, in one step."""
+    thick, under = hard_cases.plate(thickness=0.1), hard_cases.moved(hard_cases.plate(), (0, 0, -0.1))
+    both = wc.Mesh(
+        np.concatenate([thick.vertices, under.vertices]),
+        np.concatenate([thick.faces, under.faces + len(thick.vertices)]),
+    )
+    for start, status in ((0.02, Status.WRONG_SIDE), (0.0, Status.FAR)):
+        sim = shots(
+            both, [[0.1, 0.2, start]], [[0, 0, -15.0]], dt=1e-2, precision=precision, device=device,
+            search_radius=0.04, entry="latched",
+        )  # fmt: skip
+        assert sim.model.reading("touch.status").tolist() == [status]
+        sim.step()
+        # Whoever was not seen may have come from outside: there is nothing to say against it.
+        assert sim.model.reading("touch.crossings").tolist() == [int(status == Status.FAR)]
 
 
 @PRECISIONS
