@@ -277,6 +277,35 @@ def test_points_of_a_surface_move_with_it(device):
     np.testing.assert_allclose(gap, expected((0.2, 0.3, 0.4), (0.8, 0, 0.6, 0), [(0, 0, 0), local[1]]), atol=1e-14)
 
 
+@pytest.mark.parametrize(
+    "law", [laws.ElasticFoundation(stiffness=1e8), laws.ElasticFoundation(stiffness=1e8, area=1e-3)]
+)
+def test_areas_grow_with_the_scale_of_their_surface(law, device):
+    """A box of 2 m, a box of 1 m twice as large, and one made so in one environment: the same force."""
+    found = {}
+    for size, scale in ((2.0, 1.0), (1.0, 2.0), (1.0, 1.0)):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        ground = scene.add_surface(square(3.0), name="ground")
+        body = scene.add_body(1.0, [1.0] * 3, position=(0, 0, 1.0 - 1e-3), name="body")
+        skin = scene.add_surface(wc.meshes.box((size,) * 3), body, scale=scale, name="skin")
+        felt = Felt(drag=1.0)
+        scene.add_surface_contact(
+            skin, ground, wc.Template(law=law, friction=felt), samples="centroids", name="press"
+        )
+        model = scene.build(envs=2, device=device, precision="float64")
+        model["body.linear_velocity"] = (1, 0, 0)
+        if scale * size == 1.0:
+            model["body.position"] = [(0, 0, 0.5 - 1e-3), (0, 0, 1.0 - 1e-3)]
+            model["skin.scale"] = [1.0, 2.0]
+        found[size, scale] = model.reading("body.force")
+        np.testing.assert_allclose(model["press.friction.area"].sum(axis=1), 6.0 * size**2)
+    exact = 1e8 * 4.0 * 1e-3 if law.area is None else 2 * 1e8 * 1e-3 * 1e-3
+    np.testing.assert_allclose(found[2.0, 1.0][:, [0, 2]], [[-4.0, exact]] * 2, rtol=1e-9)
+    np.testing.assert_allclose(found[1.0, 2.0][:, [0, 2]], [[-4.0, exact]] * 2, rtol=1e-9)
+    smaller = exact if law.area else exact / 4
+    np.testing.assert_allclose(found[1.0, 1.0][:, [0, 2]], [[-1.0, smaller], [-4.0, exact]], rtol=1e-9)
+
+
 def test_names_and_samples_of_both_sides():
     scene = wc.Scene()
     body = scene.add_body(1.0, [1.0] * 3, name="body")

@@ -35,8 +35,10 @@ def advice(model: "Model", dt: float) -> list[str]:
     for group, contact, first in model.grouped_contacts():
         sentences += friction_advice(model, contact, group, first, dt)
         law = type(contact.template.law)
-        names = contact.parameters("law")
-        elastic = law.elastic({name: _column(model, f"{contact.name}.law.{name}") for name in names})
+        values = {name: _column(model, f"{contact.name}.law.{name}") for name in contact.parameters("law")}
+        if (carrier := contact.area_carrier("law")) is not None:
+            values["area"] = values["area"] * _column(model, f"{carrier.name}.scale") ** 2
+        elastic = law.elastic(values)
         if elastic is None:
             continue
         stiffness, exponent = elastic

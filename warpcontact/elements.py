@@ -150,7 +150,7 @@ class Points:
     body: Body | None
     surface: Surface | None
     positions: Array  # (n, 3), frame of the surface's mesh if they are fixed to one, else of the body [m]
-    areas: Array | None  # (n,) the area that each stands for [m²]
+    areas: Array | None  # (n,) the area that each stands for, in the mesh's frame like their positions [m²]
     single: bool  # made by add_point: no item axis
 
     @property
@@ -192,3 +192,7 @@ class Contact:
     def parameters(self, part: str) -> dict[str, Any]:
         """Returns the values of the parameters of one part of the template, one number each or one per point."""
         return self.template.formulas[part].parameters(area=self.points.areas)
+
+    def area_carrier(self, part: str) -> Surface | None:
+        """Returns the surface whose scale enlarges the area of one part of the template, if any."""
+        return self.points.surface if self.template.formulas[part].takes_area else None

@@ -141,20 +141,31 @@ def _add_formula(
         contact: {name: Field(np.full(contact.count, value)) for name, value in contact.parameters(part).items()}
         for contact in contacts
     }
+    # Points of a surface have the area that they stand for in its mesh.
+    scales = {
+        contact: parameters.by_name[f"{carrier.name}.scale"]
+        for contact in contacts
+        if (carrier := contact.area_carrier(part)) is not None
+    }
 
     def content() -> NDArray[Any]:
         columns: dict[str, list[NDArray[Any]]] = {name: [] for name in formula.device_names()}
         if not columns:
             return pack(struct, {"unused": np.zeros((1, sum(contact.count for contact in contacts)))})
-        envs = max(len(field.values) for own in fields.values() for field in own.values())
-        for contact, own in fields.items():
-            given = np.broadcast_arrays(*(field.values for field in own.values()))
-            computed = formula.coefficients(dict(zip(own, given, strict=True)))
+        values = {contact: {name: field.values for name, field in own.items()} for contact, own in fields.items()}
+        for contact, scale in scales.items():
+            values[contact]["area"] = values[contact]["area"] * scale.field.values[:, scale.items] ** 2
+        envs = max(len(array) for own in values.values() for array in own.values())
+        for contact, own in values.items():
+            computed = formula.coefficients(dict(zip(own, np.broadcast_arrays(*own.values()), strict=True)))
             for name, column in columns.items():
                 column.append(np.broadcast_to(computed[name], (envs, contact.count)))
         return pack(struct, {name: np.concatenate(parts, axis=1) for name, parts in columns.items()})
 
     upload = parameters.upload(target, part, struct, content)
+    for scale in scales.values():
+        if upload not in scale.uploads:
+            scale.uploads.append(upload)
     for contact, own in fields.items():
         for name, field in own.items():
             parameters.add(

@@ -197,7 +197,8 @@ class Scene:
             body: What carries them: a body, ``None`` for the world, or a surface, with which they move.
             positions: Where they are in its frame, (n, 3) [m], of a surface in that of its mesh; or points with
                 their areas, from ``wc.sample_surface``.
-            areas: The area that each stands for, (n,) [m²], for laws that leave it to the points.
+            areas: The area that each stands for, (n,) [m²], for laws that leave it to the points; on a surface
+                that in its mesh, to which the square of its scale comes.
             name: Name in parameters and readings; made up if not given.
 
         Raises:
