@@ -326,12 +326,33 @@ def test_names_and_samples_of_both_sides():
     assert (only.name, only.points.name, only.count) == ("contact", "contact_points", 7)
 
 
+def test_of_several_meshes_each_has_points_of_its_own(device):
+    """What the message says to do: a box in one environment, a ball in the other, pressed 1 mm."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    ground = scene.add_surface(square(), name="ground")
+    body = scene.add_body(1.0, [1.0] * 3, position=(0, 0, 0.499), name="body")
+    meshes = [wc.meshes.box(), wc.meshes.icosphere(0.5, 4)]
+    either = scene.add_surface(meshes, body, name="either")
+    bed = wc.Template(law=laws.ElasticFoundation(stiffness=1e8))
+    for index, mesh in enumerate(meshes):
+        points = scene.add_points(either, sample_surface(mesh, method="centroids"), name=f"points_{index}")
+        scene.add_contact(points, ground, bed, name=f"press_{index}")
+    model = scene.build(envs=2, device=device, precision="float64")
+    model["either.mesh"] = [0, 1]
+    for index in (0, 1):
+        model[f"press_{index}.enabled"] = model["either.mesh"] == index
+    force = model.reading("body.force")[:, 2]
+    assert force[0] == pytest.approx(1e8 * 1.0 * 1e-3, rel=1e-9)
+    assert 0 < force[1] < 0.01 * force[0]
+
+
 def test_what_cannot_be_added_leaves_the_scene_as_it_was():
     scene = wc.Scene()
     body = scene.add_body(1.0, [1.0] * 3, name="body")
     ground = scene.add_surface(wc.meshes.grid(), name="ground")
     hull = scene.add_surface(wc.meshes.box(), body, name="hull")
     hidden = scene.add_surface(wc.meshes.box(), body, active_faces=[], name="hidden")
+    either = scene.add_surface([wc.meshes.box(), wc.meshes.icosphere()], body, name="either")
     spring = wc.Template(law=laws.Hooke(stiffness=1.0))
     names = scene.element_names()
     cases = [
@@ -342,6 +363,12 @@ def test_what_cannot_be_added_leaves_the_scene_as_it_was():
         ((hull, ground), {"samples": (5, 5)}, "press.samples must be one entry, or with sides='average' two"),
         ((hull, ground), {"radius": -1.0, "sides": "average"}, "press_first.radius must be at least 0"),
         ((hidden, ground), {}, "press.samples: 'hidden' has no active face"),
+        (
+            (either, ground),
+            {},
+            "press.samples: 'either' has 2 meshes, and points are of one. Let it be the surface",
+        ),
+        ((ground, either), {"sides": "average"}, "press.samples: 'either' has 2 meshes"),
         ((None, ground), {}, "press.surface_a must come from add_surface of this scene, got None"),
     ]
     for pair, options, message in cases:

@@ -76,6 +76,12 @@ def sample_of(surface: Surface, amount: Any, seed: int, label: str) -> SurfaceSa
         label: What to call ``amount`` in messages.
     """
     amount = check_amount(label, amount)
+    if len(surface.meshes) > 1:
+        raise ValueError(
+            f"{label}: {surface.name!r} has {len(surface.meshes)} meshes, and points are of one. Let it be the "
+            "surface that is touched; or make points of each mesh with wc.sample_surface and add_points, with a "
+            f"contact each, and set <contact>.enabled to 1 where {surface.name}.mesh is that mesh, to 0 elsewhere"
+        )
     if not surface.active_faces.any():
         raise ValueError(f"{label}: {surface.name!r} has no active face to make points of")
     if isinstance(amount, str):
