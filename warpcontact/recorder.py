@@ -54,21 +54,22 @@ class _Channel:
             self.drained = self.taken
 
 
-def moved_surfaces(model: Model) -> list[str]:
-    """Returns the parameters of surfaces whose values are no longer those of the scene."""
-    names = []
-    for surface in model.scene.surfaces:
-        first = {"position": surface.position, "orientation": surface.orientation, "scale": surface.scale}
-        if len(surface.meshes) > 1:
-            first["mesh"] = np.zeros(())
-        names += [
-            f"{surface.name}.{key}"
-            for key, value in first.items()
-            if not np.array_equal(
-                model[f"{surface.name}.{key}"], np.broadcast_to(value, (model.envs, *value.shape))
-            )
-        ]
-    return names
+def moved_parts(model: Model) -> list[str]:
+    """Returns the parameters of surfaces and points that are no longer those of the scene in environment 0."""
+    scene = model.scene
+    first = {
+        f"{surface.name}.{key}": getattr(surface, key)
+        for surface in scene.surfaces
+        for key in ("position", "orientation", "scale")
+    }
+    first |= {f"{surface.name}.mesh": np.zeros(()) for surface in scene.surfaces if len(surface.meshes) > 1}
+    for points in scene.points:
+        first[f"{points.name}.position"] = points.positions[0] if points.single else points.positions
+    return [
+        name
+        for name, value in first.items()
+        if not (model.find_parameter(name).read(model.envs)[0] == value).all()
+    ]
 
 
 class Recorder:
@@ -90,7 +91,7 @@ class Recorder:
         if poses:
             # What a replay needs beside the poses, and whatever sets the environments apart.
             needed = (".mass", ".inertia", ".radius")
-            moved = moved_surfaces(model)
+            moved = moved_parts(model)
             self.kept += [
                 parameter
                 for name, parameter in model.parameters.items()

@@ -43,14 +43,15 @@ def export_usd(
     was recorded of a contact as attributes ``warpcontact:<reading>``, such as ``warpcontact:normalForce``, in
     SI units and world axes, and draws its force if ``normal_force``, ``normal`` and ``point`` were recorded.
     A surface whose pose, scale or mesh differs between environments is in each of them instead, as
-    ``/World/env_<number>/Surfaces/<surface>`` or with its body.
+    ``/World/env_<number>/Surfaces/<surface>`` or with its body; points move with their surface.
     What environments have in common is written once, in the class ``/World/Prototype`` that they refer to.
     Bodies and surfaces carry the schemas of UsdPhysics. Velocities are those recorded as
     ``<body>.linear_velocity`` and ``<body>.angular_velocity``; radius, mass and inertia of each environment
     are read from ``<contact>.radius``, ``<body>.mass`` (env) and ``<body>.inertia`` (env, 3, 3). Without
     them the radius is that of the scene, while mass and inertia are left out, as they may differ from the
-    scene's. Gravity and the places of surfaces are those of the scene. Points and spheres that several
-    contacts share are drawn once, under the name of the first.
+    scene's. Places and sizes of surfaces and points are those recorded, such as ``<surface>.scale``, or else, as
+    gravity always, those of the scene. Points and spheres that several contacts share are drawn once, under the
+    name of the first.
 
     Args:
         recording: What ``Simulation.run`` returned, or the same data set loaded from a file.
@@ -102,8 +103,8 @@ class _Export:
         self.spacing = spacing
         self.names = identifiers(scene.element_names(), _RESERVED)
         self.spheres = geometry.spheres_of(replay)
-        self.size = geometry.scene_size(replay, self.spheres)
         self.placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
+        self.size = geometry.scene_size(replay, list(self.placements.values()), self.spheres)
         self.poses = {body.name: replay.pose(body) for body in scene.bodies}
         elements = [body.name for body in scene.bodies] + [contact.name for contact in scene.contacts]
         self.readings = {name: Readings(replay, name) for name in ("scene", *elements)}
@@ -175,7 +176,9 @@ class _Export:
             if placement.surface.body is not None and placement.shared:
                 placement.write(self.stage, self._surface_path(_PROTOTYPE, name), 0)
         for group in self.spheres:
-            own = 0.0 if group.body is None else geometry.body_size(group.body, scene, self.spheres)
+            own = 0.0
+            if group.body is not None:
+                own = geometry.body_size(group.body, self.placements.values(), self.spheres)
             path = self._path(_PROTOTYPE, group.body)
             if group.body is None:
                 UsdGeom.Xform.Define(self.stage, path)
@@ -219,8 +222,8 @@ class _Export:
                 shape = f"{_SHAPES}/{self.names[name]}_{int(placement.mesh[row])}"
                 placement.write(stage, self._surface_path(path, name), row, shape)
         for group in self.spheres:
-            if (group.radii[row] != group.radii[0]).any():
-                geometry.set_radii(stage, f"{self._path(path, group.body)}/{self.names[group.name]}", group, row)
+            if group.differs(row):
+                geometry.set_spheres(stage, f"{self._path(path, group.body)}/{self.names[group.name]}", group, row)
         for contact in replay.scene.contacts:
             self.readings[contact.name].write(stage.GetPrimAtPath(self._contact_path(path, contact.name)), row)
         for lines in self.lines:

@@ -1,16 +1,19 @@
 """Shapes of a stage: contact points as spheres or points, sizes and looks."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array
-from warpcontact.scene import Body, Contact, Scene
+from warpcontact.scene import Body, Contact
 from warpcontact.usd.author import mark, vectors
 from warpcontact.usd.replay import Replay
+
+if TYPE_CHECKING:
+    from warpcontact.usd.surfaces import Placement
 
 WORLD_COLOR = (0.55, 0.55, 0.5)
 BODY_COLOR = (0.35, 0.5, 0.7)
@@ -23,10 +26,12 @@ class Spheres:
     Attributes:
         contacts: The contacts, of the same points and radius.
         radii: Radius of each, (env, item) [m]; all zero: points.
+        places: Centres in the frame of the body, (env, item, 3) [m].
     """
 
     contacts: list[Contact]
     radii: Array
+    places: Array
 
     @property
     def name(self) -> str:
@@ -39,14 +44,13 @@ class Spheres:
         return self.contacts[0].points.body
 
     @property
-    def positions(self) -> Array:
-        """Centres in the frame of the body, (item, 3) [m]."""
-        return self.contacts[0].points.places
-
-    @property
     def are_points(self) -> bool:
         """Whether no environment gives any of them a size."""
         return not self.radii.any()
+
+    def differs(self, row: int) -> bool:
+        """Whether they are others in environment number ``row`` of the export than in the first."""
+        return bool((self.radii[row] != self.radii[0]).any() or (self.places[row] != self.places[0]).any())
 
 
 def spheres_of(replay: Replay) -> list[Spheres]:
@@ -55,34 +59,31 @@ def spheres_of(replay: Replay) -> list[Spheres]:
     for contact in replay.scene.contacts:
         radii = replay.radii(contact)
         key = (contact.points.name, radii.tobytes())
-        found.setdefault(key, Spheres([], radii)).contacts.append(contact)
+        if key not in found:
+            found[key] = Spheres([], radii, replay.places(contact.points))
+        found[key].contacts.append(contact)
     return list(found.values())
 
 
-def body_size(body: Body, scene: Scene, spheres: Iterable[Spheres]) -> float:
-    """Returns the diameter about its centre of mass of everything a body carries [m]."""
-    reach = 0.0
-    for surface in scene.surfaces:
-        if surface.body is body:
-            # Rotation of the mesh in its own frame does not change how far it reaches from that frame's origin.
-            far = surface.scale * np.linalg.norm(surface.mesh.vertices, axis=1).max()
-            far += np.linalg.norm(surface.position)
-            reach = max(reach, float(far))
-    for group in spheres:
-        if group.body is body:
-            reach = max(reach, float((np.linalg.norm(group.positions, axis=1) + group.radii).max()))
-    return 2.0 * reach
+def body_size(body: Body, placements: Iterable["Placement"], spheres: Iterable[Spheres]) -> float:
+    """Returns the diameter about its centre of mass of everything a body carries in any environment [m]."""
+    reach = [placement.reach for placement in placements if placement.surface.body is body]
+    reach += [
+        float((np.linalg.norm(group.places, axis=-1) + group.radii).max())
+        for group in spheres
+        if group.body is body
+    ]
+    return 2.0 * max(reach, default=0.0)
 
 
-def scene_size(replay: Replay, spheres: Iterable[Spheres]) -> float:
+def scene_size(replay: Replay, placements: Sequence["Placement"], spheres: Sequence[Spheres]) -> float:
     """Returns a length to draw arrows and points by [m]: the largest body's, or a tenth of the space they need."""
-    spheres = list(spheres)
-    scene = replay.scene
-    largest = max((body_size(body, scene, spheres) for body in scene.bodies), default=0.0)
+    bodies = replay.scene.bodies
+    largest = max((body_size(body, placements, spheres) for body in bodies), default=0.0)
     if largest > 0.0:
         return largest
-    places = [replay.pose(body)[0].reshape(-1, 3) for body in scene.bodies]
-    places += [surface.scale * surface.mesh.bounds for surface in scene.surfaces]
+    places = [replay.pose(body)[0].reshape(-1, 3) for body in bodies]
+    places += [placement.corners for placement in placements]
     if not places:
         return 1.0
     return 0.1 * float(np.linalg.norm(np.ptp(np.concatenate(places), axis=0))) or 1.0
@@ -101,56 +102,55 @@ def body_color(body: Body | None) -> NDArray[np.float64]:
 
 
 def define_spheres(stage: Any, path: str, group: Spheres, point_width: float) -> None:
-    """Writes spheres that collide, with the radius of the first environment, or points.
+    """Writes spheres that collide, as they are in the first environment, or points.
 
     A single one becomes a prim at ``path``; a set has a child ``item_<number>`` per sphere, or is one
     ``UsdGeom.Points``.
     """
-    from pxr import UsdGeom, Vt
+    from pxr import UsdGeom, UsdPhysics, Vt
 
-    color = body_color(group.body)
     if group.are_points:
         points = UsdGeom.Points.Define(stage, path)
-        places = group.positions
-        points.CreatePointsAttr(vectors(places))
         points.CreateWidthsAttr(Vt.FloatArray([point_width]))
         points.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-        half = 0.5 * point_width
-        points.CreateExtentAttr(vectors(np.array([places.min(axis=0) - half, places.max(axis=0) + half])))
-        set_color(points, color)
-        prim = points.GetPrim()
-    elif group.contacts[0].points.single:
-        prim = _define_sphere(stage, path, group.positions[0], color)
+        set_color(points, body_color(group.body))
     else:
-        prim = UsdGeom.Xform.Define(stage, path).GetPrim()
-        for item, place in enumerate(group.positions):
-            _define_sphere(stage, f"{path}/item_{item}", place, color)
+        if not group.contacts[0].points.single:
+            UsdGeom.Xform.Define(stage, path)
+        for item, one in enumerate(_sphere_paths(path, group)):
+            sphere = UsdGeom.Sphere.Define(stage, one)
+            if group.places[:, item].any():
+                sphere.AddTranslateOp()
+            set_color(sphere, body_color(group.body))
+            UsdPhysics.CollisionAPI.Apply(sphere.GetPrim())
+    prim = stage.GetPrimAtPath(path)
     mark(prim, group.name)
     prim.SetCustomDataByKey("warpcontact:contacts", Vt.StringArray([c.name for c in group.contacts]))
-    if not group.are_points:
-        set_radii(stage, path, group, 0)
+    set_spheres(stage, path, group, 0)
 
 
-def _define_sphere(stage: Any, path: str, place: Array, color: ArrayLike) -> Any:
-    from pxr import Gf, UsdGeom, UsdPhysics
+def set_spheres(stage: Any, path: str, group: Spheres, row: int) -> None:
+    """Gives the spheres or points at ``path`` size and place of environment number ``row`` of the export."""
+    from pxr import Gf, UsdGeom
 
-    sphere = UsdGeom.Sphere.Define(stage, path)
-    if place.any():
-        sphere.AddTranslateOp().Set(Gf.Vec3d(*place.tolist()))
-    set_color(sphere, color)
-    UsdPhysics.CollisionAPI.Apply(sphere.GetPrim())
-    return sphere.GetPrim()
-
-
-def set_radii(stage: Any, path: str, group: Spheres, row: int) -> None:
-    """Gives the spheres at ``path`` the radii of environment number ``row`` of the export."""
-    from pxr import UsdGeom
-
-    single = group.contacts[0].points.single
-    for item, radius in enumerate(group.radii[row].tolist()):
-        sphere = UsdGeom.Sphere(stage.GetPrimAtPath(path if single else f"{path}/item_{item}"))
+    places = group.places[row]
+    if group.are_points:
+        points = UsdGeom.Points(stage.GetPrimAtPath(path))
+        half = 0.5 * points.GetWidthsAttr().Get()[0]
+        points.CreatePointsAttr(vectors(places))
+        points.CreateExtentAttr(vectors(np.array([places.min(axis=0) - half, places.max(axis=0) + half])))
+        return
+    for item, one in enumerate(_sphere_paths(path, group)):
+        sphere, radius = UsdGeom.Sphere(stage.GetPrimAtPath(one)), float(group.radii[row, item])
         sphere.CreateRadiusAttr(radius)
         sphere.CreateExtentAttr(vectors(np.array([[-radius] * 3, [radius] * 3])))
+        for move in sphere.GetOrderedXformOps():
+            move.Set(Gf.Vec3d(*places[item].tolist()))
+
+
+def _sphere_paths(path: str, group: Spheres) -> list[str]:
+    count = group.radii.shape[1]
+    return [path] if group.contacts[0].points.single else [f"{path}/item_{item}" for item in range(count)]
 
 
 def define_look(stage: Any, scope: str, prim: Any) -> None:

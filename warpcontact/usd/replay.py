@@ -9,7 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.scene import Body, Contact, Scene
+from warpcontact.frames import placed
+from warpcontact.scene import Body, Contact, Points, Scene, Surface
 
 DEFAULT_ENVIRONMENTS = 16
 # Time codes per second of a single record, which has no interval; the default of USD.
@@ -111,6 +112,28 @@ class Replay:
         if values.shape != (len(self.envs), *shape):
             raise ValueError(f"{name} must have shape {(len(self.envs), *shape)}, got {values.shape}")
         return values
+
+    def setting(self, name: str, default: Array) -> Array:
+        """Returns parameter ``name``, (env, …), as recorded, or else ``default`` in all environments."""
+        recorded = self.static(name, default.shape)
+        return np.repeat(default[None], len(self.envs), axis=0) if recorded is None else recorded
+
+    def pose_of(self, surface: Surface) -> tuple[Array, Array, Array]:
+        """Returns position (env, 3) [m], orientation (env, 4) and scale (env,) of a surface on its carrier."""
+        return (
+            self.setting(f"{surface.name}.position", surface.position),
+            self.setting(f"{surface.name}.orientation", surface.orientation),
+            self.setting(f"{surface.name}.scale", surface.scale),
+        )
+
+    def places(self, points: Points) -> Array:
+        """Returns where points are in the frame of the body, or of the world, (env, item, 3) [m]."""
+        default = points.positions[0] if points.single else points.positions
+        local = self.setting(f"{points.name}.position", default).reshape(len(self.envs), -1, 3)
+        if points.surface is None:
+            return local
+        position, orientation, scale = self.pose_of(points.surface)
+        return placed(scale[:, None, None] * local, position, orientation)
 
     def series(self, name: str) -> NDArray[Any] | None:
         """Returns reading ``name``, (time, env, …), or ``None`` if it was not recorded."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array
+from warpcontact.frames import placed
 from warpcontact.scene import Surface
 from warpcontact.usd.author import add_pose, mark, vectors
 from warpcontact.usd.geometry import body_color, set_color
@@ -37,18 +38,21 @@ class Placement:
     @classmethod
     def of(cls, replay: Replay, surface: Surface) -> "Placement":
         """Returns the surface as recorded, or else as in the scene."""
+        return cls(surface, *replay.pose_of(surface), replay.setting(f"{surface.name}.mesh", np.zeros(())))
 
-        def values(key: str, default: Array) -> Array:
-            recorded = replay.static(f"{surface.name}.{key}", default.shape)
-            return np.repeat(default[None], len(replay.envs), axis=0) if recorded is None else recorded
+    @property
+    def reach(self) -> float:
+        """How far it reaches at most from the origin of its carrier [m]."""
+        # Rotation of the mesh in its own frame does not change how far it reaches from that frame's origin.
+        far = np.array([np.linalg.norm(mesh.vertices, axis=1).max() for mesh in self.surface.meshes])
+        return float((self.scale * far[self.mesh.astype(int)] + np.linalg.norm(self.position, axis=1)).max())
 
-        return cls(
-            surface,
-            values("position", surface.position),
-            values("orientation", surface.orientation),
-            values("scale", surface.scale),
-            values("mesh", np.zeros(())),
-        )
+    @property
+    def corners(self) -> Array:
+        """Corners of the boxes that it fills in its own frame, in that of its carrier, (n, 3) [m]."""
+        bounds = np.array([mesh.bounds for mesh in self.surface.meshes])[self.mesh.astype(int)]
+        box = np.stack([bounds[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1)
+        return placed(self.scale[:, None, None] * box, self.position, self.orientation).reshape(-1, 3)
 
     @property
     def shared(self) -> bool:
