@@ -47,6 +47,82 @@ def test_a_sound_scene_is_silent_and_warnings_come_once(device):
     assert [warning.category for warning in caught] == [wc.ContactWarning]
 
 
+def told(sim, match):
+    """Returns what the first step of a simulation warns about, as far as it matches."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        sim.step()
+    return [found for warning in caught if (found := re.search(match, str(warning.message)))]
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_points_that_touch_together_share_the_mass(scale, device):
+    """A box that falls flat on the points of its largest side: as long as a bed of their areas takes."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    ground = scene.add_surface(square(5.0), name="ground")
+    box = scene.add_body(2.0, [1.0] * 3, (0, 0, 0.06 * scale), linear_velocity=(0, 0, -2), name="box")
+    hull = scene.add_surface(wc.meshes.box((0.4, 0.3, 0.1)), box, scale=scale, name="hull")
+    bed = wc.Template(law=wc.laws.ElasticFoundation(stiffness=1e6))
+    scene.add_surface_contact(hull, ground, bed, samples=400, name="touch")
+    model = scene.build(device=device, precision="float64")
+    exact = np.pi * np.sqrt(2.0 / (1e6 * 0.12 * scale**2))
+    (found,) = told(wc.Simulation(model, dt=exact / 19), r"touch: dt = .* a contact takes (\S+) s")
+    # Points of the sides come on top, down to the 8 mm or 4 mm that it sinks.
+    assert 0.8 * exact < float(found.group(1)) < 1.01 * exact
+    model.reset()
+    recording = wc.Simulation(model, dt=exact / 500).run(0.02 * scale, ["touch.status"])
+    touching = (recording["touch.status"] == wc.Status.CONTACT).any("item").sum() * exact / 500
+    assert float(found.group(1)) == pytest.approx(float(touching), rel=0.15)
+
+
+def test_points_beside_what_they_touch_do_not_count(device):
+    """A ball on the points of a floor a hundred times as wide: of them, as many as it is wide."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    ground = scene.add_surface(wc.meshes.grid((10.0, 10.0)), name="ground")
+    ball = scene.add_body(1.0, [1.0] * 3, (0, 0, 0.06), name="ball")
+    skin = scene.add_surface(wc.meshes.icosphere(0.05), ball, name="skin")
+    bed = wc.Template(law=wc.laws.ElasticFoundation(stiffness=1e8))
+    scene.add_contact(scene.add_points(ground, wc.sample_surface(ground.mesh, 2000)), skin, bed, name="touch")
+    model = scene.build(device=device)
+    (found,) = told(wc.Simulation(model, dt=1e-2), r"a contact takes (\S+) s")
+    # One point stands for 500 cm²; the ball covers at most 0.1 m × 0.1 m or as much as that.
+    assert float(found.group(1)) > 0.9 * np.pi * np.sqrt(1.0 / (1e8 * 0.1))
+
+
+def test_energies_of_all_points_throw_a_body_out(device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    ground = scene.add_surface(square(), name="ground")
+    body = scene.add_body(1.0, [1.0] * 3, (0, 0, 0), name="body")
+    feet = scene.add_points(body, [(0.1, 0.1, -0.5), (0.1, -0.2, -0.5), (-0.1, 0.1, -0.5), (-0.1, -0.2, -0.5)])
+    scene.add_contact(feet, ground, wc.Template(law=wc.laws.Hooke(stiffness=2500.0)), name="touch")
+    with pytest.warns(wc.ContactWarning, match=r"touch: starts 0.5 m deep .* 50 m/s"):
+        wc.Simulation(scene.build(device=device), dt=1e-4).step()
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.05])
+def test_a_swept_contact_that_lets_through_what_crosses_is_named(radius, device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    ground = scene.add_surface(square(), name="ground")
+    ball = scene.add_body(1.0, [1e-3] * 3, (0, 0, 0.055), name="ball")
+    spring = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
+    options = {"radius": radius, "max_depth": 0.02, "swept": True, "name": "touch"}
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, spring, **options)
+    model = scene.build(envs=2, device=device)
+    model["ball.linear_velocity"] = [(0, 0, -1), (0, 0, -10)]
+    match = r"touch: swept, .* max_depth = 0\.02 m is less than the 0\.1 m of a step at 10 m/s in environment 1;"
+    sim = wc.Simulation(model, dt=1e-2)
+    assert told(sim, match)
+    sim.step(30)
+    # And so it is.
+    assert model.reading("ball.linear_velocity")[1, 2] < 0
+    model["touch.max_depth"] = 0.5
+    model.reset()
+    sim = wc.Simulation(model, dt=1e-2)
+    assert not told(sim, "let through")
+    sim.step(30)
+    assert model.reading("ball.linear_velocity")[1, 2] > 0
+
+
 def test_every_law_with_a_known_elastic_part_tells_it():
     silent = {"JohnsonCylinder"}
     for law in wc.laws.CATALOGUE:

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.friction_advice import friction_advice
-from warpcontact.kernels.laws.undamped import contact_time
+from warpcontact.friction_advice import LOOKED_AT, friction_advice
+from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
 
 if TYPE_CHECKING:
@@ -27,30 +27,80 @@ def advice(model: "Model", dt: float) -> list[str]:
     """Returns what to say about the start of a model, a sentence or two per contact.
 
     Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
-    steeply a friction rises; nothing is said of laws that do not tell their elastic part.
+    steeply a friction rises; nothing is said of laws that do not tell their elastic part. Of a set of points as
+    many are taken to touch at once as do in a fall on a plane across an axis of their body: see ``_together``.
     """
     sentences = []
     if model.scene.contacts:
         model.evaluate()
     for group, contact, first in model.grouped_contacts():
         sentences += friction_advice(model, contact, group, first, dt)
+        envs = model.envs if contact.count == 1 else min(model.envs, LOOKED_AT)
+        mass, speed = (values[:envs] for values in _mass_and_speed(model, contact))
+        if contact.swept:
+            sentences += _about_depth(model, contact, speed, dt)
         law = type(contact.template.law)
-        values = {name: _column(model, f"{contact.name}.law.{name}") for name in contact.parameters("law")}
+        values = {name: _column(model, f"{contact.name}.law.{name}")[:envs] for name in contact.parameters("law")}
         if (carrier := contact.area_carrier("law")) is not None:
-            values["area"] = values["area"] * _column(model, f"{carrier.name}.scale") ** 2
+            values["area"] = values["area"] * _column(model, f"{carrier.name}.scale")[:envs] ** 2
         elastic = law.elastic(values)
         if elastic is None:
             continue
-        stiffness, exponent = elastic
-        mass, speed = _mass_and_speed(model, contact)
-        sentences += _about_steps(contact.name, contact_time(stiffness, exponent, mass, speed), dt)
-        # The energy of the overlap, as speed.
+        stiffness, exponent = (np.broadcast_to(part, (envs, contact.count)) for part in elastic)
+        together = _together(contact, stiffness, exponent, mass, speed)
+        sentences += _about_steps(contact.name, contact_time(together, exponent, mass, speed), dt)
         depth = np.where(
             _reading(model, contact, "status") == CONTACT, _reading(model, contact, "penetration"), 0.0
-        )
-        thrown = np.sqrt(2.0 * stiffness * depth ** (exponent + 1.0) / ((exponent + 1.0) * mass))
-        sentences += _about_overlap(contact.name, depth, thrown, speed)
+        )[:envs]
+        # The energy of all overlaps, as speed.
+        energy = (stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)).sum(axis=1, keepdims=True)
+        sentences += _about_overlap(contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
     return sentences
+
+
+def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array) -> Array:
+    """Returns the stiffness of the points that may touch at once, (envs, 1).
+
+    The set falls on a plane, along each axis of its body in turn, both ways; the points down to which it then
+    sinks act together, all as deep as the first. Where they spread wider than the surface that they touch, their
+    share of it counts. It is never less than that of one point. Mesh and places are those of the scene.
+
+    Args:
+        contact: The contact.
+        stiffness: Of every point (envs, items).
+        exponent: Of the law, likewise.
+        mass: Reduced mass of the bodies (envs, 1) [kg].
+        speed: Impact speed to expect (envs, 1) [m/s].
+    """
+    most = stiffness.max(axis=1, keepdims=True)
+    if contact.count == 1:
+        return most
+    places, surface = contact.points.places, contact.surface
+    size = float(surface.scale * max(np.linalg.norm(np.ptp(mesh.bounds, axis=0)) for mesh in surface.meshes))
+    for down in (*np.eye(3), *-np.eye(3)):
+        height = -places @ down
+        order = np.argsort(height)
+        next_one = np.append(height[order][1:], np.inf) - height.min()
+        spread = np.maximum.accumulate(places[order]) - np.minimum.accumulate(places[order])
+        width = np.linalg.norm(spread, axis=1)
+        covered = np.where(width > size, size / np.maximum(width, size), 1.0) ** 2
+        total = np.maximum(np.cumsum(stiffness[:, order], axis=1) * covered, most)
+        sinks = greatest_penetration(total, exponent[:, order], mass, speed)
+        last = np.argmax(sinks <= next_one, axis=1)
+        most = np.maximum(most, np.take_along_axis(total, last[:, None], axis=1))
+    return most
+
+
+def _about_depth(model: "Model", contact: "Contact", speed: Array, dt: float) -> list[str]:
+    deepest = _column(model, f"{contact.name}.max_depth")[: len(speed)]
+    worst, item = np.unravel_index(int(np.argmax(speed * dt - deepest)), deepest.shape)
+    if speed[worst, 0] * dt <= deepest[worst, item]:
+        return []
+    return [
+        f"{contact.name}: swept, but what crosses may be let through: max_depth = {deepest[worst, item]:.3g} m is "
+        f"less than the {speed[worst, 0] * dt:.2g} m of a step at {speed[worst, 0]:.3g} m/s in environment "
+        f"{worst}; take a larger max_depth, or none, or a shorter dt"
+    ]
 
 
 def _about_steps(name: str, duration: Array, dt: float) -> list[str]:
@@ -69,10 +119,10 @@ def _about_overlap(name: str, depth: Array, thrown: Array, speed: Array) -> list
     worst = int(np.argmax(excess))
     if excess[worst] <= 0.0:
         return []
-    item = int(np.argmax(thrown[worst]))
+    item = int(np.argmax(depth[worst]))
     return [
         f"{name}: starts {depth[worst, item]:.3g} m deep in the surface in environment {worst} and will be thrown "
-        f"out at about {thrown[worst, item]:.3g} m/s; start outside, or set max_depth or entry='latched'"
+        f"out at about {thrown[worst, 0]:.3g} m/s; start outside, or set max_depth or entry='latched'"
     ]
 
 
