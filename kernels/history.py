@@ -47,7 +47,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                 face = crossed
                 if history.crossings[env, contact] == 0:
                     left = (real(1.0) - contacts.crossed_at[env, contact]) * step[env, 0]
-                    history.crossing_time[env, contact] = real(time[env]) - left
+                    history.crossing_time[env, contact] = real(time[env] - wp.float64(left))
                 history.crossings[env, contact] = history.crossings[env, contact] + 1
             history.face[env, contact] = face
 

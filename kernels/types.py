@@ -87,10 +87,10 @@ def structs(real: type) -> SimpleNamespace:
         patch_mesh: wp.array(dtype=wp.uint64)  # [patch] id of the wp.Mesh
         patch_surface: wp.array(dtype=wp.int32)  # [patch]
         patch_face_start: wp.array(dtype=wp.int32)  # [patch + 1] first row in the tables below
-        patch_slack: wp.array(dtype=real)  # [patch] how far a float32 query may be off [m]
+        patch_slack: wp.array(dtype=real)  # [patch] how far a float32 query may be off, unit of the mesh
         patch_doubtful: wp.array(dtype=wp.bool)  # [patch] whether that is more than rounding
         patch_thin: wp.array(dtype=wp.bool)  # [patch] whether a float32 distance to a face may mean nothing
-        face_corner: wp.array2d(dtype=vec3)  # [face, corner], S [m]
+        face_corner: wp.array2d(dtype=vec3)  # [face, corner], S, unit of the mesh
         face_normal: wp.array2d(dtype=vec3)  # [face, feature] unit pseudonormal, S
         face_flags: wp.array2d(dtype=wp.uint8)  # [face, feature] FEATURE_* bits
         face_neighbor: wp.array2d(dtype=wp.int32)  # [face, edge] 3 × row + edge of the other side; −1: none

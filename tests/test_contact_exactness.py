@@ -75,11 +75,9 @@ def test_a_blade_has_two_sides(thickness, precision, exact, device):
     expected = box_distance(points, size)
     for radius in (0.0, 0.3):
         readings = probe(blade, points, radius=radius, device=device, precision=precision)
-        # Rounding decides which side is nearer at the middle of the blade; the distance is the same.
-        touching = expected - radius < 0
-        np.testing.assert_allclose((readings["gap"] + radius)[touching], expected[touching], atol=exact)
-        # Off contact the float32 query names the face, and in thin triangles it may name a neighbour.
-        np.testing.assert_allclose((readings["gap"] + radius)[~touching], expected[~touching], atol=2e-5)
+        # Rounding decides which side is nearer at the middle of the blade; the distance is the same. Off contact
+        # too: where the float32 query may name a wrong face, its choice is looked at again.
+        np.testing.assert_allclose(readings["gap"] + radius, expected, atol=exact)
 
 
 def test_signs_that_rounding_once_turned(device):

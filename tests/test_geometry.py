@@ -9,8 +9,9 @@ from scenes import probe
 import warpcontact as wc
 
 # Errors are in units of the size of the mesh, or of the distance where that is larger. A coordinate of the mesh
-# or of the point carries half an epsilon, of which a difference of two vectors of them may collect a few.
-LENGTH = {"float32": 2e-6, "float64": 1e-12}
+# or of the point carries half an epsilon, of which a difference of two vectors of them may collect a few. The
+# figures of the documentation; in float64 the search over all triangles rounds as well.
+LENGTH = {"float32": 5e-7, "float64": 1.5e-15}
 # Feet whose distances differ by 3 roundings of the coordinates, which are up to √3 times the size apart, count as
 # equally near. About a sharp corner one of them may be inner: nearer to the surface than this the side is open.
 SIDE = {"float32": 1e-6, "float64": 2e-15}

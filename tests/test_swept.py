@@ -98,6 +98,18 @@ def test_crossings_are_counted_and_timed(precision, device):
     np.testing.assert_allclose(sim.model.reading("touch.crossing_time"), due, rtol=0, atol=exact)
 
 
+def test_late_crossings_are_timed_to_the_last_digit(device):
+    """The clock runs in float64: what is left of a step is taken from that, and rounded once."""
+    start, velocity, aims = fan_of_shots(300, 1.0)
+    sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision="float32", device=device)
+    late = 1000.3
+    sim.model.arrays.time.fill_(late)
+    sim.step(20)
+    due = late + (start[:, 2] - aims[:, 2]) / -velocity[:, 2]
+    half = 0.5 * np.spacing(np.float32(late))
+    assert np.abs(sim.model.reading("touch.crossing_time").astype(np.float64) - due).max() < half + 1e-6
+
+
 @PRECISIONS
 def test_a_reset_forgets_crossings_and_what_was_touched(precision, device):
     start, velocity, _ = fan_of_shots(30, 1.0)
