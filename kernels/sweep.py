@@ -27,9 +27,10 @@ MOST_CROSSINGS = 8
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
-    """Returns the kernel that looks for the first crossing of every swept contact. Launch with dim (env, contact).
+    """Returns the kernel that follows swept contacts in and out of their surface. Launch with dim (env, contact).
 
-    A point moves on a straight line from ``state_in`` to ``state_out`` as seen from the surface.
+    A point moves on a straight line from ``state_in`` to ``state_out`` as seen from the surface. The first time
+    that it goes in is what counts as a crossing; whatever it is over in the end is ``face`` and ``crossed_face``.
     """
     t = structs(real)
     vec3, Model, State, Contacts = t.vec3, t.Model, t.State, t.Contacts
