@@ -1,14 +1,17 @@
 """Stages of several files: layers beside the file are read, and none elsewhere unless it is trusted."""
 
 import os
+import re
 import zipfile
 
 import pytest
 from mesh_stages import add_mesh, new_stage, save, save_tetrahedron
-from pxr import Sdf, Usd, UsdUtils
+from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 from test_meshes import TETRAHEDRON
 
 from warpcontact.meshes import MeshError, load_mesh
+from warpcontact.meshes.readers import Unreadable
+from warpcontact.meshes.readers.usd_layers import check_layers
 
 
 @pytest.fixture
@@ -106,6 +109,89 @@ def test_a_chain_of_layers_is_followed_to_its_end(tetrahedron, tmp_path):
     layered(folder / "b.usda", "sublayer", "../part.usda")
     with pytest.raises(MeshError, match=r"refers to '\.\./part.usda', outside"):
         load_mesh(layered(folder / "a.usda", "sublayer", "./b.usda"))
+
+
+CLIPS = """clips = {
+    dictionary default = {
+        asset[] assetPaths = [@../secret.usda@]
+        string primPath = "/World/hull"
+    }
+}"""
+
+
+def prim(name, content="", metadata=""):
+    return f'def Mesh "{name}" (\n{metadata}\n)\n{{\n{content}\n}}\n'
+
+
+def variant(sets, name, content="", metadata=""):
+    return f'variantSet "{sets}" = {{\n"{name}" (\n{metadata}\n) {{\n{content}\n}}\n}}\n'
+
+
+FAR, DEEP = (
+    f'variants = {{\nstring {sets} = "{name}"\n}}\nprepend variantSets = "{sets}"\n'
+    for sets, name in (("which", "far"), ("how", "deep"))
+)
+WHERE = {
+    "prim": (prim("m", metadata=CLIPS), "/m"),
+    "child": (prim("m", prim("a", metadata=CLIPS)), "/m/a"),
+    "class": (prim("m", metadata="inherits = </c>") + prim("c", metadata=CLIPS).replace("def", "class"), "/c"),
+    "variant": (prim("m", variant("which", "far", metadata=CLIPS), FAR), "/m{which=far}"),
+    "variant not chosen": (prim("m", variant("which", "near", metadata=CLIPS), FAR), "/m{which=near}"),
+    "prim in a variant": (prim("m", variant("which", "far", prim("a", metadata=CLIPS)), FAR), "/m{which=far}a"),
+    "nested variant": (
+        prim("m", variant("which", "far", variant("how", "deep", metadata=CLIPS), DEEP), FAR),
+        "/m{which=far}{how=deep}",
+    ),
+}
+
+
+@pytest.mark.parametrize("where", WHERE)
+@pytest.mark.parametrize("layer", ["root", "sublayer", "reference", "usdz"])
+def test_value_clips_are_refused_wherever_they_are(tmp_path, where, layer):
+    text, place = WHERE[where]
+    clipped, path = f"#usda 1.0\n{text}", tmp_path / "a.usda"
+    if layer == "root":
+        path.write_text(clipped)
+    elif layer == "usdz":
+        path = path.with_suffix(".usdz")
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as package:
+            package.writestr("root.usda", "#usda 1.0\n(\n subLayers = [@./b.usda@]\n)\n")
+            package.writestr("b.usda", clipped)
+    else:
+        (tmp_path / "b.usda").write_text(clipped)
+        path.write_text(
+            "#usda 1.0\n(\nsubLayers = [@./b.usda@]\n)\n"
+            if layer == "sublayer"
+            else "#usda 1.0\n" + prim("r", metadata="references = @./b.usda@</m>")
+        )
+    with pytest.raises(Unreadable, match=f"it has value clips at {re.escape(place)}, which"):
+        check_layers(path, confined=True)
+    check_layers(path, confined=False)
+
+
+def test_value_clips_in_a_variant_reach_out_if_trusted(tmp_path):
+    # What the refusal is for: without it, points of a file elsewhere would be the vertices of this mesh.
+    (tmp_path / "inner").mkdir()
+    secret, stage = new_stage(), new_stage()
+    points = Vt.Vec3fArray([Gf.Vec3f(*map(float, 7.0 * v)) for v in TETRAHEDRON])
+    add_mesh(secret, "/World/hull").GetPointsAttr().Set(points, 0.0)
+    save(secret, tmp_path / "secret.usda")
+    mesh = add_mesh(stage, "/m")
+    mesh.GetPointsAttr().Clear()
+    variants = mesh.GetPrim().GetVariantSets().AddVariantSet("which")
+    variants.AddVariant("far")
+    variants.SetVariantSelection("far")
+    clips = {
+        "assetPaths": Sdf.AssetPathArray(["../secret.usda"]), "primPath": "/World/hull",
+        "manifestAssetPath": Sdf.AssetPath("../secret.usda"),
+        "active": Vt.Vec2dArray([(0, 0)]), "times": Vt.Vec2dArray([(0, 0)]),
+    }  # fmt: skip
+    with variants.GetVariantEditContext():
+        Usd.ClipsAPI(mesh.GetPrim()).SetClips({"default": clips})
+    path = save(stage, tmp_path / "inner" / "a.usda")
+    assert load_mesh(path, trusted=True).bounds[1, 0] == 7.0
+    with pytest.raises(MeshError, match=r"it has value clips at /m\{which=far\}"):
+        load_mesh(path)
 
 
 def test_value_clips_are_refused_unless_trusted(tetrahedron, tmp_path):

@@ -86,5 +86,7 @@ def _target(layer: Any, asset: str, folder: Path | None) -> str:
 
 def _refuse_clips(layer: Any, place: Any) -> None:
     """Value clips name further files, some by patterns, in which attributes are looked up."""
-    if place.IsPrimPath() and layer.GetPrimAtPath(place).HasInfo("clips"):
+    # A variant has them as a prim has: any spec is looked at.
+    spec = None if place.IsPropertyPath() else layer.GetObjectAtPath(place)
+    if spec and any(key.startswith("clip") for key in spec.ListInfoKeys()):
         raise Unreadable(f"it has value clips at {place}, which are read with trusted=True only")
