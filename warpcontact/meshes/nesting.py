@@ -5,7 +5,10 @@ import numpy.typing as npt
 
 # Pairs of a corner and a face that are looked at, beyond which nothing is said: a second or so of work.
 _BUDGET = 10_000_000
+_MOST_PARTS = 2000
 _SAMPLES = 3
+# What a pair costs besides the faces of its outer part, in faces.
+_OVERHEAD = 100
 
 
 def containers(
@@ -28,31 +31,36 @@ def containers(
     Returns:
         The smallest part around each, for those that lie in one; nothing if there are too many to look at.
     """
-    count = len(closed)
-    if count < 2 or closed.sum() < 2 or closed.sum() > 2000:
+    candidates = np.flatnonzero(closed)
+    count = len(candidates)
+    if not 2 <= count <= _MOST_PARTS:
         return {}
+    number = np.full(len(closed), -1)
+    number[candidates] = np.arange(count)
+    part = number[part]
     order = np.argsort(part, kind="stable")
+    order = order[np.searchsorted(part[order], 0) :]  # faces of candidates only
     bounds = np.searchsorted(part[order], np.arange(count + 1))
     corners = v[faces[order]]
     lower = np.minimum.reduceat(corners.min(axis=1), bounds[:-1], axis=0)
     upper = np.maximum.reduceat(corners.max(axis=1), bounds[:-1], axis=0)
     inside = (lower[:, None] >= lower[None]).all(axis=2) & (upper[:, None] <= upper[None]).all(axis=2)
-    inside &= closed[:, None] & closed[None]
     np.fill_diagonal(inside, False)
     inner, outer = np.nonzero(inside)
     sizes = np.diff(bounds)
-    if _SAMPLES * int(sizes[outer].sum()) > _BUDGET:
+    if _SAMPLES * int((sizes[outer] + _OVERHEAD).sum()) > _BUDGET:
         return {}
     extents = np.prod(upper - lower, axis=1)
     found: dict[int, int] = {}
-    for i, j in zip(inner.tolist(), outer.tolist(), strict=True):
+    smallest = np.argsort(extents[outer], kind="stable")
+    for i, j in zip(inner[smallest].tolist(), outer[smallest].tolist(), strict=True):
+        if i in found:
+            continue
         points = v[np.unique(faces[order[bounds[i] : bounds[i + 1]]])]
         samples = points[np.linspace(0, len(points) - 1, _SAMPLES).astype(int)]
-        if i in found and extents[found[i]] <= extents[j]:
-            continue
         if all(abs(_winding(corners[bounds[j] : bounds[j + 1]] - sample)) > 0.5 for sample in samples):
             found[i] = j
-    return found
+    return {int(candidates[i]): int(candidates[j]) for i, j in found.items()}
 
 
 def _winding(corners: npt.NDArray[np.float64]) -> float:
