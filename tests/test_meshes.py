@@ -318,7 +318,8 @@ def test_a_crack_is_told_from_a_border():
         (lambda: Mesh([*TETRAHEDRON, (5, 5, 5)], OUTWARD), "1 of 5 vertices used by no face"),
         (lambda: box((200, 1, 1)), "largest dimension is 200 m, outside 0.001 m to 100 m"),
         (lambda: box((1e-4, 1e-4, 1e-4)), "largest dimension is 0.0001 m"),
-        (lambda: moved(box((1e-2, 1e-2, 1e-2)), 9e5), "12 faces too thin or small for float32"),
+        (lambda: Mesh(*joined(moved(box((1e-2, 1e-2, 1e-2)), 9e5), box())),
+         "12 faces too thin or small for float32"),
         (lambda: Mesh(*joined(*[grid()] * 1, moved(grid(), (0.5, 0, 0)))), "2 separate components"),
         (lambda: Mesh([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)]),
          "closed but encloses no volume"),
@@ -326,6 +327,10 @@ def test_a_crack_is_told_from_a_border():
 )  # fmt: skip
 def test_a_usable_mesh_is_warned_about(mesh, warning):
     assert any(warning in text for text in mesh().report.warnings)
+
+
+def test_a_small_mesh_far_away_is_seen_from_its_middle():
+    assert not any("float32" in text for text in moved(box((1e-2, 1e-2, 1e-2)), 9e5).report.warnings)
 
 
 def test_bounds_ignore_vertices_that_no_face_uses():

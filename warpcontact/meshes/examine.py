@@ -54,10 +54,15 @@ def examine(
     known: npt.NDArray[np.bool] = np.all((f >= 0) & (f < len(v)), axis=1)
     index = np.where(known[:, None], f, 0).astype(np.int64)
     placed = known & near[index].all(axis=1)
+    used = np.zeros(len(v), dtype=bool)
+    used[index[known]] = True
+    box = v[near & used] if (near & used).any() else np.zeros((1, 3))
+    lower, upper = box.min(axis=0), box.max(axis=0)
     ratio, ratio32 = np.full(len(f), np.inf), np.full(len(f), np.inf)
     ratio[placed] = slenderness(v[index[placed]])
+    middle = 0.5 * (lower + upper)  # from where a mesh far from its origin is searched
     with np.errstate(all="ignore"):  # underflow of float32 is one of the things looked for
-        ratio32[placed] = slenderness(v[index[placed]].astype(np.float32))
+        ratio32[placed] = slenderness((v[index[placed]] - middle).astype(np.float32))
 
     welded = representatives(v)
     corners = welded[index]
@@ -76,9 +81,6 @@ def examine(
     slivers, copies = ratio < SLIVER_LIMIT, original != np.arange(len(f))
     flat = sound[~slivers[sound] & ~copies[sound]]
     cuts = intersections(v, corners[flat]) if overlaps and len(flat) <= MOST_FACES else None
-    cut = None if cuts is None or not len(cuts) else (int(flat[cuts[0, 0]]), int(flat[cuts[0, 1]]))
-    used = np.zeros(len(v), dtype=bool)
-    used[index[known]] = True
 
     def vertex(i: int) -> str:
         return f"vertex {i} at {listed(v[i])}"
@@ -105,25 +107,27 @@ def examine(
         _problem(copies, "faces", "duplicate", duplicate, 'one face for three points; repair="duplicate"'),
         _problem(clash, "edges", "wound inconsistently", edge, 'one face in each direction; repair="orient"'),
     )
-    box = v[near & used] if (near & used).any() else np.zeros((1, 3))
     report = MeshReport(
         name,
         vertex_count=len(v),
         face_count=len(f),
-        welded_vertex_count=len(np.unique(welded)),
-        lower=tuple(box.min(axis=0).tolist()),
-        upper=tuple(box.max(axis=0).tolist()),
+        welded_vertex_count=int((welded == np.arange(len(v))).sum()),
+        lower=tuple(lower.tolist()),
+        upper=tuple(upper.tolist()),
         inconsistent_edge_count=int(clash.sum()),
         duplicate_face_count=int(copies.sum()),
         degenerate_face_count=int(slivers.sum()),
         float32_sliver_count=int((~slivers & ~(ratio32 >= np.float32(SLIVER_LIMIT))).sum()),
         self_intersection_count=None if cuts is None else len(cuts),
+        first_intersection=None
+        if cuts is None or not len(cuts)
+        else (int(flat[cuts[0, 0]]), int(flat[cuts[0, 1]])),
         unreferenced_vertex_count=int((~used).sum()),
         coincident_vertex_count=int((welded != np.arange(len(v))).sum()),
         errors=tuple(problem for problem in found if problem),
         **facts,
     )
-    return replace(report, warnings=warnings_of(report, cut), notes=notes_of(report))
+    return replace(report, warnings=warnings_of(report), notes=notes_of(report))
 
 
 def _problem(bad: npt.NDArray[np.bool], noun: str, what: str, describe: Callable[[int], str], allowed: str) -> str:

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from warpcontact.meshes.examine import examine
-from warpcontact.meshes.groups import checked_groups
+from warpcontact.meshes.groups import FaceChoice, checked_groups, face_mask
+from warpcontact.meshes.remarks import flipped, handed_on
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import weld
 
@@ -151,7 +152,7 @@ class Mesh:
 
     def flipped(self) -> "Mesh":
         """The same surface with its outer side inside: the winding of every face reversed."""
-        return Mesh(self._vertices, self._faces[:, [0, 2, 1]], name=self.name, groups=self._groups)
+        return self._changed(self._vertices, self._faces[:, [0, 2, 1]], flipped(self._report))
 
     def scaled(self, factor: float) -> "Mesh":
         """The mesh enlarged about its origin, for instance by 0.001 to turn millimetres into metres.
@@ -166,7 +167,15 @@ class Mesh:
             ValueError: If the factor is not positive and finite.
             MeshError: If the result is too large, or so small that faces vanish.
         """
-        return Mesh(self._vertices * positive("factor", factor), self._faces, name=self.name, groups=self._groups)
+        with np.errstate(over="ignore"):  # infinity is refused by the examination
+            vertices = self._vertices * positive("factor", factor)
+        # Anew: what is too large, or without area, is a matter of size.
+        return self._changed(
+            vertices, self._faces, handed_on(self._report, examine(vertices, self._faces, self.name))
+        )
+
+    def _changed(self, vertices: npt.ArrayLike, faces: npt.ArrayLike, report: MeshReport) -> "Mesh":
+        return Mesh._examined(vertices, faces, self._groups, report, f"mesh {self.name!r}")
 
     def self_intersections(self) -> npt.NDArray[np.int64]:
         """Finds pairs of faces that cut each other or overlap in a plane, of meshes of any size.

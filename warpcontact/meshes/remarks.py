@@ -1,17 +1,21 @@
 """What to know of a mesh before using it, in sentences made of the facts of its report."""
 
+from dataclasses import replace
+
 from warpcontact.meshes.report import USUAL_SIZE, MeshReport, counted
+from warpcontact.meshes.topology import Orientation
 
 # So many nested components are named.
 _NAMED = 5
 
 
-def warnings_of(report: MeshReport, cut: tuple[int, int] | None) -> tuple[str, ...]:
-    """Returns what to know of a mesh before using it; ``cut`` are the first faces that cut each other."""
+def warnings_of(report: MeshReport) -> tuple[str, ...]:
+    """Returns what to know of a mesh before using it."""
     parts, inward, size = report.component_count, report.inward_component_count, max(report.size)
     border, loops = counted(report.border_edge_count, "border edge"), counted(report.border_loop_count, "loop")
     void = report.closed and report.orientation == "undefined" and parts > 0
     few, many = USUAL_SIZE
+    cut = report.first_intersection
     remarks = {
         f"the surface is open: {border} in {loops}": report.border_edge_count > 0,
         f"{report.crack_vertex_count} border vertices nearly coincide with another one: cracks, at which "
@@ -37,8 +41,8 @@ def warnings_of(report: MeshReport, cut: tuple[int, int] | None) -> tuple[str, .
         ),
         f"the largest dimension is {size:.3g} m, outside {few:g} m to {many:g} m; is the unit right? "
         '(unit="mm" for a file in mm)': parts > 0 and not few <= size <= many,
-        f"{counted(report.float32_sliver_count, 'face')} too thin or small for float32, which Warp will pass "
-        "over; move the mesh to its origin or enlarge them": report.float32_sliver_count > 0,
+        f"{counted(report.float32_sliver_count, 'face')} too thin or small for float32, in which surfaces are "
+        "searched; remove or enlarge them": report.float32_sliver_count > 0,
     }
     return tuple(remark for remark, holds in remarks.items() if holds)
 
@@ -47,6 +51,41 @@ def notes_of(report: MeshReport) -> tuple[str, ...]:
     """Returns what is as it has to be: an STL file has every vertex once for each of its faces."""
     remark = f"{report.coincident_vertex_count} of {report.vertex_count} vertices coincide with another one and "
     return (f"{remark}are taken as one with it",) if report.coincident_vertex_count else ()
+
+
+def handed_on(old: MeshReport, new: MeshReport) -> MeshReport:
+    """Returns report ``new`` of a surface made of that of ``old`` with what else was said of it.
+
+    That is what the file was like and what was repaired; and intersections, if they were not looked for again.
+    """
+    if new.self_intersection_count is None:
+        cuts, first = old.self_intersection_count, old.first_intersection
+        new = replace(new, self_intersection_count=cuts, first_intersection=first)
+    known_warnings, known_notes = warnings_of(old), notes_of(old)
+    return replace(
+        new,
+        repairs=old.repairs,
+        warnings=(*(text for text in old.warnings if text not in known_warnings), *warnings_of(new)),
+        notes=(*(text for text in old.notes if text not in known_notes), *notes_of(new)),
+    )
+
+
+def flipped(report: MeshReport) -> MeshReport:
+    """Returns the report of the same surface with its outer side inside."""
+    sides: dict[Orientation, Orientation] = {"outward": "inward", "inward": "outward"}
+    turned = replace(
+        report,
+        volume=_minus(report.volume),
+        orientation=sides.get(report.orientation, report.orientation),
+        inward_component_count=report.outward_component_count,
+        outward_component_count=report.inward_component_count,
+        components=tuple(replace(part, volume=_minus(part.volume)) for part in report.components),
+    )
+    return handed_on(report, turned)
+
+
+def _minus(volume: float | None) -> float | None:
+    return None if volume is None else 0.0 - volume
 
 
 def _nested(report: MeshReport) -> str:

@@ -48,6 +48,7 @@ class MeshReport:
         component_count: Parts of the surface, connected across edges.
         components: The first 100 of them, in the order of their first faces.
         inward_component_count: Closed parts with a negative volume: cavities, or parts turned inside out.
+        outward_component_count: Closed parts with a positive volume.
         orientation: Where the faces point. "mixed": neighbouring faces disagree. "undefined": no sound
             face, or a closed surface without volume. For several closed parts the sign of the sum decides.
         inconsistent_edge_count: Edges that their two faces traverse in the same direction.
@@ -55,6 +56,7 @@ class MeshReport:
         non_manifold_vertex_count: Vertices at which parts of the surface touch in a point only.
         self_intersection_count: Pairs of faces that cut each other, or overlap in a plane; ``None``: not
             examined, as of meshes that are not from files, and of large ones.
+        first_intersection: Faces of the first of these pairs, if there is one.
         duplicate_face_count: Faces with the same three corners as an earlier one, in any order.
         degenerate_face_count: Faces with coincident corners or |cross|/Σe² below 1e-6.
         float32_sliver_count: Further faces that are degenerate in float32, in which Warp searches.
@@ -86,11 +88,13 @@ class MeshReport:
     component_count: int = 0
     components: tuple[Component, ...] = ()
     inward_component_count: int = 0
+    outward_component_count: int = 0
     orientation: Orientation = "undefined"
     inconsistent_edge_count: int = 0
     non_manifold_edge_count: int = 0
     non_manifold_vertex_count: int = 0
     self_intersection_count: int | None = None
+    first_intersection: tuple[int, int] | None = None
     duplicate_face_count: int = 0
     degenerate_face_count: int = 0
     float32_sliver_count: int = 0
@@ -192,6 +196,18 @@ class MeshReport:
         shown = [f"{name!r} ({counted(count, 'face')})" for name, count in self.groups[:20]]
         more = [f"and {len(self.groups) - 20} more"] if len(self.groups) > 20 else []
         return ", ".join(shown + more) or "none"
+
+
+def restored(plain: dict[str, Any]) -> MeshReport:
+    """Returns the report of which ``dataclasses.asdict`` went through JSON, which has lists for tuples."""
+    fields = {name: _tuples(value) for name, value in plain.items()}
+    fields["components"] = tuple(Component(**part) for part in plain["components"])
+    fields["repairs"] = tuple(RepairStep(**step) for step in plain["repairs"])
+    return MeshReport(**fields)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def counted(number: int, noun: str) -> str:

@@ -135,10 +135,11 @@ def examine_surface(
         "component_count": parts,
         "components": _describe(v, faces, part, bounding, volumes),
         "inward_component_count": int((bounding & (volumes < -nothing)).sum()),
+        "outward_component_count": int((bounding & (volumes > nothing)).sum()),
         "orientation": orientation,
         "non_manifold_edge_count": int((counts > 2).sum()),
         "non_manifold_vertex_count": int((edges.fans(faces) > 1).sum()),
-        "euler_number": len(np.unique(faces)) - len(counts) + len(faces),
+        "euler_number": int((np.bincount(faces.reshape(-1)) > 0).sum()) - len(counts) + len(faces),
         "shortest_edge": float(lengths.min()),
         "longest_edge": float(lengths.max()),
     }
