@@ -1,19 +1,26 @@
 """Files that crash, hang or fill the memory end in one sentence, wherever a mesh is loaded from."""
 
+import io
+import json
 import os
+import re
 import shutil
+import struct
 import subprocess
 import sys
 import time
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 
 import numpy as np
 import pytest
+import trimesh
 from test_mesh_files import STL, binary_stl, glb
 from test_meshes import OUTWARD, TETRAHEDRON
 
-from warpcontact.meshes import Limits, Mesh, MeshError, box, isolation, load_mesh
+from warpcontact.meshes import Limits, Mesh, MeshError, box, examine_file, isolation, load_mesh
+from warpcontact.meshes.readers import Unreadable
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="limits on processes are a matter of POSIX")
 SECONDS = 20.0
@@ -43,11 +50,19 @@ def zip_bomb(path):
         archive.writestr("a.usda", b"\0" * 30_000_000)
 
 
-def repeated(tree):
-    """One part, placed a hundred thousand times."""
-    tree["nodes"] = [{"mesh": 0}] * 100_000
-    tree["scenes"] = [{"nodes": list(range(100_000))}]
+def repeated(count, names=False):
+    """A ball of 320 faces, placed so many times."""
+    data = trimesh.creation.icosphere(subdivisions=2).export(file_type="glb")
+    size = struct.unpack_from("<I", data, 12)[0]
+    tree = json.loads(data[20 : 20 + size])
+    places = ({"mesh": 0, "translation": [3.0 * (i % 300), 3.0 * (i // 300), 0.0]} for i in range(count))
+    tree["nodes"] = [place | {"name": f"n{i}"} if names else place for i, place in enumerate(places)]
+    tree["scenes"] = [{"nodes": list(range(count))}]
     tree["scene"] = 0
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    chunk = struct.pack("<I4s", len(text), b"JSON") + text + data[20 + size :]
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunk)) + chunk
 
 
 HOSTILE = {
@@ -104,19 +119,77 @@ def test_a_packed_bomb_is_no_usdz(tmp_path):
 def test_a_stage_that_composes_for_ever_is_ended(tmp_path):
     (tmp_path / "a.usda").write_text(doubling(30))
     start = time.monotonic()
-    with pytest.raises(MeshError, match=r"reading it takes more than 2 s; allowed: 2 s, see Limits|more memory"):
+    with pytest.raises(MeshError, match="reading and examining it takes more than 2 s; allowed: 2 s, see Limits"):
         load_mesh(tmp_path / "a.usda", limits=Limits(seconds=2.0))
     assert time.monotonic() - start < 5.0
 
 
-@POSIX
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux keeps the limit on address space")
-@pytest.mark.parametrize("content", [square(2_000_000), doubling(40)])
-def test_memory_is_limited(tmp_path, content):
-    path = tmp_path / "a.usda"
-    path.write_text(content)
-    with pytest.raises(MeshError, match=r"more memory|crashed on it|not valid USD|takes more than"):
-        load_mesh(path, limits=Limits(memory=400 * 2**20, seconds=10))
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="only Linux keeps the limit on address space")
+MEMORY = (
+    r"it needs more memory than is allowed|crashed on it \(SIG(ABRT|SEGV|BUS|KILL)\), .* or needs more, see Limits"
+)
+
+
+def cloud(size):
+    """A stage with so many points and one face."""
+    points = ",".join(f"({i},{i % 7},{i % 5})" for i in range(size))
+    rows = f"point3f[] points = [{points}]", "int[] faceVertexCounts = [3]", "int[] faceVertexIndices = [1, 2, 3]"
+    return "\n".join(("#usda 1.0", 'def Mesh "m" {', *rows, "}")).encode()
+
+
+@LINUX
+@pytest.mark.parametrize(("name", "content"), [("a.usda", cloud(1_000_000)), ("a.glb", repeated(1000))])
+def test_memory_is_limited_while_reading_and_examining(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    assert examine_file(path).face_count > 0
+    with pytest.raises(MeshError, match=MEMORY):
+        load_mesh(path, limits=Limits(memory=400 * 2**20))
+
+
+# Loads a file in a process whose size is known: says how long it took, the size [bytes], and what came of it.
+CALLER = """
+import resource, sys, time
+from warpcontact.meshes import MeshError, load_mesh
+start = time.monotonic()
+try:
+    found = f"{len(load_mesh(sys.argv[1]).faces)} faces"
+except MeshError as error:
+    found = str(error)
+print(time.monotonic() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024, found)
+"""
+
+
+@LINUX
+@pytest.mark.parametrize(
+    ("count", "names", "message"),
+    [
+        (30_000, False, "it has 5000320 triangles or more; allowed: 5000000, see Limits"),
+        pytest.param(15_000, False, "takes more than 20 s|more memory|faces", marks=pytest.mark.slow),
+        pytest.param(8_000, True, "takes more than 20 s|more memory|faces", marks=pytest.mark.slow),
+    ],
+)
+def test_parts_placed_many_times_end_in_time_and_in_the_memory_of_the_process_apart(
+    tmp_path, count, names, message
+):
+    path = tmp_path / "a.glb"
+    path.write_bytes(repeated(count, names))
+    words = [sys.executable, "-c", CALLER, str(path)]
+    result = subprocess.run(words, check=True, capture_output=True, text=True, timeout=60)
+    seconds, memory, found = result.stdout.split(maxsplit=2)
+    assert re.search(message, found)
+    assert float(seconds) < SECONDS + 1.0
+    assert int(memory) < 2**30
+
+
+def test_examination_and_repair_take_part_in_the_time(tmp_path):
+    path = tmp_path / "a.glb"
+    path.write_bytes(repeated(10_000))
+    for repair in (False, True):
+        start = time.monotonic()
+        with pytest.raises(MeshError, match=r"reading and examining it takes more than 1.5 s; allowed: 1.5 s"):
+            load_mesh(path, repair=repair, limits=Limits(seconds=1.5))
+        assert time.monotonic() - start < 3.0
 
 
 @POSIX
@@ -135,7 +208,7 @@ def test_a_process_that_cannot_be_limited_watches_itself():
 
 
 def test_too_many_triangles_are_refused_before_they_are_made(tmp_path):
-    (tmp_path / "a.glb").write_bytes(glb(repeated))
+    (tmp_path / "a.glb").write_bytes(repeated(30_000))
     for trusted in (False, True):
         with pytest.raises(MeshError, match="allowed: 1000, see Limits"):
             load_mesh(tmp_path / "a.glb", limits=Limits(faces=1000), trusted=trusted)
@@ -145,7 +218,7 @@ def test_too_many_triangles_are_refused_before_they_are_made(tmp_path):
 
 
 def test_limits_are_checked_and_come_from_the_environment(monkeypatch, tmp_path):
-    assert Limits() == Limits(memory=4 * 2**30, seconds=20.0, faces=20_000_000)
+    assert Limits() == Limits(memory=4 * 2**30, seconds=20.0, faces=5_000_000)
     for options in ({"memory": 0}, {"memory": 1e9}, {"seconds": -1.0}, {"seconds": np.inf}, {"faces": True}):
         with pytest.raises(ValueError, match=rf"Limits.{next(iter(options))} must be a positive finite"):
             Limits(**options)
@@ -169,13 +242,67 @@ def test_a_reader_that_dies_is_named_by_its_signal(tmp_path, monkeypatch):
     monkeypatch.setattr(isolation, "_START", "raise RuntimeError('no luck')")
     with pytest.raises(MeshError, match="the process that reads it failed: RuntimeError: no luck"):
         load_mesh(tmp_path / "a.stl")
-    monkeypatch.setattr(isolation, "_START", "import sys; sys.stdout.write('12345678')")
+    monkeypatch.setattr(isolation, "_START", "import sys; sys.stdout.write('1234567')")
     with pytest.raises(MeshError, match="the process that reads it failed"):
         load_mesh(tmp_path / "a.stl")
     monkeypatch.setattr(sys, "executable", "")
     with pytest.raises(MeshError, match="there is no Python to read it apart from this process"):
         load_mesh(tmp_path / "a.stl")
     assert load_mesh(tmp_path / "a.stl", trusted=True).report.closed
+
+
+def answer(header, *arrays):
+    text = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return len(text).to_bytes(8, "little") + text + b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)
+
+
+REPORT = asdict(Mesh(TETRAHEDRON, OUTWARD).report)
+SOUND = {"vertices": 4, "faces": 4, "groups": [], "report": REPORT}
+FACES = OUTWARD.astype("<i8")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"\xff" * 8, "a header that is too long"),
+        (answer(b"no json"), "JSONDecodeError"),
+        (answer(b'"\xff"'), "UnicodeDecodeError"),
+        (answer(b"[" * 100_000), "RecursionError"),
+        (answer([1]), "TypeError"),
+        (answer({}), "KeyError: 'vertices'"),
+        (answer({key: value for key, value in SOUND.items() if key != "report"}, TETRAHEDRON, FACES), "KeyError"),
+        (answer(SOUND | {"report": {}}, TETRAHEDRON, FACES), "KeyError"),
+        (answer(SOUND | {"report": REPORT | {"more": 1}}, TETRAHEDRON, FACES), "TypeError"),
+        (answer(SOUND | {"vertices": -1}, TETRAHEDRON, FACES), "ValueError"),
+        (answer(SOUND | {"vertices": "4"}, TETRAHEDRON, FACES), "TypeError"),
+        (answer(SOUND | {"faces": 10**9}, TETRAHEDRON, FACES), "more than is allowed"),
+        (answer(SOUND | {"groups": [["a", 10**12]]}, TETRAHEDRON, FACES), "more than is allowed"),
+        (answer(SOUND | {"groups": [["a", 1]]}, TETRAHEDRON, FACES, np.array([9])), "what is no mesh"),
+        (answer(SOUND, TETRAHEDRON, FACES + 1), "what is no mesh"),
+        (answer(SOUND, TETRAHEDRON * np.nan, FACES), "what is no mesh"),
+        (answer(SOUND, TETRAHEDRON), "the process that reads it failed"),
+    ],
+)
+def test_an_answer_that_makes_no_sense_is_one_sentence(data, message):
+    with pytest.raises((Unreadable, EOFError), match=message if "failed" not in message else None):
+        isolation._answer(io.BytesIO(data), Limits())
+
+
+def test_a_process_that_answers_with_nonsense_makes_a_file_unreadable(tmp_path, monkeypatch):
+    (tmp_path / "a.stl").write_bytes(STL)
+    for data in (answer(b"no json"), answer({})):
+        monkeypatch.setattr(isolation, "_START", f"import sys; sys.stdout.buffer.write({data!r})")
+        with pytest.raises(MeshError, match=r"a.stl': the process that reads it answered with"):
+            load_mesh(tmp_path / "a.stl")
+        assert examine_file(tmp_path / "a.stl").errors
+
+
+def test_an_error_of_the_program_itself_is_said(tmp_path, monkeypatch):
+    (tmp_path / "a.stl").write_bytes(STL)
+    start = isolation._START.replace("main(request)", "request['task']['more'] = 1; main(request)")
+    monkeypatch.setattr(isolation, "_START", start)
+    with pytest.raises(MeshError, match=r"the process that reads it failed: TypeError: .*more"):
+        load_mesh(tmp_path / "a.stl")
 
 
 def test_a_script_without_a_guard_a_lost_folder_and_threads_can_load(tmp_path):

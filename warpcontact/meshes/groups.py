@@ -22,7 +22,7 @@ def checked_groups(groups: Mapping[str, npt.ArrayLike] | None, count: int) -> Ma
     for name, members in (groups or {}).items():
         if not isinstance(name, str) or not name:
             raise ValueError(f"a group must have a non-empty string for a name, got {name!r}")
-        checked[name] = np.flatnonzero(_mask(f"groups[{name!r}]", members, count)).astype(np.int32)
+        checked[name] = _numbers(f"groups[{name!r}]", members, count)
         checked[name].flags.writeable = False
     return MappingProxyType(checked)
 
@@ -63,18 +63,24 @@ def _mask(label: str, faces: Any, count: int) -> npt.NDArray[np.bool]:
     """Returns a mask over ``count`` faces from a mask, face numbers, or ``None`` for all."""
     if faces is None:
         return np.ones(count, dtype=bool)
+    mask = np.zeros(count, dtype=bool)
+    mask[_numbers(label, faces, count)] = True
+    return mask
+
+
+def _numbers(label: str, faces: Any, count: int) -> npt.NDArray[np.int32]:
+    """Returns ascending face numbers from a mask over ``count`` faces, or face numbers."""
     given = np.asarray(faces)
     if given.dtype == bool:
         if given.shape != (count,):
             raise ValueError(f"{label} as a mask must have shape ({count},), got {given.shape}")
-        return given.copy()
-    mask = np.zeros(count, dtype=bool)
+        return np.flatnonzero(given).astype(np.int32)
     if given.size == 0:
-        return mask
+        return np.empty(0, dtype=np.int32)
     if given.ndim != 1 or not np.issubdtype(given.dtype, np.integer):
         raise ValueError(f"{label} must be a mask of {count} booleans or face numbers, got {given.dtype} values")
-    outside = given[(given < 0) | (given >= count)]
-    if len(outside):
+    if given.min() < 0 or given.max() >= count:
+        outside = given[(given < 0) | (given >= count)]
         raise ValueError(f"{label} must be face numbers from 0 to {count - 1}, got {outside[0]}")
-    mask[given] = True
-    return mask
+    # Most are in order, and there may be as many groups as faces.
+    return (given if (given[:-1] < given[1:]).all() else np.unique(given)).astype(np.int32)

@@ -1,8 +1,9 @@
 """Reads mesh files in a process of their own, which cannot take this one with it.
 
-No reader is safe on files from anywhere: those of USD can end the process, compose for hours, or fill the memory.
-The process imports what the reader needs and nothing else, neither the caller's script nor Warp, so that it starts
-in a fraction of a second from wherever it is called.
+No reader is safe on files from anywhere: those of USD can end the process, compose for hours, or fill the memory;
+and a small file may place one part many times, which takes as much to repair and to examine. The process imports
+what it needs and nothing else, neither the caller's script nor Warp, so that it starts in a fraction of a second
+from wherever it is called.
 """
 
 import json
@@ -13,16 +14,19 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from math import inf
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
+from warpcontact.meshes.intake import Examined, Task
 from warpcontact.meshes.mesh import MeshError
 from warpcontact.meshes.reader_process import OUT_OF_MEMORY
-from warpcontact.meshes.readers import Content, Unreadable
+from warpcontact.meshes.readers import Unreadable
+from warpcontact.meshes.repair import mendable
+from warpcontact.meshes.report import restored
 
 _START = """
 import json, sys, types
@@ -37,8 +41,8 @@ main(request)
 """
 # One thread is enough, and each reserves address space; what plug-ins of USD do is not known.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "PXR_WORK_THREAD_LIMIT")
-# What an answer says besides its arrays.
-_WORDS = ("unit", "unit_warning", "warnings", "notes")
+# A header holds names, numbers and sentences; as Python objects they take several times its length.
+_MOST_HEADER = 2**28
 _ANYWHERE_ELSE = ("PXR_", "USD_", "PYTHON")
 
 
@@ -56,17 +60,17 @@ def _default(name: str, value: float) -> float:
 
 @dataclass(frozen=True)
 class Limits:
-    """What reading a mesh file may take.
+    """What reading a mesh file may take, with repair and examination.
 
     Attributes:
         memory: Address space of the process that reads [bytes]; 4 GiB, or ``WARPCONTACT_MESH_GIB`` in GiB.
-        seconds: Time to read it [s]; 20, or ``WARPCONTACT_MESH_SECONDS``.
-        faces: Number of triangles; 20 million, or ``WARPCONTACT_MESH_FACES``.
+        seconds: Time for all of it [s]; 20, or ``WARPCONTACT_MESH_SECONDS``.
+        faces: Number of triangles; 5 million, or ``WARPCONTACT_MESH_FACES``.
     """
 
     memory: int = field(default_factory=lambda: int(_default("WARPCONTACT_MESH_GIB", 4.0) * 2**30))
     seconds: float = field(default_factory=lambda: _default("WARPCONTACT_MESH_SECONDS", 20.0))
-    faces: int = field(default_factory=lambda: int(_default("WARPCONTACT_MESH_FACES", 2e7)))
+    faces: int = field(default_factory=lambda: int(_default("WARPCONTACT_MESH_FACES", 5e6)))
 
     def __post_init__(self) -> None:
         for name in ("memory", "seconds", "faces"):
@@ -77,24 +81,21 @@ class Limits:
                 raise ValueError(f"Limits.{name} must be a positive finite {kind}, got {value!r}")
 
 
-def read_isolated(path: Path, prim: str | None, limits: Limits) -> Content:
-    """Reads a mesh file in a process of its own.
+def carry_out_apart(task: Task, limits: Limits) -> Examined:
+    """Reads, repairs and examines a mesh file in a process of its own.
 
     Args:
-        path: The file.
-        prim: Path of a prim, for USD only.
+        task: What to do.
         limits: What it may take.
 
     Raises:
-        Unreadable: If the content is damaged or not supported, or reading it crashes or passes a limit.
+        Unreadable: If doing so crashes or passes a limit.
     """
     meshes = Path(__file__).resolve().parent
     request = {
-        "file": os.path.abspath(path),
-        "prim": prim,
+        "task": asdict(task),
         "memory": limits.memory,
         "seconds": limits.seconds,
-        "faces": limits.faces,
         "path": [os.path.abspath(entry) for entry in sys.path if entry],
         "packages": {"warpcontact": str(meshes.parent), "warpcontact.meshes": str(meshes)},
     }
@@ -151,26 +152,44 @@ def _process(seconds: float) -> Iterator[tuple[subprocess.Popen[bytes], threadin
             pass
 
 
-def _answer(output: IO[bytes], limits: Limits) -> Content:
+def _answer(output: IO[bytes], limits: Limits) -> Examined:
     """Takes the answer apart; sizes are checked before memory is taken for them.
 
     Raises:
         EOFError: If it ends early.
-        Unreadable: If it is a reason instead of arrays.
+        Unreadable: If it is a reason instead of arrays, or makes no sense.
     """
     length = int.from_bytes(_bytes(output, 8), "little")
-    if length > limits.memory:
-        raise EOFError
-    header = json.loads(_bytes(output, length))
-    if "error" in header:
-        raise Unreadable(header["error"])
-    sizes = [members for _, members in header["groups"]]
-    if max(header["faces"], header["vertices"] / 3) > limits.faces or 8 * sum(sizes) > limits.memory:
-        raise EOFError
-    vertices = _array(output, header["vertices"] * 3, "<f8").reshape(-1, 3)
-    faces = _array(output, header["faces"] * 3, "<i8").reshape(-1, 3)
-    groups = {name: _array(output, size, "<i8") for name, size in header["groups"]}
-    return Content(vertices, faces, groups, **{key: header[key] for key in _WORDS})
+    if length > min(limits.memory, _MOST_HEADER):
+        raise _nonsense("a header that is too long")
+    try:
+        header = json.loads(_bytes(output, length))
+        if "error" in header:
+            raise Unreadable(str(header["error"]))
+        vertices, faces = header["vertices"], header["faces"]
+        sizes = {str(name): size for name, size in header["groups"]}
+        if max(faces, vertices / 3) > limits.faces or 8 * (sum(sizes.values()) + 3 * faces) > limits.memory:
+            raise _nonsense("more than is allowed")
+        answer = Examined(
+            _array(output, vertices * 3, "<f8").reshape(-1, 3),
+            _array(output, faces * 3, "<i8").reshape(-1, 3),
+            {name: _array(output, size, "<i8") for name, size in sizes.items()},
+            restored(header["report"]),
+        )
+    except Unreadable:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
+        raise _nonsense(f"{type(error).__name__}: {error}") from error
+    # A process that was taken over may say that it has examined what it has not.
+    groups = all(0 <= members.min() <= members.max() < faces for members in answer.groups.values() if len(members))
+    if not groups or (answer.report.usable and not mendable(answer.vertices, answer.faces)):
+        raise _nonsense("what is no mesh")
+    return answer
+
+
+def _nonsense(what: str) -> Unreadable:
+    """Returns what is said of a process that answers with what it cannot have been told to."""
+    return Unreadable(f"the process that reads it answered with {' '.join(what.split())[:200]}")
 
 
 def _bytes(output: IO[bytes], count: int) -> bytes:
@@ -191,7 +210,8 @@ def _reason(code: int, expired: bool, limits: Limits, said: list[str]) -> str:
     """Why a process ended with ``code`` before it had answered."""
     cpu_time = getattr(signal, "SIGXCPU", None)
     if expired or (cpu_time is not None and code == -cpu_time):
-        return f"reading it takes more than {limits.seconds:g} s; allowed: {limits.seconds:g} s, see Limits"
+        seconds = f"{limits.seconds:g} s"
+        return f"reading and examining it takes more than {seconds}; allowed: {seconds}, see Limits"
     if code == OUT_OF_MEMORY:
         return "it needs more memory than is allowed, see Limits"
     if code < 0 or code > 255:  # a signal, or what stands for one on Windows

@@ -1,25 +1,21 @@
 """Meshes from files: STL, OBJ, PLY, OFF, GLB and USD."""
 
-from dataclasses import replace
-from os import PathLike
+import os
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from warpcontact.meshes.examine import examine
-from warpcontact.meshes.isolation import Limits, read_isolated
-from warpcontact.meshes.mesh import Mesh, MeshError
-from warpcontact.meshes.readers import SUFFIXES, USD_SUFFIXES, Content, Unreadable, read
-from warpcontact.meshes.repair import RepairRequest, check_tolerance, repair_arrays, steps_of
+from warpcontact.meshes.groups import FaceChoice
+from warpcontact.meshes.intake import Examined, Task, carry_out, unreadable
+from warpcontact.meshes.isolation import Limits, carry_out_apart
+from warpcontact.meshes.mesh import Mesh, MeshError, positive
+from warpcontact.meshes.readers import SUFFIXES, USD_SUFFIXES, Unreadable
+from warpcontact.meshes.repair import RepairRequest, check_tolerance, steps_of
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import CRACK_LIMIT
 from warpcontact.meshes.units import metres
 
 
 def load_mesh(
-    path: str | PathLike[str],
+    path: str | os.PathLike[str],
     *,
     scale: float = 1.0,
     unit: str | None = None,
@@ -32,8 +28,8 @@ def load_mesh(
 ) -> Mesh:
     """Loads a triangle mesh from a file.
 
-    The file is read in a process of its own, with limits on memory and time, and no other file out of its folder
-    is opened: a damaged or hostile one ends in an error and nothing else.
+    The file is read, repaired and examined in a process of its own, with limits on memory and time, and no other
+    file out of its folder is opened: a damaged or hostile one ends in an error and nothing else.
 
     Args:
         path: An .stl (binary or text), .obj, .ply, .off, .glb, .usd, .usda, .usdc or .usdz file, in upper or lower
@@ -45,8 +41,8 @@ def load_mesh(
         repair: What to mend: ``True`` for all, or names out of merge, degenerate, duplicate, orient and unused;
             see ``docs/meshes.md``. By default nothing is. ``report.repairs`` says what changed.
         tolerance: Distance within which ``merge`` takes vertices for one, relative to the largest dimension.
-        trusted: Whether to read the file in this process, without limits, and a USD file with whatever it refers
-            to: for files of your own that are slow or large, or spread over folders.
+        trusted: Whether to do all that in this process, without limits on memory and time, and to read a USD file
+            with whatever it refers to: for files of your own that are slow or large, or spread over folders.
         limits: Memory, time and size; by default ``Limits()``.
 
     Returns:
@@ -64,7 +60,7 @@ def load_mesh(
 
 
 def examine_file(
-    path: str | PathLike[str],
+    path: str | os.PathLike[str],
     *,
     scale: float = 1.0,
     unit: str | None = None,
@@ -112,65 +108,46 @@ class Options:
         trusted: bool,
         limits: Limits | None,
     ) -> None:
-        metres(scale, unit, None)
+        metres(1.0, unit, None)
         if prim is not None and (not isinstance(prim, str) or not prim):
             raise ValueError(f"prim must be the path of a prim, such as '/World/part', got {prim!r}")
         if limits is not None and not isinstance(limits, Limits):
             raise ValueError(f"limits must be a Limits, got {limits!r}")
-        self.scale, self.unit, self.prim, self.trusted = scale, unit, prim, trusted
+        self.scale, self.unit, self.prim, self.trusted = positive("scale", scale), unit, prim, trusted
         self.steps, self.tolerance = steps_of(repair), check_tolerance(tolerance)
         self.limits = Limits() if limits is None else limits
 
-    def factor(self, content: Content) -> float:
-        """Returns metres per unit of the file."""
-        own = content.unit
-        if self.unit is None and own is not None and not 0.0 < own < np.inf:
-            raise Unreadable(
-                f"metersPerUnit must be positive and finite, got {own:g}; give the unit to replace it"
-            )
-        return metres(self.scale, self.unit, own)
+    def task(self, path: Path, title: str) -> Task:
+        """Returns what to make of a file."""
+        return Task(
+            file=os.path.abspath(path),
+            title=title,
+            prim=self.prim,
+            scale=self.scale,
+            unit=self.unit,
+            steps=self.steps,
+            tolerance=self.tolerance,
+            faces=self.limits.faces,
+        )
 
 
-_Arrays = tuple[npt.NDArray[Any], npt.NDArray[Any], dict[str, npt.NDArray[np.int64]]]
-
-
-def examined(path: Path, name: str | None, options: Options) -> tuple[*_Arrays, MeshReport]:
-    """Vertices [m], faces and groups of a file, empty if it is not readable, and the report on them."""
-    title = path.stem if name is None else name
+def examined(path: Path, name: str | None, options: Options) -> Examined:
+    """Reads, repairs and examines a file, in a process of its own unless it is trusted."""
     suffix = path.suffix.lower()
     _check_file(path)
     if options.prim is not None and suffix not in USD_SUFFIXES:
         raise ValueError(
             f"prim is for USD files ({', '.join(USD_SUFFIXES)}), got {options.prim!r} for {path.name!r}"
         )
+    task = options.task(path, path.stem if name is None else name)
     try:
         if suffix not in SUFFIXES:
             raise Unreadable(f"the extension {path.suffix!r} is not one of {', '.join(SUFFIXES)}")
         if options.trusted:
-            content = read(path, options.prim, options.limits.faces, confined=False)
-        else:
-            content = read_isolated(path, options.prim, options.limits)
-        factor = options.factor(content)
+            return carry_out(task, confined=False)
+        return carry_out_apart(task, options.limits)
     except Unreadable as error:
-        report = MeshReport(title, errors=(str(error),))
-        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), {}, report
-    with np.errstate(over="ignore"):  # infinity is refused by the examination
-        vertices = np.asarray(content.vertices, dtype=np.float64) * factor
-    try:
-        vertices, faces, groups, repairs = repair_arrays(
-            vertices, content.faces, content.groups, options.steps, options.tolerance
-        )
-    except MeshError as error:
-        return vertices, content.faces, content.groups, MeshReport(title, errors=(str(error),))
-    report = examine(vertices, faces, title, overlaps=True)
-    said = [content.unit_warning] if options.unit is None and content.unit_warning else []
-    report = replace(
-        report,
-        repairs=repairs,
-        warnings=(*content.warnings, *said, *report.warnings),
-        notes=(*content.notes, *report.notes),
-    )
-    return vertices, faces, groups, report
+        return unreadable(task.title, error)
 
 
 def _check_file(path: Path) -> None:

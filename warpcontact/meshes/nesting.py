@@ -44,9 +44,8 @@ def containers(
     corners = v[faces[order]]
     lower = np.minimum.reduceat(corners.min(axis=1), bounds[:-1], axis=0)
     upper = np.maximum.reduceat(corners.max(axis=1), bounds[:-1], axis=0)
-    inside = (lower[:, None] >= lower[None]).all(axis=2) & (upper[:, None] <= upper[None]).all(axis=2)
-    np.fill_diagonal(inside, False)
-    inner, outer = np.nonzero(inside)
+    inside = (lower[:, None] >= lower[None]) & (upper[:, None] <= upper[None])
+    inner, outer = np.nonzero(inside.all(axis=2) & ~np.eye(count, dtype=bool))
     sizes = np.diff(bounds)
     if _SAMPLES * int((sizes[outer] + _OVERHEAD).sum()) > _BUDGET:
         return {}

@@ -1,4 +1,4 @@
-"""What runs in the process that reads a mesh file: limits first, then the reader, then the answer.
+"""What runs in the process that reads a mesh file: limits first, then all that there is to do, then the answer.
 
 Started by ``isolation``, never imported by the rest. The answer goes to what was standard output: eight bytes with
 the length of a header, the header as JSON, and the bytes of the arrays that it announces.
@@ -20,7 +20,7 @@ def main(request: dict[str, Any]) -> None:
     """Reads one file.
 
     Args:
-        request: ``file``, ``prim``, and the limits ``memory`` [bytes], ``seconds`` and ``faces``.
+        request: ``task``, the fields of a ``Task``, and the limits ``memory`` [bytes] and ``seconds``.
     """
     limit(request["memory"], request["seconds"])
     answer = os.fdopen(os.dup(1), "wb")
@@ -29,9 +29,12 @@ def main(request: dict[str, Any]) -> None:
     for stream in (1, 2):
         os.dup2(nowhere, stream)
     try:
-        header, arrays = _read(request)
+        header, arrays = _examined(request["task"])
     except MemoryError:
         header, arrays = {"error": "it needs more memory than is allowed, see Limits"}, []
+    except Exception as error:  # standard error leads nowhere now
+        reason = " ".join(str(error).split())[:200]
+        header, arrays = {"error": f"the process that reads it failed: {type(error).__name__}: {reason}"}, []
     text = json.dumps(header).encode()
     answer.write(len(text).to_bytes(8, "little") + text)
     for array in arrays:
@@ -40,28 +43,24 @@ def main(request: dict[str, Any]) -> None:
     os._exit(0)  # libraries have nothing to tidy up, and might crash at it
 
 
-def _read(request: dict[str, Any]) -> tuple[dict[str, Any], list[Any]]:
+def _examined(task: dict[str, Any]) -> tuple[dict[str, Any], list[Any]]:
+    from dataclasses import asdict
+
     import numpy as np
 
-    from warpcontact.meshes.readers import Unreadable, read
+    from warpcontact.meshes.intake import Task, carry_out
 
-    try:
-        content = read(request["file"], request["prim"], request["faces"], confined=True)
-    except Unreadable as error:
-        return {"error": str(error)}, []
+    vertices, faces, groups, report = carry_out(Task(**task), confined=True)
     arrays = [
-        np.ascontiguousarray(content.vertices, dtype="<f8"),
-        np.ascontiguousarray(content.faces, dtype="<i8"),
-        *(np.ascontiguousarray(members, dtype="<i8") for members in content.groups.values()),
+        np.ascontiguousarray(vertices, dtype="<f8"),
+        np.ascontiguousarray(faces, dtype="<i8"),
+        *(np.ascontiguousarray(members, dtype="<i8") for members in groups.values()),
     ]
     header = {
-        "vertices": len(content.vertices),
-        "faces": len(content.faces),
-        "groups": [[name, len(members)] for name, members in content.groups.items()],
-        "unit": content.unit,
-        "unit_warning": content.unit_warning,
-        "warnings": content.warnings,
-        "notes": content.notes,
+        "vertices": len(vertices),
+        "faces": len(faces),
+        "groups": [[name, len(members)] for name, members in groups.items()],
+        "report": asdict(report),
     }
     return header, [array.reshape(-1) for array in arrays if array.size]
 

@@ -111,7 +111,7 @@ def repair_arrays(
     Raises:
         MeshError: If the tolerance is larger than the faces.
     """
-    if not _mendable(vertices, faces):
+    if not mendable(vertices, faces):
         return vertices, faces, groups, ()
     v, f = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
     size = float(np.ptp(v[f], axis=(0, 1)).max())
@@ -120,7 +120,7 @@ def repair_arrays(
     return draft.vertices, draft.faces, draft.groups, done
 
 
-def _mendable(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> bool:
+def mendable(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> bool:
     """Whether these are arrays of usable vertices, and of faces of them."""
     arrays = (vertices, "iuf"), (faces, "iu")
     if not all(a.ndim == 2 and a.shape[1] == 3 and len(a) and a.dtype.kind in kinds for a, kinds in arrays):

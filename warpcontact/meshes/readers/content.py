@@ -61,7 +61,13 @@ class Groups:
         for (_, names), first, last in zip(self._runs, bounds, bounds[1:], strict=False):
             for name in names if last > first else ():
                 spans.setdefault(name, []).append(np.arange(first, last))
-        return {name: np.unique(np.concatenate(parts)) for name, parts in spans.items()}
+        return {name: joined(parts) for name, parts in spans.items()}
+
+
+def joined(parts: Sequence[Integers]) -> Integers:
+    """Returns the face numbers of a group, ascending, from parts that mostly follow each other."""
+    members = np.concatenate(parts)
+    return members if (members[:-1] < members[1:]).all() else np.unique(members)
 
 
 def numbers(words: Sequence[bytes], least: int, where: str, kind: Callable[[bytes], Any]) -> list[Any]:

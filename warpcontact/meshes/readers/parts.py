@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.meshes.readers.content import Content, Integers, Unreadable
+from warpcontact.meshes.readers.content import Content, Integers, Unreadable, joined
 
 
 class Parts:
@@ -68,7 +68,7 @@ class Parts:
         return Content(
             np.concatenate((np.empty((0, 3)), *self._vertices)),
             np.concatenate((np.empty((0, 3), dtype=np.int64), *self._faces)),
-            {name: np.unique(np.concatenate(members)) for name, members in self._groups.items()},
+            {name: joined(members) for name, members in self._groups.items()},
         )
 
 

@@ -1,0 +1,119 @@
+"""From a mesh file to arrays and a report on them, in a process of its own or in that of the caller."""
+
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from warpcontact.meshes.examine import examine
+from warpcontact.meshes.groups import FaceChoice, face_mask
+from warpcontact.meshes.mesh import MeshError
+from warpcontact.meshes.readers import Content, Unreadable, read
+from warpcontact.meshes.repair import repair_arrays
+from warpcontact.meshes.report import MeshReport
+from warpcontact.meshes.units import metres
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to make of a mesh file, in plain values that were checked.
+
+    Attributes:
+        file: Path of the file.
+        title: Name for the report.
+        prim: Path of a prim, for USD only.
+        scale: Factor on all lengths.
+        unit: Unit of the file, if not what it says itself.
+        steps: Steps of repair.
+        tolerance: Of merging, relative to the largest dimension.
+        faces: Number of triangles that are allowed.
+    """
+
+    file: str
+    title: str
+    prim: str | None
+    scale: float
+    unit: str | None
+    steps: tuple[str, ...]
+    tolerance: float
+    faces: int
+
+
+class Examined(NamedTuple):
+    """What is in a file, empty if it is not readable, and the report on it.
+
+    Attributes:
+        vertices: Positions, (V, 3) [m].
+        faces: Vertex indices of each triangle, (F, 3); they may be out of range.
+        groups: Face numbers by the name of the group.
+        report: What is known of them; it leaves the groups out.
+    """
+
+    vertices: npt.NDArray[Any]
+    faces: npt.NDArray[Any]
+    groups: dict[str, npt.NDArray[np.int64]]
+    report: MeshReport
+
+    def active(self, choice: FaceChoice) -> npt.NDArray[np.bool] | None:
+        """Returns the mask (F,) of the chosen faces; ``None`` if nothing is chosen, or there is no face."""
+        return None if choice is None or not len(self.faces) else face_mask("active_faces", choice, self)
+
+    def complete_report(self, active: npt.NDArray[np.bool] | None) -> MeshReport:
+        """Returns the report with the groups, and with the active part if there is a mask (F,) of it."""
+        groups = tuple((name, len(members)) for name, members in self.groups.items())
+        report = replace(self.report, groups=groups)
+        if active is None:
+            return report
+        chosen = self.faces[active]
+        corners = self.vertices[chosen[np.all((chosen >= 0) & (chosen < len(self.vertices)), axis=1)]]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = 0.5 * float(np.linalg.norm(cross, axis=1).sum())
+        return replace(report, active_face_count=len(chosen), active_area=area)
+
+
+def carry_out(task: Task, *, confined: bool) -> Examined:
+    """Reads, repairs and examines a mesh file; what is wrong with it ends up in the report.
+
+    Args:
+        task: What to do.
+        confined: Whether a USD stage may only be made of files in the folder of the file.
+    """
+    try:
+        content = read(task.file, task.prim, task.faces, confined=confined)
+        factor = _factor(task, content)
+    except Unreadable as error:
+        return unreadable(task.title, error)
+    with np.errstate(over="ignore"):  # infinity is refused by the examination
+        vertices = np.asarray(content.vertices, dtype=np.float64) * factor
+    try:
+        vertices, faces, groups, repairs = repair_arrays(
+            vertices, content.faces, content.groups, task.steps, task.tolerance
+        )
+    except MeshError as error:
+        report = MeshReport(task.title, errors=(str(error),))
+        return Examined(vertices, content.faces, content.groups, report)
+    report = examine(vertices, faces, task.title, overlaps=True)
+    said = [content.unit_warning] if task.unit is None and content.unit_warning else []
+    report = replace(
+        report,
+        repairs=repairs,
+        warnings=(*content.warnings, *said, *report.warnings),
+        notes=(*content.notes, *report.notes),
+    )
+    return Examined(vertices, faces, groups, report)
+
+
+def unreadable(title: str, error: Unreadable) -> Examined:
+    """Returns what there is of a file that cannot be read."""
+    report = MeshReport(title, errors=(str(error),))
+    return Examined(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), {}, report)
+
+
+def _factor(task: Task, content: Content) -> float:
+    """Returns metres per unit of the file."""
+    own = content.unit
+    if task.unit is None and own is not None and not 0.0 < own < inf:
+        raise Unreadable(f"metersPerUnit must be positive and finite, got {own:g}; give the unit to replace it")
+    return metres(task.scale, task.unit, own)
