@@ -81,7 +81,7 @@ HOSTILE = {
         "announces 4000000000 vertex rows, but the file ends before",
     ),
     "list.ply": (
-        b"ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uint double vertex_indices\n"
+        b"ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uint int vertex_indices\n"
         b"end_header\n\xff\xff\xff\xff" + bytes(40),
         "announces 1 face rows, but the file ends before",
     ),

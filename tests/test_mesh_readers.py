@@ -6,10 +6,11 @@ import struct
 import numpy as np
 import pytest
 import trimesh
-from test_mesh_files import OBJ, glb
+from test_mesh_files import OBJ, OFF, PLY, STL_TEXT, glb
 from test_meshes import OUTWARD, TETRAHEDRON
 
 from warpcontact.meshes import UNITS, MeshError, load_mesh
+from warpcontact.meshes.readers import Unreadable
 from warpcontact.meshes.readers.polygons import MOST_CORNERS, triangulate
 
 
@@ -53,8 +54,18 @@ def test_convex_polygons_are_fans_and_strange_ones_are_taken_as_such():
     ):
         faces, _ = triangulate(v, np.array([5]), np.arange(5))
         assert len(faces) == 3
-    many = star(MOST_CORNERS, np.eye(3))
-    assert len(triangulate(many, np.array([len(many)]), np.arange(len(many)))[0]) == len(many) - 2
+
+
+def test_polygons_of_very_many_corners_are_convex_or_refused():
+    angle = np.linspace(0, 2 * np.pi, 20_000, endpoint=False)
+    disk = np.column_stack((np.cos(angle), np.sin(angle), 0 * angle))
+    faces, _ = triangulate(disk, np.array([len(disk)]), np.arange(len(disk)))
+    np.testing.assert_allclose(np.linalg.norm(area_vectors(disk, faces), axis=1).sum(), np.pi, rtol=1e-6)
+    many = star(MOST_CORNERS // 2 + 1, np.eye(3))
+    with pytest.raises(
+        Unreadable, match=f"face 1 has {len(many)} corners and is not convex; allowed: 2000 corners"
+    ):
+        triangulate(many, np.array([3, len(many)]), np.array([0, 1, 2, *range(len(many))]))
 
 
 def ply(order, faces, kind="int", extra=False):
@@ -169,6 +180,10 @@ def test_nodes_of_a_glb_place_their_children(tmp_path):
     assert [part.volume for part in mesh.report.components] == pytest.approx([1 / 3, 1 / 6], rel=1e-5)
 
 
+def _indices(tree):
+    return tree["accessors"][tree["meshes"][0]["primitives"][0]["indices"]]
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
@@ -181,12 +196,120 @@ def test_nodes_of_a_glb_place_their_children(tmp_path):
          "it is compressed .KHR_draco_mesh_compression."),
         (lambda t: t["meshes"][0]["primitives"][0]["attributes"].pop("POSITION"), "a part has no POSITION"),
         (lambda t: t.update(meshes=[3]), r"meshes\[0\] is no table"),
+        (lambda t: t["meshes"][0]["primitives"][0].update(extensions={"VENDOR_a": {}, "EXT_b_compression": {}}),
+         "it is compressed .EXT_b_compression."),
+        (lambda t: (t["buffers"].append(dict(t["buffers"][0])), [v.update(buffer=1) for v in t["bufferViews"]]),
+         "buffer 1 is nowhere; only buffer 0 can be the binary part of the file"),
+        (lambda t: t.update(extensionsRequired=["EXT_meshopt_compression"]),
+         "it needs the extension 'EXT_meshopt_compression', which is not supported"),
+        (lambda t: t.update(extensionsRequired=["KHR_texture_transform", "KHR_draco_mesh_compression"]),
+         "it needs the extension 'KHR_draco_mesh_compression', which"),
+        (lambda t: t["asset"].update(version="3.1"), r"it is glTF of version '3\.1'; allowed: '2\.0'"),
+        (lambda t: t["asset"].update(version="1.0"), r"it is glTF of version '1\.0'; allowed"),
+        (lambda t: t["asset"].pop("version"), "KeyError: 'version'"),
+        (lambda t: _indices(t).update(componentType=5126), "must be unsigned integers, .* got float32"),
+        (lambda t: _indices(t).update(componentType=5124), "of type SCALAR, got 'SCALAR' of 5124"),
+        (lambda t: _indices(t).update(normalized=True), "must be unsigned integers, not normalized; got float64"),
     ],
 )  # fmt: skip
 def test_bad_references_of_a_glb_are_named(tmp_path, edit, message):
     (tmp_path / "a.glb").write_bytes(glb(edit))
     with pytest.raises(MeshError, match=message):
         load_mesh(tmp_path / "a.glb")
+
+
+def test_a_glb_container_of_another_version_is_refused(tmp_path):
+    data = bytearray(glb())
+    data[4] = 1
+    (tmp_path / "a.glb").write_bytes(data)
+    with pytest.raises(MeshError, match="it is GLB of version 1; allowed: 2"):
+        load_mesh(tmp_path / "a.glb")
+
+
+def _skin(tree):
+    tree["skins"] = [{"joints": [0]}]
+    tree["nodes"][0]["skin"] = 0
+
+
+def _morph(weights):
+    def edit(tree):
+        tree["meshes"][0]["weights"] = weights
+        tree["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": 0}]
+
+    return edit
+
+
+BENT = "1 of 1 parts have a skin or morph targets, and are taken without"
+
+
+@pytest.mark.parametrize(
+    ("edit", "warnings"),
+    [
+        (_skin, (BENT,)),
+        (_morph([0.5]), (BENT,)),
+        (_morph([0.0]), ()),
+        (lambda t: t["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {}}),
+         ("parts that EXT_mesh_gpu_instancing repeats are taken once",)),
+        (lambda t: t.update(extensionsRequired=["KHR_materials_unlit", "KHR_mesh_quantization"]), ()),
+    ],
+)  # fmt: skip
+def test_what_a_glb_has_beyond_triangles_is_said(tmp_path, edit, warnings):
+    (tmp_path / "a.glb").write_bytes(glb(edit))
+    assert load_mesh(tmp_path / "a.glb").report.warnings == warnings
+
+
+@pytest.mark.parametrize("kind", ["float", "double"])
+def test_vertex_numbers_of_a_ply_are_integers(tmp_path, kind):
+    binary = ply("<", OUTWARD.tolist()).replace(b"list uchar int", f"list uchar {kind}".encode())
+    for content in (PLY.replace("uchar int", f"uchar {kind}").encode(), binary):
+        (tmp_path / "a.ply").write_bytes(content)
+        with pytest.raises(MeshError, match="vertex_indices must be a list of an integer type, got f"):
+            load_mesh(tmp_path / "a.ply")
+
+
+def test_lists_of_vertices_of_a_ply_are_refused_as_such(tmp_path):
+    rows = "".join(f"{x} {y} {z} 1 7\n" for x, y, z in TETRAHEDRON)
+    head, faces = PLY.replace("property float z\n", "property float z\nproperty list uchar int w\n").split(
+        "0 0 0\n"
+    )
+    (tmp_path / "a.ply").write_text(head + rows + faces.partition("0 0 1\n")[2])
+    with pytest.raises(MeshError, match="its vertices have properties that are lists, which is not supported"):
+        load_mesh(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "old", "new", "message"),
+    [
+        ("a.obj", OBJ, "v 1 0 0", "v 1_0 0 0", "line 2: 3 or more numbers are needed, got '1_0 0 0'"),
+        ("a.obj", OBJ, "f 1 3 2", "f 1 0_3 2", "line 5: 3 or more numbers are needed, got '1 0_3 2'"),
+        ("a.off", OFF, "1 0 0", "1_0 0 0", "vertex 1: 3 or more numbers are needed, got '1_0 0 0'"),
+        ("a.off", OFF, "3 0 2 1", "3 0 0_2 1", "face 0: 3 or more numbers are needed, got '0 0_2 1'"),
+        ("a.ply", PLY, "1 0 0\n", "1_0 0 0\n", "'1_0' is no number"),
+        ("a.ply", PLY, "3 0 2 1", "3 0 0_2 1", "'0_2' is no number"),
+        ("a.stl", STL_TEXT, "vertex 1.0", "vertex 1_0.0", "line 6: 3 or more numbers are needed, got '1_0.0"),
+    ],
+)
+def test_numbers_are_not_those_of_python(tmp_path, name, content, old, new, message):
+    assert old in content
+    (tmp_path / name).write_text(content.replace(old, new, 1))
+    with pytest.raises(MeshError, match=message):
+        load_mesh(tmp_path / name, trusted=True)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize(
+    ("rows", "line"),
+    [
+        ("v 0 \\\n 0 0\nv 1 0 0\nv 0 1 0\nf 1 \\\n 2 \\\n 3\n# note\nf 1 x 3\n", 9),
+        ("v 0 0 0\nf 1 \\\n x \\\n 3\n", 2),
+        ("v 0 0 0\nv 0 0 0\nf 1 x \\\n", 3),
+        ("v 0 0 0\nv 0 0 0\nf 1 \\\n x 3 \\", 3),
+    ],
+)
+def test_lines_of_an_obj_are_counted_as_an_editor_does(tmp_path, rows, line, end):
+    (tmp_path / "a.obj").write_bytes(rows.replace("\n", end).encode())
+    with pytest.raises(MeshError, match=f"line {line}: 3 or more numbers are needed"):
+        load_mesh(tmp_path / "a.obj", trusted=True)
 
 
 @pytest.mark.parametrize("unit", UNITS)

@@ -8,13 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from warpcontact.meshes.readers.polygons import triangulate
+from warpcontact.meshes.readers.unreadable import Unreadable
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
-
-
-class Unreadable(ValueError):
-    """What is wrong with the content of a file, as one sentence without the name of the file."""
 
 
 @dataclass
@@ -77,7 +74,8 @@ def numbers(words: Sequence[bytes], least: int, where: str, kind: Callable[[byte
         Unreadable: If there are fewer; the message begins with ``where``.
     """
     try:
-        values = [kind(word) for word in words]
+        # Python takes 1_0 for 10.
+        values = [] if b"_" in b"".join(words) else [kind(word) for word in words]
     except ValueError:
         values = []
     if len(values) < least:

@@ -15,13 +15,17 @@ from warpcontact.meshes.readers.parts import Parts
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+# Extensions without which a file makes no sense, but its triangles do.
+_ALLOWED = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
 
 
 def read_glb(data: bytes, most_faces: int) -> Content:
     """Returns the triangles of the scene of a GLB file, each part in its place."""
     if len(data) < 20 or data[:4] != b"glTF":
         raise Unreadable("there is no GLB header")
-    length, header, kind = struct.unpack_from("<III", data, 8)
+    version, length, header, kind = struct.unpack_from("<IIII", data, 4)
+    if version != 2:
+        raise Unreadable(f"it is GLB of version {version}; allowed: 2")
     if length != len(data):
         raise Unreadable(f"the header announces {length} bytes, but the file has {len(data)}")
     if kind != 0x4E4F534A or 20 + header > len(data):
@@ -45,23 +49,34 @@ class _Scene:
             length, kind = struct.unpack_from("<I4s", rest)
             if kind == b"BIN\0" and 8 + length <= len(rest):
                 self.binary = rest[8 : 8 + length]
+        if (version := str(tree["asset"]["version"])).partition(".")[0] != "2":
+            raise Unreadable(f"it is glTF of version {version[:80]!r}; allowed: '2.0'")
+        for extension in tree.get("extensionsRequired", []):
+            if not extension.startswith(_ALLOWED):
+                raise Unreadable(f"it needs the extension {extension[:80]!r}, which is not supported")
         for i, buffer in enumerate(tree.get("buffers", [])):
+            if i and "uri" not in buffer:
+                raise Unreadable(f"buffer {i} is nowhere; only buffer 0 can be the binary part of the file")
             if not buffer.get("uri", "data:").startswith("data:"):
                 raise Unreadable(f"buffer {i} is in another file, {buffer['uri'][:80]!r}")
 
     def content(self, most_faces: int) -> Content:
         """Returns the triangles of the scene."""
         parts = Parts(most_faces)
-        left_out = total = 0
+        left_out = total = bent = 0
+        instanced = False
         read: dict[tuple[int, int], tuple[Any, Any]] = {}
         for node, matrix in self._placed():
             number = node["mesh"]
             mesh = self._entry("meshes", number)
+            instanced |= "EXT_mesh_gpu_instancing" in node.get("extensions", {})
+            morphed = any(node.get("weights", mesh.get("weights", [])))
             for i, primitive in enumerate(mesh["primitives"]):
                 total += 1
                 if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
                     left_out += 1
                     continue
+                bent += "skin" in node or (morphed and "targets" in primitive)
                 if (number, i) not in read:
                     read[number, i] = self._triangles(primitive)
                 material = self._entry("materials", primitive["material"]) if "material" in primitive else {}
@@ -71,6 +86,10 @@ class _Scene:
         content = parts.content()
         if left_out:
             content.warnings.append(f"{left_out} of {total} parts are points or lines and were left out")
+        if bent:
+            content.warnings.append(f"{bent} of {total} parts have a skin or morph targets, and are taken without")
+        if instanced:
+            content.warnings.append("parts that EXT_mesh_gpu_instancing repeats are taken once")
         return content
 
     def _placed(self) -> Iterator[tuple[dict[str, Any], npt.NDArray[np.float64]]]:
@@ -102,14 +121,19 @@ class _Scene:
 
     def _triangles(self, primitive: dict[str, Any]) -> tuple[Any, Any]:
         """Vertices and triangles of a part of a mesh."""
-        extension = next(iter(primitive.get("extensions", {})), "")
-        if "compression" in extension:
-            raise Unreadable(f"it is compressed ({extension}), which is not supported")
+        for extension in primitive.get("extensions", {}):
+            if "compression" in extension:
+                raise Unreadable(f"it is compressed ({extension[:80]}), which is not supported")
         if "POSITION" not in primitive["attributes"]:
             raise Unreadable("not valid GLB: a part has no POSITION")
         vertices = self._accessor(primitive["attributes"]["POSITION"], "VEC3")
         if "indices" in primitive:
-            indices = self._accessor(primitive["indices"], "SCALAR").reshape(-1).astype(np.int64)
+            indices = self._accessor(primitive["indices"], "SCALAR").reshape(-1)
+            if indices.dtype.kind != "u":
+                raise Unreadable(
+                    f"not valid GLB: vertex numbers must be unsigned integers, not normalized; got {indices.dtype}"
+                )
+            indices = indices.astype(np.int64)
         else:
             indices = np.arange(len(vertices))
         mode = primitive.get("mode", _TRIANGLES)

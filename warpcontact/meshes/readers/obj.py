@@ -1,5 +1,7 @@
 """OBJ (Wavefront). Names of ``g``, ``o`` and ``usemtl`` are groups."""
 
+from collections.abc import Iterator
+
 from warpcontact.meshes.readers.content import (
     Content,
     Groups,
@@ -17,7 +19,7 @@ def read_obj(data: bytes) -> Content:
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
     groups, current = Groups(), dict[bytes, tuple[str, ...]]()
-    for number, line in enumerate(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
+    for number, line in _lines(data):
         kind, *words = line.partition(b"#")[0].split() or [b""]
         if kind == b"v":
             vertices.append(numbers(words[:3], 3, f"line {number}", float))
@@ -29,6 +31,17 @@ def read_obj(data: bytes) -> Content:
             current[kind] = tuple(word.decode(errors="replace") for word in named)
             groups.set(len(polygons), [name for names in current.values() for name in names])
     return from_polygons(*lists_as_arrays(vertices, polygons), groups)
+
+
+def _lines(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Lines with their numbers; those that a backslash continues are one, with the number of the first."""
+    begun: list[bytes] = []
+    for number, line in enumerate([*data.splitlines(), b""], 1):
+        if line.endswith(b"\\"):
+            begun.append(line[:-1])
+        else:
+            yield number - len(begun), b" ".join((*begun, line))
+            begun = []
 
 
 def _polygon(words: list[bytes], count: int, number: int) -> list[int]:

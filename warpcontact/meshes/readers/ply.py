@@ -42,12 +42,18 @@ _Columns = dict[str, Any]
 def read_ply(data: bytes) -> Content:
     """Returns vertices and faces of a PLY file; colours and other properties are passed over."""
     order, elements, start = _header(data)
+    for element in elements:
+        for name, kind, length in element.properties:
+            if element.name == "face" and name in _CORNERS and length and kind[0] == "f":
+                raise Unreadable(f"not valid PLY: {name} must be a list of an integer type, got {kind}")
     body: _Body = _TextBody(data[start:], elements) if not order else _BinaryBody(data, start, order)
     vertices, counts, corners = np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     for element in elements:
         columns = body.rows(element)
         if element.name == "vertex":
-            if not {"x", "y", "z"} <= columns.keys() or element.has_lists:
+            if element.has_lists:
+                raise Unreadable("its vertices have properties that are lists, which is not supported")
+            if not {"x", "y", "z"} <= columns.keys():
                 raise Unreadable("not valid PLY: its vertices have no x, y and z")
             vertices = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
         elif element.name == "face" and element.count:
@@ -102,6 +108,9 @@ class _Body(ABC):
 
 class _TextBody(_Body):
     def __init__(self, text: bytes, elements: list[_Element]) -> None:
+        if b"_" in text:  # Python takes 1_0 for 10
+            word = next(word for word in text.split() if b"_" in word)
+            raise Unreadable(f"not valid PLY: {word[:80].decode(errors='replace')!r} is no number")
         self.lines = [words for words in (line.split() for line in text.splitlines()) if words]
         self.next = 0
         announced = sum(element.count for element in elements)

@@ -3,7 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
-# Beyond this many corners looking for ears takes too long, and a polygon is cut as if it were convex.
+from warpcontact.meshes.readers.unreadable import Unreadable
+
+# Beyond this many corners looking for ears takes too long.
 MOST_CORNERS = 2000
 
 _Integers = npt.NDArray[np.int64]
@@ -21,6 +23,9 @@ def triangulate(
 
     Returns:
         Triangles, (F, 3), counts − 2 of each polygon; and the polygon of each, (F,).
+
+    Raises:
+        Unreadable: If a polygon of more than ``MOST_CORNERS`` corners is not convex.
     """
     starts, pieces = np.cumsum(counts) - counts, counts - 2
     owner = np.repeat(np.arange(len(counts)), pieces)
@@ -28,10 +33,15 @@ def triangulate(
     step = np.arange(len(owner)) - first[owner]
     begin = starts[owner]
     faces = np.stack((corners[begin], corners[begin + step + 1], corners[begin + step + 2]), axis=1)
-    for count in np.unique(counts[(counts > 3) & (counts <= MOST_CORNERS)]).tolist():
+    for count in np.unique(counts[counts > 3]).tolist():
         alike = np.flatnonzero(counts == count)
         polygons = corners[starts[alike, None] + np.arange(count)]
         for i in np.flatnonzero(_concave(vertices, polygons)).tolist():
+            if count > MOST_CORNERS:
+                raise Unreadable(
+                    f"face {alike[i]} has {count} corners and is not convex; allowed: {MOST_CORNERS} corners, or "
+                    "any number of a convex face"
+                )
             ears = _ears(vertices[polygons[i]])
             if ears is not None:
                 where = first[alike[i]]
