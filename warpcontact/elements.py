@@ -13,6 +13,7 @@ from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction, Frictionless
 from warpcontact.kernels.laws import Law
 from warpcontact.meshes import Mesh
+from warpcontact.meshes.topology import seen_from
 
 MASS = limits("kg", above=0.0)
 AREA = limits("m²", above=0.0)
@@ -23,8 +24,6 @@ SEARCH_RADIUS = limits("m", above=0.0, may_be_infinite=True)
 TORSION_RADIUS = limits("m", at_least=0.0)
 SHARE = limits("-", at_least=0.0)
 SCALE = limits("-", above=0.0)
-# Meshes whose farthest coordinate is more than this many times their size lie far from their origin.
-FAR = 4.0
 ENABLED = limits("-", at_least=0.0, at_most=1.0)
 
 
@@ -136,9 +135,7 @@ class Surface:
         the origin: what was modelled at zero stays there, to the last digit.
         """
         bounds = np.array([mesh.bounds for mesh in self.meshes])
-        low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
-        far = np.abs([low, high]).max() > FAR * (high - low).max()
-        return np.asarray(0.5 * (low + high) if far else np.zeros(3))
+        return seen_from(bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0))
 
 
 @dataclass(frozen=True, eq=False)

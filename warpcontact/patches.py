@@ -15,10 +15,14 @@ from numpy.typing import NDArray
 from warpcontact.checks import Array
 from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_COUNT
 from warpcontact.meshes import Mesh
+from warpcontact.meshes.examine import SLIVER_LIMIT
+from warpcontact.meshes.topology import angles, directions, slenderness
 from warpcontact.scene import Contact
 
-# Warp skips triangles slimmer than 1e-6, |cross|/Σ edge², in its queries, and computes that in float32.
-SLIVER = 1.2e-6
+# Warp's queries skip triangles slimmer than the limit, which they compute in float32.
+SLIVER = 1.2 * SLIVER_LIMIT
+# Of the length of a usual edge: a list of few faces that serves for many steps.
+SKIN = 0.25
 
 
 @dataclass(frozen=True)
@@ -58,19 +62,14 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
     edge_active = np.bincount(edge.ravel(), weights=np.repeat(active, 3)) > 0
 
     # Corners: weighted with the angle of the face there.
-    to_next = _unit(np.roll(corner, -1, axis=1) - corner)
-    to_previous = _unit(np.roll(corner, 1, axis=1) - corner)
-    angle = np.arctan2(np.linalg.norm(np.cross(to_next, to_previous), axis=2), (to_next * to_previous).sum(axis=2))
     count = int(welded.max()) + 1
-    corner_sum = _sum_over(welded, angle[..., None] * face_normal[:, None], count)
+    corner_sum = _sum_over(welded, angles(corner)[..., None] * face_normal[:, None], count)
     on_border = np.zeros(count, dtype=bool)
     on_border[ends[border[edge]].ravel()] = True
     corner_active = np.bincount(welded.ravel(), weights=np.repeat(active, 3), minlength=count) > 0
 
     normal = np.concatenate([face_normal[:, None], edge_sum[edge], corner_sum[welded]], axis=1)
-    # Two sheets back to back leave no sum to speak of; there the face itself is the best guess.
-    length = np.linalg.norm(normal, axis=2, keepdims=True)
-    normal = np.where(length > 1.0e-9, normal / np.maximum(length, 1.0e-9), face_normal[:, None])
+    normal = directions(normal, face_normal[:, None])
 
     is_active = np.concatenate([active[:, None], edge_active[edge], corner_active[welded]], axis=1)
     is_border = np.concatenate([np.zeros((len(faces), 1), dtype=bool), border[edge], on_border[welded]], axis=1)
@@ -105,7 +104,8 @@ def upload_patches(
                 # Meshes that differ in what is active alone are searched as one.
                 faces = (id(mesh), active.tobytes() if only_active else b"", surface.centre.tobytes())
                 if faces not in searched:
-                    searched[faces] = _search_mesh(surface.name, patches[-1], device)
+                    given = np.flatnonzero(active) if only_active else np.arange(len(active))
+                    searched[faces] = _search_mesh(surface.name, patches[-1], given, device)
                 meshes.append(searched[faces])
         patch_of[contact] = rows[key]
     starts = np.cumsum([0] + [len(patch.flags) for patch in patches])
@@ -133,20 +133,17 @@ def upload_patches(
     return patch_of, meshes
 
 
-def _search_mesh(name: str, patch: Patch, device: wp.Device) -> wp.Mesh:
-    """Returns the mesh that queries search. The mesh is sound in float64; only float32 can still spoil it."""
+def _search_mesh(name: str, patch: Patch, given: NDArray[np.integer[Any]], device: wp.Device) -> wp.Mesh:
+    """Returns the mesh that queries search; ``given`` are the numbers of its faces in the mesh they are from."""
+    # The mesh is sound in float64; only float32 can still spoil it.
     corner = patch.corner.astype(np.float32)
-    edges = (np.roll(corner, -1, axis=1) - corner).astype(np.float64)
-    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    lost = np.flatnonzero(area < SLIVER * (edges**2).sum(axis=(1, 2)))
-    # A face whose corners all coincide has neither area nor edges.
-    lost = np.union1d(lost, np.flatnonzero(area == 0.0))
+    lost = np.flatnonzero(slenderness(corner.astype(np.float64)) < SLIVER)
     if len(lost):
+        far = np.abs(patch.corner[lost[0]]).max()
         raise ValueError(
-            f"{name}: face {lost[0]} with corners {patch.corner[lost[0]].tolist()} has no area left in float32, "
-            f"in which surfaces are searched ({len(lost)} such faces): it is too slim, or too small for its "
-            f"distance of {np.abs(corner[lost[0]]).max():g} m from the origin of the mesh. Remove it, or move the "
-            "mesh to its origin and place it with position"
+            f"{name}: face {given[lost[0]]} has no area left in float32, in which surfaces are searched "
+            f"({len(lost)} such faces): it is too slim, or too small for coordinates of up to {far:g} m. Remove "
+            "it, or make parts that lie far apart surfaces of their own"
         )
     return wp.Mesh(
         points=wp.array(corner.reshape(-1, 3), dtype=wp.vec3f, device=device),
@@ -184,12 +181,8 @@ def _neighbors(edge: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]) -
     return neighbor.reshape(edge.shape)
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def _query_error(patch: Patch) -> tuple[float, bool, bool]:
-    """Returns how far the float32 query may be off, and whether this is more than rounding, and may be anything.
+def _query_error(patch: Patch) -> tuple[float, bool]:
+    """Returns how far the float32 query may be off, and whether this is more than rounding.
 
     The query's areas lose ε (length/height)² of the length along a triangle, and at most its height in distance:
     where that limit is reached, about length/height = 200, the distance it sees to that triangle is arbitrary.

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from warpcontact.meshes.overlap import MOST_FACES, intersections
 from warpcontact.meshes.remarks import notes_of, warnings_of
 from warpcontact.meshes.report import MeshReport, listed
-from warpcontact.meshes.topology import examine_surface, representatives, slenderness
+from warpcontact.meshes.topology import examine_surface, representatives, seen_from, slenderness
 
 # Warp's closest-point queries skip a face whose |cross|/Σe² is below this (sliver detection in its mesh.h).
 SLIVER_LIMIT = 1.0e-6
@@ -60,9 +60,8 @@ def examine(
     lower, upper = box.min(axis=0), box.max(axis=0)
     ratio, ratio32 = np.full(len(f), np.inf), np.full(len(f), np.inf)
     ratio[placed] = slenderness(v[index[placed]])
-    middle = 0.5 * (lower + upper)  # from where a mesh far from its origin is searched
     with np.errstate(all="ignore"):  # underflow of float32 is one of the things looked for
-        ratio32[placed] = slenderness((v[index[placed]] - middle).astype(np.float32))
+        ratio32[placed] = slenderness((v[index[placed]] - seen_from(lower, upper)).astype(np.float32))
 
     welded = representatives(v)
     corners = welded[index]

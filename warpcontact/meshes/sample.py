@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from warpcontact.meshes.blue_noise import blue_noise
 from warpcontact.meshes.mesh import Mesh
+from warpcontact.meshes.topology import angles, directions
 
 METHODS = ("blue_noise", "vertices", "centroids")
 
@@ -90,16 +91,10 @@ def _vertices(
     used, first, vertex = np.unique(mesh.welded[mesh.faces[chosen]], return_index=True, return_inverse=True)
     vertex = vertex.ravel()
     third: npt.NDArray[np.float64] = np.repeat(areas / 3.0, 3)
-    # Weighted by the angles of the faces, so that it does not matter how a flat side is divided.
-    to_next = np.roll(corners, -1, axis=1) - corners
-    to_last = np.roll(corners, 1, axis=1) - corners
-    angle = np.arctan2(np.linalg.norm(np.cross(to_next, to_last), axis=2), (to_next * to_last).sum(axis=2)).ravel()
-    parts = angle[:, None] * np.repeat(normals, 3, axis=0)
-    total = np.column_stack([np.bincount(vertex, parts[:, k]) for k in range(3)])
-    length = np.linalg.norm(total, axis=1, keepdims=True)
+    parts = angles(corners).reshape(-1, 1) * np.repeat(normals, 3, axis=0)
+    total = np.column_stack([np.bincount(vertex, parts[:, k]) for k in range(3)]).astype(np.float64)
     face = first // 3
-    # Two sheets back to back leave no sum to speak of.
-    normal = np.where(length > 1.0e-9, total / np.maximum(length, 1.0e-9), normals[face])
+    normal = directions(total, normals[face])
     weight = np.bincount(vertex, third).astype(np.float64)
     return SurfaceSamples(mesh.vertices[used], weight, normal, chosen[face])
 

@@ -16,6 +16,8 @@ Orientation = Literal["outward", "inward", "open surface", "mixed", "undefined"]
 # Border vertices closer than this fraction of the largest dimension are meant to be one. CAD programs write
 # the two sides of a seam with different rounding, and float32 resolves 1e-7.
 CRACK_LIMIT = 1.0e-6
+# Meshes whose farthest coordinate is more than this many times their size lie far from their origin.
+FAR = 4.0
 # So many components are described one by one.
 MOST_COMPONENTS = 100
 
@@ -263,3 +265,40 @@ def slenderness(corners: npt.NDArray[Any]) -> npt.NDArray[Any]:
     a, b, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], corners[:, 2] - corners[:, 1]
     squares = sum(np.einsum("ij,ij->i", e, e) for e in (a, b, c))
     return np.linalg.norm(np.cross(a, b), axis=1) / np.where(squares > 0.0, squares, 1.0)
+
+
+def seen_from(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Returns where a surface within these bounds is seen from, so that float32 resolves it.
+
+    That is its middle if it lies far from the origin of its frame, and otherwise the origin: what was modelled at
+    zero stays there, to the last digit.
+    """
+    far = np.abs([lower, upper]).max() > FAR * (upper - lower).max()
+    return 0.5 * (lower + upper) if far else np.zeros(3)
+
+
+def angles(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Angles of triangles at their corners [rad].
+
+    Weighted with these, the normals of the faces at a corner do not depend on how a flat side is divided.
+
+    Args:
+        corners: Corners of each triangle, (n, 3, 3), none degenerate.
+
+    Returns:
+        Angles, (n, 3).
+    """
+    after, before = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    after, before = (edges / np.linalg.norm(edges, axis=2, keepdims=True) for edges in (after, before))
+    return np.arctan2(np.linalg.norm(np.cross(after, before), axis=2), (after * before).sum(axis=2))
+
+
+def directions(sums: npt.NDArray[np.float64], instead: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Unit vectors along sums of weighted unit normals.
+
+    Args:
+        sums: Vectors, (…, 3).
+        instead: What to take where two sheets back to back leave no sum to speak of, likewise.
+    """
+    length = np.linalg.norm(sums, axis=-1, keepdims=True)
+    return np.where(length > 1.0e-9, sums / np.maximum(length, 1.0e-9), instead)
