@@ -1,7 +1,6 @@
 """Mutated files: no crash, no hang, no mesh with a bad index or vertex, whatever is in a file.
 
-Many mutants are read in one process under the limits of ``load_mesh``. One that ends that process, or keeps it
-busy, is not held against the reader, which may do so: ``load_mesh`` itself then has to survive it.
+Every mutant goes the whole way of ``load_mesh``, under its limits, in a process that must outlive all of them.
 """
 
 import contextlib
@@ -11,45 +10,26 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
+import mesh_loader
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
+from test_mesh_isolation import doubling
 from test_meshes import OUTWARD, TETRAHEDRON
 
-from warpcontact.meshes import Limits, MeshError, examine_file, load_mesh
+from warpcontact.meshes import MeshError, examine_file, load_mesh
 
 HANG = 20.0  # s
 QUICK, THOROUGH = 40, 1000
-
-# Reads mutants one after the other; says of each what came of it, before it begins with the next one.
-READER = """
-import sys, json, warnings
-from warpcontact.meshes.reader_process import limit
-limit(4 * 2**30, 600.0)
-import numpy as np
-from warpcontact.meshes import Mesh, MeshError
-from warpcontact.meshes.examine import examine
-from warpcontact.meshes.readers import Unreadable, read
-for line in sys.stdin:
-    path = json.loads(line)
-    try:
-        content = read(path, None, 200_000, confined=True)
-        mesh = Mesh(content.vertices, content.faces, groups=content.groups)
-        sound = np.isfinite(mesh.vertices).all() and 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices)
-        answer = "mesh" if sound and np.abs(mesh.vertices).max() <= 1e6 else "bad mesh"
-    except (Unreadable, MeshError) as error:
-        answer = "refused" if str(error).strip() else "refused without a word"
-    except BaseException as error:
-        answer = f"{type(error).__name__}: {error}"
-    sys.__stdout__.write(json.dumps(answer) + "\\n")
-    sys.__stdout__.flush()
-"""
+LARGE = 200_000  # bytes, beyond which few mutants are made of a file
 
 
 def originals(folder, shared):
-    """A few hundred bytes to some kilobytes of every format, from real meshes if they are there."""
-    from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+    """Files of every format: small ones made here, and real ones, if they are there."""
+    from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
     ball = trimesh.creation.icosphere(subdivisions=1)
     scene = trimesh.Scene()
@@ -67,23 +47,37 @@ def originals(folder, shared):
     copy.CreateAttribute("xformOp:translate", Sdf.ValueTypeNames.Double3).Set((5, 6, 7))
     for suffix in ("usda", "usdc"):
         stage.GetRootLayer().Export(str(folder / f"stage.{suffix}"))
+    assets = Path(wp.__file__).parent / "examples" / "assets"
+    for path in (folder / "stage.usda", folder / "stage.usdc", assets / "cube.usd"):
+        assert UsdUtils.CreateNewUsdzPackage(str(path), str(folder / f"{path.stem}{path.suffix[-1]}.usdz"))
     found = {
-        "stl": ball.export(file_type="stl"),
-        "stl_text": ball.export(file_type="stl_ascii").encode(),
-        "obj": b"o ball\n" + ball.export(file_type="obj").encode(),
-        "ply": ball.export(file_type="ply"),
-        "ply_text": ball.export(file_type="ply", encoding="ascii"),
-        "off": ball.export(file_type="off").encode(),
-        "glb": scene.export(file_type="glb"),
-        "usda": (folder / "stage.usda").read_bytes(),
-        "usdc": (folder / "stage.usdc").read_bytes(),
+        "stl": [ball.export(file_type="stl")],
+        "stl_text": [ball.export(file_type="stl_ascii").encode()],
+        "obj": [b"o ball\n" + ball.export(file_type="obj").encode()],
+        "ply": [ball.export(file_type="ply")],
+        "ply_text": [ball.export(file_type="ply", encoding="ascii")],
+        "off": [ball.export(file_type="off").encode()],
+        "glb": [scene.export(file_type="glb")],
+        "usda": [(folder / "stage.usda").read_bytes()],
+        "usdc": [
+            path.read_bytes() for path in (folder / "stage.usdc", assets / "cube.usd", assets / "sphere.usd")
+        ],
+        "usdz": [path.read_bytes() for path in sorted(folder.glob("*.usdz"))],
     }
-    real = {"stl": "multibody.stl", "obj": "not_convex.obj", "glb": "Duck.glb", "ply_text": "points_emptyface.ply"}
-    more = {kind: (shared / "data/meshes" / name).read_bytes() for kind, name in real.items()} if shared else {}
-    return {kind: [data, *([more[kind]] if kind in more else [])] for kind, data in found.items()}
+    for kind, names in REAL.items() if shared else ():
+        found[kind] += [(shared / "data/meshes" / name).read_bytes() for name in names]
+    return found
 
 
-KINDS = ["stl", "stl_text", "obj", "ply", "ply_text", "off", "glb", "usda", "usdc"]
+KINDS = ["stl", "stl_text", "obj", "ply", "ply_text", "off", "glb", "usda", "usdc", "usdz"]
+REAL = {
+    "stl": ["20mm-xyz-cube.stl", "multibody.stl", "soup.stl"],
+    "obj": ["not_convex.obj", "nancolor.obj", "fandisk.obj"],
+    "ply": ["cycloidal.ply"],
+    "ply_text": ["bunny.ply", "points_emptyface.ply"],
+    "off": ["ballA.off"],
+    "glb": ["Duck.glb"],
+}
 NUMBERS = [
     b"0",
     b"-1",
@@ -104,6 +98,8 @@ WORDS = [0, 1, 3, 255, 2**15, 2**31 - 1, 2**31, 2**32 - 1]
 def mutant(sources, rng):
     """One of ``sources``, changed in one of the ways in which files are damaged or attacked."""
     data = bytearray(sources[rng.integers(len(sources))])
+    if len(data) > LARGE and rng.random() < 0.9:
+        data = bytearray(sources[0])
     for _ in range(rng.integers(1, 4)):
         # Half of the time near the front, where the headers are.
         at = int(rng.integers(min(len(data), 300) if rng.random() < 0.5 else len(data)) if data else 0)
@@ -129,36 +125,46 @@ def mutant(sources, rng):
     return bytes(data)
 
 
-class Reader:
-    """A process that reads mutants, started again when one of them has ended it."""
+class Loader:
+    """A process that loads mutants.
 
-    def __init__(self):
-        self.process = None
+    Args:
+        seconds: The limit on time that is given to ``load_mesh``.
+        hang: What a file may take [s].
+    """
 
-    def read(self, path):
-        """What came of a file, or ``None`` if it ended the process or kept it busy."""
-        if self.process is None:
-            self.process = subprocess.Popen(
-                [sys.executable, "-c", READER], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL, text=True,
-            )  # fmt: skip
-        timer = threading.Timer(HANG, self.process.kill)
+    def __init__(self, seconds=HANG - 1.0, hang=HANG):
+        self.hang = hang
+        words = [sys.executable, Path(__file__).with_name("mesh_loader.py"), str(seconds)]
+        self.process = subprocess.Popen(
+            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        assert self.process.stdout.readline() == "ready\n"
+
+    def load(self, path):
+        """What came of a file: "mesh", "refused", or what must not be."""
+        timer = threading.Timer(2.0 * self.hang, self.process.kill)
         timer.start()
-        self.process.stdin.write(json.dumps(str(path)) + "\n")
-        self.process.stdin.flush()
-        answer = self.process.stdout.readline()
-        timer.cancel()
-        if not answer:
-            self.close()
-            return None
-        return json.loads(answer)
+        try:
+            self.process.stdin.write(json.dumps(str(path)) + "\n")
+            self.process.stdin.flush()
+            line = self.process.stdout.readline()
+        except BrokenPipeError:
+            line = ""
+        finally:
+            timer.cancel()
+        if not line:
+            return "the process that loads it ended"
+        answer, seconds = json.loads(line)
+        return answer if seconds <= self.hang else f"a hang of {seconds:.1f} s"
 
-    def close(self):
-        if self.process is not None:
-            self.process.kill()
-            with self.process:
-                pass
-        self.process = None
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.kill()
+        with contextlib.suppress(BrokenPipeError), self.process:
+            pass
 
 
 @pytest.fixture(scope="module")
@@ -169,39 +175,31 @@ def sources(tmp_path_factory):
 
 
 def fuzz(kind, count, sources, folder):
-    """Reads ``count`` mutants of a format and returns how many came to what."""
-    reader, seen = Reader(), {}
-    try:
+    """Loads ``count`` mutants of a format and returns how many came to what."""
+    seen = {"mesh": 0, "refused": 0}
+    with Loader() as loader:
         for seed in range(count):
             rng = np.random.default_rng([KINDS.index(kind), seed])
-            # A name of its own: USD keeps what it has read by name.
             path = folder / f"mutant_{seed}.{kind.partition('_')[0]}"
             path.write_bytes(mutant(sources[kind], rng))
-            answer = reader.read(path)
-            if answer is None:
-                with contextlib.suppress(MeshError):
-                    load_mesh(path, limits=Limits(seconds=HANG))
-                answer = "survived"
-            assert answer in ("mesh", "refused", "survived"), (kind, seed, answer)
-            seen[answer] = seen.get(answer, 0) + 1
+            answer = loader.load(path)
+            assert answer in seen, (kind, seed, answer)
+            seen[answer] += 1
             path.unlink()
-    finally:
-        reader.close()
     return seen
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_some_mutants_end_in_a_mesh_or_a_sentence(kind, sources, tmp_path):
-    seen = fuzz(kind, QUICK, sources, tmp_path)
-    assert seen.get("refused", 0) > QUICK // 8
+    assert fuzz(kind, QUICK, sources, tmp_path)["refused"] > QUICK // 8
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_thousand_mutants_end_in_a_mesh_or_a_sentence(kind, sources, tmp_path):
     seen = fuzz(kind, THOROUGH, sources, tmp_path)
-    assert seen.get("refused", 0) > THOROUGH // 8
-    assert seen.get("mesh", 0) > 0, "every mutant was refused: the mutations are too coarse to find anything"
+    assert seen["refused"] > THOROUGH // 8
+    assert seen["mesh"] > 0, "every mutant was refused: the mutations are too coarse to find anything"
 
 
 def test_the_originals_are_sound(sources, tmp_path):
@@ -212,9 +210,45 @@ def test_the_originals_are_sound(sources, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["stl", "obj", "glb", "usdc"])
-def test_mutants_are_read_apart_one_by_one(kind, sources, tmp_path):
+def test_mutants_are_read_in_a_python_of_their_own(kind, sources, tmp_path):
     for seed in range(3):
         path = tmp_path / f"{seed}.{kind}"
         path.write_bytes(mutant(sources[kind], np.random.default_rng([99, seed])))
         report = examine_file(path)
         assert report.usable or report.errors
+
+
+def test_a_hang_and_an_end_of_the_process_are_seen(tmp_path):
+    path = tmp_path / "a.usda"
+    path.write_text(doubling(40))
+    with Loader(seconds=1.0, hang=5.0) as loader:
+        assert loader.load(path) == "refused"
+    with Loader(seconds=2.0, hang=1.5) as loader:
+        assert loader.load(path).startswith("a hang of 2.")
+    with Loader(seconds=5.0, hang=1.0) as loader:
+        assert loader.load(path) == "the process that loads it ended"
+        assert loader.load(path) == "the process that loads it ended"
+
+
+def test_what_must_not_come_of_a_file_is_seen():
+    sound = {"vertices": TETRAHEDRON, "faces": OUTWARD, "groups": {}}
+
+    def judged(**changes):
+        return mesh_loader.verdict(lambda: SimpleNamespace(**sound | changes))
+
+    def raises(error):
+        def load():
+            raise error
+
+        return mesh_loader.verdict(load)
+
+    assert judged() == "mesh"
+    assert (
+        judged(vertices=TETRAHEDRON * np.nan) == judged(vertices=TETRAHEDRON * 1e7) == "a mesh with a bad vertex"
+    )
+    assert judged(faces=OUTWARD + 1) == judged(faces=-OUTWARD) == "a mesh with a bad index"
+    assert judged(groups={"a": np.array([4])}) == "a mesh with a bad group"
+    assert raises(MeshError("it has no faces")) == "refused"
+    assert raises(MeshError("")) == "refused without a word"
+    assert raises(IndexError("7")) == "IndexError: 7"
+    assert "failed" in raises(MeshError("the process that reads it failed: KeyError"))
