@@ -149,7 +149,7 @@ def test_a_hostile_file_is_refused_with_its_name_and_reason(write, name, content
     assert str(caught.value).startswith(f"mesh file {str(path)!r}")
     report = examine_file(path)
     assert not report.usable
-    assert all(error in str(caught.value) for error in report.errors)
+    assert all(error in str(caught.value) for error in report.errors), report.errors
 
 
 @pytest.mark.parametrize("read", [load_mesh, examine_file])
