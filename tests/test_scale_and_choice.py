@@ -160,5 +160,8 @@ def test_wrong_values_are_refused_by_name(device):
     for wrong in ([[0]], [[0], [1], [2]]):
         with pytest.raises(ValueError, match=r"ground\.active_faces must have one entry for each of 2 meshes"):
             scene_of([box, box], active_faces=wrong)
-    with pytest.raises(ValueError, match=r"ground\.active_faces.*99"):
+    for wrong in ("left", lambda centroids: centroids[:, 0] > 0, 3):
+        with pytest.raises(ValueError, match=r"active_faces must have one entry for each of 2 meshes, got ['<3]"):
+            scene_of([box, box], active_faces=wrong)
+    with pytest.raises(ValueError, match=r"ground\.active_faces\[1\].*99"):
         scene_of([box, box], active_faces=[None, [99]])

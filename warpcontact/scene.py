@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
@@ -144,18 +144,13 @@ class Scene:
         body = self._body(f"{name}.body", body)
         several = isinstance(mesh, list | tuple)
         meshes = [_mesh(name, one) for one in (mesh if several else [mesh])]
-        choices: list[Any] = (
-            list(active_faces) if several and active_faces is not None else [active_faces] * len(meshes)
-        )
         if not meshes:
             raise ValueError(f"mesh of {name!r} must not be an empty list")
-        if len(choices) != len(meshes):
-            raise ValueError(
-                f"{name}.active_faces must have one entry for each of {len(meshes)} meshes, got {len(choices)}"
-            )
-        active = [
-            face_mask(f"{name}.active_faces", choice, one) for choice, one in zip(choices, meshes, strict=True)
-        ]
+        active = (
+            _active_of_each(f"{name}.active_faces", active_faces, meshes)
+            if several
+            else [face_mask(f"{name}.active_faces", active_faces, meshes[0])]
+        )
         surface = Surface(
             name=name,
             index=len(self.surfaces),
@@ -430,6 +425,20 @@ def _check_areas(name: str, template: Template, points: Points) -> None:
                 f"points {points.name!r} have none; make them with wc.sample_surface, give add_points areas, or "
                 f"give the {part} an area"
             )
+
+
+def _active_of_each(label: str, choices: Any, meshes: Sequence[Mesh]) -> list[NDArray[np.bool_]]:
+    """Returns the mask of each of several meshes; ``choices`` is a list with one choice for each, or ``None``."""
+    if choices is None:
+        choices = [None] * len(meshes)
+    listed = isinstance(choices, list | tuple) or getattr(choices, "ndim", 0) > 0
+    if not listed or len(choices) != len(meshes):
+        got = len(choices) if listed else repr(choices)
+        raise ValueError(f"{label} must have one entry for each of {len(meshes)} meshes, got {got}")
+    return [
+        face_mask(f"{label}[{i}]", choice, mesh)
+        for i, (choice, mesh) in enumerate(zip(choices, meshes, strict=True))
+    ]
 
 
 def _mesh(name: str, mesh: Any) -> Mesh:
