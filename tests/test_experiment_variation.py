@@ -66,6 +66,26 @@ def test_listed_and_spaced_values_are_taken_as_they_are():
         wc.Experiment(raw).model(envs=5, device="cpu")
 
 
+def test_one_value_holds_for_all_environments():
+    raw = content(
+        points=[{"name": "corners", "body": "ball", "positions": [[0, 0, 0.1], [0.1, 0, 0]]}],
+        variation={
+            "touch.law.stiffness": {"value": 2e4},
+            "ball.position": {"value": [1, 0, 2]},
+            "ball.inertia": {"value": [1, 2, 2]},
+            "corners.position": {"value": [[0, 0, 1], [0, 0, 2]]},
+            "ball.mass": {"value": 3},
+        },
+    )
+    for envs in (1, 2, 3, 4):
+        model = wc.Experiment(raw).model(envs=envs, device="cpu")
+        assert model["touch.law.stiffness"].tolist() == [2e4] * envs
+        assert model["ball.position"].tolist() == [[1, 0, 2]] * envs
+        assert model["ball.inertia"].tolist() == [np.diag([1, 2, 2]).tolist()] * envs
+        assert model["corners.position"].tolist() == [[[0, 0, 1], [0, 0, 2]]] * envs
+        assert model["ball.mass"].tolist() == [3] * envs
+
+
 @pytest.mark.parametrize("order", [("ball.inertia", "ball.mass"), ("ball.mass", "ball.inertia")])
 def test_inertia_of_a_solid_sphere_follows_mass_and_radius(order):
     varied = {

@@ -211,7 +211,7 @@ def _add_surfaces(scene: Scene, arrays: SimpleNamespace, parameters: Parameters,
         if len(surface.meshes) > 1:
             allowed = limits("-", at_least=0.0, at_most=len(surface.meshes) - 1.0)
             name = f"{surface.name}.mesh"
-            parameters.add(name, which, items, allowed, [send_which], convert=checks.whole_numbers)
+            parameters.add(name, which, items, allowed, [send_which], whole=True)
 
 
 def _add_contacts(

@@ -91,7 +91,7 @@ def switches(name: str, value: Array) -> Array:
 
 def whole_numbers(name: str, value: Array) -> Array:
     """Returns ``value`` if it is whole throughout, or raises ``ValueError``."""
-    _refuse(name, value, value != np.round(value), "whole")
+    _refuse(name, value, value != np.round(value), "a whole number")
     return value
 
 

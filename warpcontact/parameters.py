@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.kernels.formula import check_values
 
@@ -44,6 +45,7 @@ class Parameter:
         limits: Unit and allowed range, as ``check_values`` takes them.
         tail: Shape of one value, () for a number.
         single: Whether it has no item axis.
+        whole: Whether its values are whole numbers.
         convert: Turns checked values (..., *given) into those to store, or raises ``ValueError``.
         given: Shape of one value as a user writes it where it may differ from ``tail``.
         uploads: What is to be sent to the device when it changes.
@@ -55,6 +57,7 @@ class Parameter:
     limits: Mapping[str, Any]
     tail: tuple[int, ...] = ()
     single: bool = True
+    whole: bool = False
     convert: Callable[[str, Array], Array] | None = None
     given: tuple[tuple[int, ...], ...] = ()
     uploads: "list[Upload]" = dataclasses.field(default_factory=list)
@@ -101,6 +104,8 @@ class Parameter:
             )
         if found:
             check_values(self.name, values, self.limits)
+            if self.whole:
+                checks.whole_numbers(self.name, values)
             return self.convert(self.name, found[0]) if self.convert else found[0]
         raise ValueError(
             f"{self.name} must have shape {' or '.join(str(s) for s in self._shapes(envs))}, got {values.shape}"

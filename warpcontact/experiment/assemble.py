@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from warpcontact.experiment.catalogue import FileMesh, FormulaSettings
+from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, ShapeMesh
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import (
@@ -27,6 +27,10 @@ _SURFACE = ("surface", ("surface",))
 _TEMPLATE = ("template", ("template",))
 
 
+#: Meshes by the key of their surface and by what the file says of them: of several alike, one is read.
+Loaded = dict[tuple[str, FileMesh | ShapeMesh], Mesh]
+
+
 class _Unresolved(Exception):
     """A reference to something that does not exist or has problems of its own; reported already."""
 
@@ -37,10 +41,10 @@ class Assembler:
     Args:
         parts: What there is.
         folder: Folder to which the names of mesh files are relative.
-        loaded: Meshes by the key of their surface that were read before; filled, so that each is read once.
+        loaded: Meshes that were read before; filled, so that each is read once.
     """
 
-    def __init__(self, parts: Parts, folder: Path, loaded: dict[str, Mesh]) -> None:
+    def __init__(self, parts: Parts, folder: Path, loaded: Loaded) -> None:
         self.parts = parts
         self.folder = folder
         self.loaded = loaded
@@ -70,28 +74,33 @@ class Assembler:
         return scene
 
     def _surface(self, scene: Scene, path: str, entry: SurfaceSettings, problems: Problems) -> Any:
-        mesh = self._mesh(path, entry, problems)  # first, so that its defects are found in any case
+        # First, so that the defects of all are found in any case.
+        meshes = [self._mesh(path, key, mesh, entry.name, problems) for key, mesh in entry.meshes.items()]
         body = self._find(f"{path}.body", entry.body, _BODY, problems)
-        if mesh is None:
+        if None in meshes:
             raise _Unresolved
-        return scene.add_surface(mesh, body, **entry.model_dump(exclude={"mesh", "body"}))
+        options = entry.model_dump(exclude={"mesh", "body"})
+        if not isinstance(entry.mesh, tuple):
+            return scene.add_surface(meshes[0], body, **options)
+        if entry.active_faces is not None:
+            # TOML has no word for what is left out.
+            options["active_faces"] = [None if chosen is True else chosen for chosen in entry.active_faces]
+        return scene.add_surface(meshes, body, **options)
 
-    def _mesh(self, path: str, entry: SurfaceSettings, problems: Problems) -> Mesh | None:
-        if path in self.loaded:
-            return self.loaded[path]
-        mesh = entry.mesh
+    def _mesh(self, path: str, key: str, mesh: FileMesh | ShapeMesh, name: str, problems: Problems) -> Mesh | None:
+        if (path, mesh) in self.loaded:
+            return self.loaded[path, mesh]
         try:
             if isinstance(mesh, FileMesh):
                 options = mesh.model_dump(exclude={"file"})
-                self.loaded[path] = load_mesh(self.folder / mesh.file, name=entry.name, **options)
+                self.loaded[path, mesh] = load_mesh(self.folder / mesh.file, name=name, **options)
             else:
-                self.loaded[path] = mesh.make(entry.name)
+                self.loaded[path, mesh] = mesh.make(name)
         except MeshError as error:
-            key = ".file" if isinstance(mesh, FileMesh) else ""
-            problems.add(f"{path}.mesh{key}", f": {error}")
+            problems.add(f"{path}.{key}{'.file' if isinstance(mesh, FileMesh) else ''}", f": {error}")
         except ValueError as error:
-            problems.add(f"{path}.mesh", f".{error}")
-        return self.loaded.get(path)
+            problems.add(f"{path}.{key}", f".{error}")
+        return self.loaded.get((path, mesh))
 
     def _points(self, scene: Scene, path: str, entry: PointSettings | PointsSettings, problems: Problems) -> Any:
         key, kind = ("body", _BODY) if entry.surface is None else ("surface", _SURFACE)

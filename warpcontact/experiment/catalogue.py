@@ -18,6 +18,7 @@ from pydantic import (
     Field,
     PlainValidator,
     SerializeAsAny,
+    TypeAdapter,
     ValidationInfo,
     create_model,
     model_validator,
@@ -108,8 +109,12 @@ def _shape_model(name: str, generator: Callable[..., meshes.Mesh]) -> type[Shape
     return create_model(f"{name}_mesh", __base__=ShapeMesh, **fields)
 
 
-def mesh_model(value: Any) -> type[FileMesh] | type[ShapeMesh]:
-    """Returns the model of a mesh as it stands in the file.
+def mesh_model(value: Any, key: str = "") -> type[FileMesh] | type[ShapeMesh]:
+    """Returns the model of one mesh as it stands in the file.
+
+    Args:
+        value: What is there.
+        key: Where it is alone, the key, for the advice what to write.
 
     Raises:
         ValueError: If there is none; the message continues the key of the mesh.
@@ -117,9 +122,9 @@ def mesh_model(value: Any) -> type[FileMesh] | type[ShapeMesh]:
     listed = f"one of {', '.join(SHAPES)}"
     if isinstance(value, str):
         write = f"shape = {value!r}, …" if value in SHAPES else f"file = {json.dumps(value, ensure_ascii=False)}"
-        raise ValueError(f"must be a table, got {shown(value)}; write mesh = {{ {write} }}")
+        raise ValueError(f"must be a table, got {shown(value)}; write {f'{key} = ' if key else ''}{{ {write} }}")
     if not isinstance(value, dict):
-        raise ValueError(f"must be a table, got {shown(value)}")
+        raise ValueError(f"must be a table{' or a list of tables' if key else ''}, got {shown(value)}")
     if "file" in value:
         return FileMesh
     if "shape" not in value:
@@ -217,6 +222,18 @@ def _mesh(value: Any) -> FileMesh | ShapeMesh:
     return mesh_model(value).model_validate(value)
 
 
+def _meshes(value: Any) -> FileMesh | ShapeMesh | tuple[FileMesh | ShapeMesh, ...]:
+    if not isinstance(value, list | tuple):
+        return mesh_model(value, "mesh").model_validate(value)
+    if not value:
+        raise ValueError(f"must be a table or a list of tables, at least one, got {shown(value)}")
+    return _LISTED.validate_python(value)
+
+
 # Which keys there are depends on what is in the table: its model is found first.
 TemplateFormula = Annotated[SerializeAsAny[FormulaSettings], PlainValidator(_formula)]
-SurfaceMesh = Annotated[SerializeAsAny[FileMesh | ShapeMesh], PlainValidator(_mesh)]
+Mesh = Annotated[SerializeAsAny[FileMesh | ShapeMesh], PlainValidator(_mesh)]
+SurfaceMesh = Annotated[SerializeAsAny[FileMesh | ShapeMesh | tuple[Mesh, ...]], PlainValidator(_meshes)]
+_LISTED: TypeAdapter[tuple[FileMesh | ShapeMesh, ...]] = TypeAdapter(
+    Annotated[tuple[Mesh, ...], Field(strict=False)]  # TOML has lists only
+)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact.experiment import result
-from warpcontact.experiment.assemble import Assembler
+from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
 from warpcontact.experiment.execute import execute
@@ -17,7 +17,6 @@ from warpcontact.experiment.result import Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
 from warpcontact.experiment.variation import Draw, truncated
-from warpcontact.meshes import Mesh
 from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import whole_steps
@@ -53,7 +52,7 @@ class Experiment:
     ) -> None:
         self.folder = Path(folder)
         self.source = source
-        self._loaded: dict[str, Mesh] = {}
+        self._loaded: Loaded = {}
         self._own = OwnFiles(self.folder, on_stage or _say_nothing)
         self._check(content)
 
@@ -181,8 +180,9 @@ class Experiment:
         notices: Notices,
     ) -> Run:
         for i, surface in enumerate(self.settings.surface):
-            if isinstance(surface.mesh, FileMesh):
-                notices.add_mesh(surface.mesh.file, self._loaded[f"surface[{i}]"].report)
+            for mesh in surface.meshes.values():
+                if isinstance(mesh, FileMesh):
+                    notices.add_mesh(mesh.file, self._loaded[f"surface[{i}]", mesh].report)
         say(f"building {self.settings.envs} environments")
         model = self._build(device)
         return execute(model, self.settings, self._values, copy, folder, progress, say, notices)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
-from pydantic import PlainValidator
+from pydantic import PlainValidator, ValidationInfo
 
 from warpcontact import checks
 from warpcontact.checks import limits
@@ -114,15 +114,30 @@ def _inertia(name: str, values: Any) -> None:
     checks.inertia_tensors(name, np.diag(values) if values.ndim == 1 else values)
 
 
-def _faces(value: Any) -> tuple[Any, ...] | str:
+def _faces(value: Any, info: ValidationInfo) -> Any:
+    """Validates the active faces of a surface, the field behind ``mesh``."""
+    if "mesh" not in info.data:  # something is wrong with it, so that nobody knows how many there are
+        return value
+    mesh = info.data["mesh"]
+    if not isinstance(mesh, tuple):
+        return _faces_of_one(value)
+    if not isinstance(value, list | tuple) or len(value) != len(mesh):
+        got = len(value) if isinstance(value, list | tuple) else shown(value)
+        raise ValueError(f"must be a list with one entry for each of the {len(mesh)} meshes, got {got}")
+    return tuple(entry if entry is True else _faces_of_one(entry, f"[{i}]") for i, entry in enumerate(value))
+
+
+def _faces_of_one(value: Any, number: str = "") -> tuple[Any, ...] | str:
+    """Validates the active faces of one mesh; with ``number`` of one out of several, where ``true`` means all."""
     if isinstance(value, str):
         return value
     entries = tuple(value) if isinstance(value, list | tuple) else (None,)
     masks, names = (all(isinstance(entry, kind) for entry in entries) for kind in (bool, str))
     if not masks and not names and not all(_is_whole(entry) for entry in entries):
+        everything = ", or true for all of them" if number else ""
         raise ValueError(
-            "must be a list of face numbers, of names of groups, or of true and false for each face, or one name, "
-            f"got {shown(value)}"
+            f"{number} must be a list of face numbers, of names of groups, or of true and false for each face, or "
+            f"one name{everything}, got {shown(value)}".lstrip()
         )
     return entries
 
@@ -162,6 +177,16 @@ def _rows(value: Any) -> tuple[Any, ...]:
         if np.shape(row) != np.shape(rows[0]):
             raise ValueError(f"[{i}] must be of the same kind as the values before, got {shown(row)}")
     return rows
+
+
+def _value(value: Any) -> Any:
+    what = "a number or a list of numbers"
+    entries = plain(value, what)
+    try:
+        np.shape(entries)
+    except ValueError:  # rows of different length
+        raise ValueError(f"must be {what}, got {shown(value)}") from None
+    return entries
 
 
 def _amount(value: Any) -> int | str:
@@ -222,6 +247,7 @@ positions = PlainValidator(_positions)
 areas = PlainValidator(_areas)
 amount = PlainValidator(_amount)
 amounts = PlainValidator(_amounts)
+value = PlainValidator(_value)
 rows = PlainValidator(_rows)
 pair = _pair("", lambda first, second: True)
 interval = _pair("[low, high] with low ≤ high", lambda low, high: low <= high)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact._version import __version__
-from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, own_class
+from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, ShapeMesh, own_class
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import Settings
@@ -190,16 +190,21 @@ def _with_meshes_from(settings: Settings, old: Path, new: Path) -> Settings:
     """Returns ``settings`` with the names of mesh files made relative to folder ``new`` instead of ``old``."""
     surfaces = []
     for surface in settings.surface:
-        mesh = surface.mesh
-        if isinstance(mesh, FileMesh) and not Path(mesh.file).is_absolute():
-            target = (old / mesh.file).resolve()
-            try:
-                file = Path(os.path.relpath(target, new.resolve()))
-            except ValueError:  # on another drive
-                file = target
-            mesh = mesh.model_copy(update={"file": file.as_posix()})
+        found = tuple(_mesh_from(mesh, old, new) for mesh in surface.meshes.values())
+        mesh = found if isinstance(surface.mesh, tuple) else found[0]
         surfaces.append(surface.model_copy(update={"mesh": mesh}))
     return settings.model_copy(update={"surface": tuple(surfaces)})
+
+
+def _mesh_from(mesh: FileMesh | ShapeMesh, old: Path, new: Path) -> FileMesh | ShapeMesh:
+    if not isinstance(mesh, FileMesh) or Path(mesh.file).is_absolute():
+        return mesh
+    target = (old / mesh.file).resolve()
+    try:
+        file = Path(os.path.relpath(target, new.resolve()))
+    except ValueError:  # on another drive
+        file = target
+    return mesh.model_copy(update={"file": file.as_posix()})
 
 
 def write_recording(recording: Recording, path: Path) -> None:

@@ -12,7 +12,9 @@ from warpcontact import elements as limits_of
 from warpcontact.build import PRECISIONS
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
+    FileMesh,
     Section,
+    ShapeMesh,
     SurfaceMesh,
     TemplateFormula,
     formula_model,
@@ -44,9 +46,16 @@ class SurfaceSettings(Section):
     orientation: Quaternion = NO_ROTATION
     scale: Annotated[float, q.numbers((), allowed=limits_of.SCALE)] = 1.0
     flip: bool = False
-    active_faces: Annotated[tuple[int | str, ...] | str | None, q.faces] = None
+    active_faces: Annotated[Any, q.faces] = None
     color: Color | None = None
     visible: bool = True
+
+    @property
+    def meshes(self) -> dict[str, FileMesh | ShapeMesh]:
+        """Its meshes by their keys: ``"mesh"``, or ``"mesh[0]"`` and so on of a list."""
+        if isinstance(self.mesh, tuple):
+            return {f"mesh[{i}]": mesh for i, mesh in enumerate(self.mesh)}
+        return {"mesh": self.mesh}
 
 
 class BodySettings(Section):
@@ -162,12 +171,13 @@ class SolidSphere(Section):
 
 
 class VariationSettings(Section):
-    """An entry of ``[variation]``: how one parameter differs between the environments. One key of these."""
+    """An entry of ``[variation]``: the values of one parameter in the environments. One key of these."""
 
     uniform: Annotated[tuple[Any, ...] | None, q.interval] = None
     loguniform: Annotated[tuple[Any, ...] | None, q.positive_interval] = None
     normal: Annotated[tuple[Any, ...] | None, q.mean_and_deviation] = None
     linspace: Annotated[tuple[Any, ...] | None, q.pair] = None
+    value: Annotated[Any, q.value] = None
     values: Annotated[tuple[Any, ...] | None, q.rows] = None
     solid_sphere: SolidSphere | None = None
 

@@ -8,19 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from warpcontact import meshes
-from warpcontact.experiment.assemble import Assembler
+from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FormulaSettings, own_class
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.own import blame
 from warpcontact.experiment.reading import Parts
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.laws import Hooke
-from warpcontact.meshes import Mesh
 from warpcontact.model import Model
 from warpcontact.scene import Scene, Template
 
 
-def trial(parts: Parts, folder: Path, loaded: dict[str, Mesh], problems: Problems) -> Model | None:
+def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Model | None:
     """Returns a model of what is sound; ``None`` if there is none.
 
     Args:

@@ -26,6 +26,20 @@ _RULES: dict[str, Callable[[np.random.Generator, Array, Array, int], Array]] = {
 }
 
 
+def _blocks(_: np.random.Generator, first: Array, last: Array, n: int) -> Array:
+    """Returns the whole numbers from ``first`` to ``last``, each for about as many of ``n`` environments."""
+    span = np.abs(last - first)
+    count = np.floor(np.arange(n) * (span + 1.0) / max(n - 1, 1))
+    return np.asarray(first + np.sign(last - first) * np.minimum(count, span))
+
+
+# The same for parameters that are a whole number.
+_WHOLE_RULES: dict[str, Callable[[np.random.Generator, Array, Array, int], Array]] = {
+    "uniform": lambda rng, low, high, n: low + np.floor((high - low + 1.0) * rng.random((n, *low.shape))),
+    "linspace": _blocks,
+}
+
+
 def generator(seed: int, name: str) -> np.random.Generator:
     """Returns the random generator of the parameter called ``name``."""
     digest = hashlib.sha256(name.encode()).digest()
@@ -88,6 +102,8 @@ class Draw:
         kind, problems_before = entry.kind, len(self.problems.lines)
         if entry.solid_sphere is not None:
             values = self._solid_sphere(f"{path}.{kind}", name, entry.solid_sphere)
+        elif entry.value is not None:
+            values = self._same(f"{path}.{kind}", parameter, entry.value)
         elif entry.values is not None:
             values = np.array(entry.values)
             if self.any_length:
@@ -105,14 +121,27 @@ class Draw:
         if self._check(path, parameter, values, self.envs):
             self.values[name] = values
 
-    def _from_two(self, path: str, parameter: Parameter, kind: str, pair: Any) -> Array:
+    def _same(self, path: str, parameter: Parameter, value: Any) -> Array | None:
+        """Returns one value, repeated for all environments."""
+        values = np.array(value)
+        # As if there were one environment: what has a row for each of several is no one value.
+        if not self._check(path, parameter, values if parameter.single else values[None], 1):
+            return None
+        return np.repeat(values[None], self.envs, axis=0)
+
+    def _from_two(self, path: str, parameter: Parameter, kind: str, pair: Any) -> Array | None:
+        rules = _WHOLE_RULES if parameter.whole else _RULES
+        if kind not in rules:
+            allowed = ", ".join(("value", "values", *rules))
+            self.problems.add(path, f"gives no whole numbers; {parameter.name} takes one of {allowed}")
+            return None
         first, second = np.array(pair, dtype=np.float64)
         # The ends first: whether a draw lies outside of the range is a matter of luck.
         ends = 1 if kind == "normal" else 2
         for i, end in enumerate((first, second)[:ends]):
             if not self._check(f"{path}[{i}]", parameter, end if parameter.single else end[None], 1):
                 break
-        return _RULES[kind](generator(self.seed, parameter.name), first, second, self.envs)
+        return rules[kind](generator(self.seed, parameter.name), first, second, self.envs)
 
     def _solid_sphere(self, path: str, name: str, entry: SolidSphere) -> Array | None:
         if not name.endswith(".inertia"):
@@ -151,6 +180,9 @@ class Draw:
         return True
 
     def _hint(self, name: str) -> str:
+        for surface in self.model.scene.surfaces:
+            if name == f"{surface.name}.mesh":
+                return f": {surface.name!r} has one mesh; give it several as mesh = [{{ … }}, {{ … }}]"
         known = list(self.model.parameters)
         element, last = name.partition(".")[0], name.rpartition(".")[2]
         # The part in between is what one forgets: feet.mu for feet.friction.mu.
