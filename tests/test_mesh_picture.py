@@ -237,7 +237,88 @@ def test_inspect_says_what_cannot_be_drawn(tmp_path, capsys):
     assert main(["inspect", str(tmp_path / "one.obj"), "--plot", str(tmp_path / "x.gif")]) == 2
     assert "must end in .svg or .png, got .gif" in capsys.readouterr().err
     mesh = load_mesh(tmp_path / "one.obj")
-    with pytest.raises(ValueError, match=r"active_faces must be a mask of 1 booleans, got int64 of shape \(2,\)"):
+    with pytest.raises(ValueError, match=r"active_faces must be face numbers from 0 to 0, got 1"):
         mesh.plot(tmp_path / "x.png", active_faces=[0, 1])
+    with pytest.raises(ValueError, match=r"active_faces as a mask must have shape \(1,\), got \(2,\)"):
+        mesh.plot(tmp_path / "x.png", active_faces=[True, False])
     with pytest.raises(ValueError, match="direction must be 3 numbers that are not all 0, got"):
         mesh.plot(tmp_path / "x.png", direction=(0, 0, 0))
+
+
+# A wedge of two equal triangles and a square, in mm; faces 2 and 3 are one group, which overlaps another.
+WEDGE = (
+    "v 0 0 0\nv 1000 0 0\nv 0 1000 0\nv 0 0 1000\nv 1000 0 1000\n"
+    "g front\nf 1 3 2\ng side\nf 1 4 3\ng back top\nf 1 2 5\nf 1 5 4\n"
+)
+
+
+def test_inspect_reports_and_draws_the_active_part(tmp_path, capsys):
+    path, picture = tmp_path / "wedge.obj", tmp_path / "wedge.svg"
+    path.write_text(WEDGE)
+    words = ["inspect", str(path), "--unit", "mm"]
+    assert main(words) == 0
+    assert "active" not in capsys.readouterr().out
+    for choice, said in (
+        (["--active", "back"], "2 of 4, 1 of 2 m²"),
+        (["--active", "back", "top", "front"], "3 of 4, 1.5 of 2 m²"),
+        (["--active-faces", "1"], "1 of 4, 0.5 of 2 m²"),
+        (["--active-faces", "0", "1", "2", "3", "3"], "4 of 4, 2 of 2 m²"),
+    ):
+        assert main([*words, *choice, "--plot", str(picture)]) == 0
+        out = capsys.readouterr().out
+        assert f"  active faces           {said}\n" in out
+        assert f"picture: {picture}" in out
+        drawn = "\n".join(re.findall(r"<!-- (.*?) -->", picture.read_text()))
+        idle = 4 - int(said[0])
+        assert f"not active: {idle} face{'' if idle == 1 else 's'}" in drawn
+        assert "outer side, active" in drawn
+    # The same in Python, and by any other choice of faces.
+    for choice in ("back", [2, 3], [False, False, True, True], lambda c: c[:, 1] == 0.0):
+        report = plot_file(path, picture, unit="mm", active_faces=choice)
+        assert report == examine_file(path, unit="mm", active_faces=choice)
+        assert (report.active_face_count, report.active_area) == (2, pytest.approx(1.0))
+        load_mesh(path, unit="mm").plot(tmp_path / "mesh.svg", active_faces=choice)
+        assert (tmp_path / "mesh.svg").read_bytes() == picture.read_bytes()
+    assert examine_file(path).active_face_count is None
+
+
+def test_the_active_part_is_that_of_the_repaired_mesh(tmp_path, capsys):
+    (tmp_path / "wedge.obj").write_text(WEDGE + "f 1 5 4\n")
+    words = ["inspect", str(tmp_path / "wedge.obj"), "--unit", "mm", "--active", "top"]
+    assert main([*words, "--repair", "duplicate"]) == 0
+    assert "active faces           2 of 4, 1 of 2 m²" in capsys.readouterr().out
+    assert main(words) == 1
+    assert "active faces           3 of 5" in capsys.readouterr().out
+
+
+def test_an_active_part_that_cannot_be_is_named_by_its_option(tmp_path, capsys):
+    path, picture = tmp_path / "wedge.obj", tmp_path / "wedge.png"
+    path.write_text(WEDGE)
+    for choice, message in (
+        (["--active", "bakc"], "--active must be groups of the mesh (back, front, side, top), got 'bakc'"),
+        (["--active-faces", "4"], "--active-faces must be face numbers from 0 to 3, got 4"),
+        (["--active-faces", "-1"], "--active-faces must be face numbers from 0 to 3, got -1"),
+        (["--active", "top", "--unit", "inch"], "unit must be one of m, dm"),
+    ):
+        assert main(["inspect", str(path), *choice, "--plot", str(picture)]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.startswith(f"warpcontact: {message}")
+        assert not picture.exists()
+    for choice in (["--active-faces", "top"], ["--active"], ["--active", "top", "--active-faces", "1"]):
+        with pytest.raises(SystemExit) as caught:
+            main(["inspect", str(path), *choice])
+        assert caught.value.code == 2
+    capsys.readouterr()
+    # Of a file that nobody can read this is what counts.
+    (tmp_path / "empty.stl").write_bytes(b"solid nothing")
+    assert main(["inspect", str(tmp_path / "empty.stl"), "--active", "top"]) == 1
+    assert "--active" not in capsys.readouterr().err
+
+
+def test_the_active_part_of_an_unusable_mesh_is_drawn_as_far_as_it_has_a_place(tmp_path):
+    (tmp_path / "broken.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 9\n")
+    for choice, count in (([0, 1], 2), (lambda c: c[:, 0] > 0, 1)):
+        report = plot_file(tmp_path / "broken.obj", tmp_path / "broken.png", active_faces=choice)
+        assert not report.usable
+        assert (report.active_face_count, report.active_area) == (count, 0.5)

@@ -88,6 +88,16 @@ def _parser() -> argparse.ArgumentParser:
         "--trusted", action="store_true", help="read the file without limits on time, memory and other files"
     )
     inspect.add_argument("--plot", metavar="FILE", help="draw it, defects marked, into an .svg or .png file")
+    active = inspect.add_mutually_exclusive_group()
+    active.add_argument(
+        "--active",
+        metavar="GROUP",
+        nargs="+",
+        help="groups of faces that can touch: report their area, and draw the others pale",
+    )
+    active.add_argument(
+        "--active-faces", metavar="N", nargs="+", type=int, help="the same with numbers of faces, from 0"
+    )
     inspect.set_defaults(command=_inspect)
 
     laws_command.add_to(commands)
@@ -162,12 +172,14 @@ def _inspect(arguments: argparse.Namespace) -> int:
 
     options = {name: getattr(arguments, name) for name in ("scale", "unit", "prim", "tolerance", "trusted")}
     options["repair"] = arguments.repair.split(",") if arguments.repair else False
+    options["active_faces"] = arguments.active or arguments.active_faces
     try:
         if arguments.plot:
             check_path(arguments.plot)
         report = examine_file(arguments.mesh, **options)
     except (MeshError, ValueError) as error:
-        return _fail(str(error))
+        option = "--active" if arguments.active else "--active-faces"
+        return _fail(re.sub("^active_faces", option, str(error)))
     if not report.vertex_count and not report.face_count:  # nothing could be read
         for problem in report.errors:
             print(f"warpcontact: {arguments.mesh}: {problem}", file=sys.stderr)

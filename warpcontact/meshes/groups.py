@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +10,22 @@ import numpy.typing as npt
 #: What chooses faces: a mask (F,) or face numbers; names of groups; or a function that is given the centroids
 #: (F, 3) [m], in the frame of the mesh, and returns a mask. ``None``: all.
 FaceChoice = npt.ArrayLike | str | Callable[[npt.NDArray[np.float64]], npt.ArrayLike] | None
+
+
+class Faces(Protocol):
+    """Triangles with named groups."""
+
+    @property
+    def vertices(self) -> npt.NDArray[np.float64]:
+        """Positions, (V, 3) [m]."""
+
+    @property
+    def faces(self) -> npt.NDArray[Any]:
+        """Vertex indices of each triangle, (F, 3)."""
+
+    @property
+    def groups(self) -> Mapping[str, npt.NDArray[Any]]:
+        """Face numbers by the name of a group."""
 
 
 def checked_groups(groups: Mapping[str, npt.ArrayLike] | None, count: int) -> Mapping[str, npt.NDArray[np.int32]]:
@@ -27,20 +43,20 @@ def checked_groups(groups: Mapping[str, npt.ArrayLike] | None, count: int) -> Ma
     return MappingProxyType(checked)
 
 
-def face_mask(label: str, choice: FaceChoice, mesh: Any) -> npt.NDArray[np.bool]:
+def face_mask(label: str, choice: FaceChoice, mesh: Faces) -> npt.NDArray[np.bool]:
     """Returns the mask (F,) of the chosen faces of a mesh.
 
     Args:
         label: What is chosen, for messages.
         choice: What chooses.
-        mesh: A ``Mesh``.
+        mesh: A ``Mesh``, or what was read of a file and may be unusable.
 
     Raises:
         ValueError: If it is none of these, a number is out of range, or there is no such group.
     """
     count = len(mesh.faces)
     if callable(choice):
-        found = np.asarray(choice(mesh.vertices[mesh.faces].mean(axis=1)))
+        found = np.asarray(choice(_centroids(mesh.vertices, mesh.faces)))
         if found.dtype != bool or found.shape != (count,):
             raise ValueError(
                 f"{label} as a function must return a mask of shape ({count},), got {found.dtype} values of shape "
@@ -57,6 +73,14 @@ def face_mask(label: str, choice: FaceChoice, mesh: Any) -> npt.NDArray[np.bool]
             mask[mesh.groups[name]] = True
         return mask
     return _mask(label, choice, count)
+
+
+def _centroids(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """Returns the centroids (F, 3) of faces, not a number where one has a corner that there is not."""
+    known = np.all((faces >= 0) & (faces < len(vertices)), axis=1)
+    centroids = np.full((len(faces), 3), np.nan)
+    centroids[known] = vertices[faces[known]].mean(axis=1)
+    return centroids
 
 
 def _mask(label: str, faces: Any, count: int) -> npt.NDArray[np.bool]:

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from warpcontact.meshes.examine import examine
 from warpcontact.meshes.groups import FaceChoice, checked_groups, face_mask
-from warpcontact.meshes.remarks import flipped, handed_on
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import weld
 
@@ -199,14 +198,15 @@ class Mesh:
         self,
         path: str | PathLike[str],
         *,
-        active_faces: npt.ArrayLike | None = None,
+        active_faces: FaceChoice = None,
         direction: npt.ArrayLike | None = None,
     ) -> None:
         """Draw the mesh, shaded and with its defects marked, into an .svg or .png file.
 
         Args:
             path: The picture.
-            active_faces: Mask (F,) of the part that can touch, as a surface has it; ``None``: all.
+            active_faces: The part that can touch, as for ``Scene.add_surface``: a mask (F,), face numbers, names
+                of groups, or a function of the centroids; ``None``: all.
             direction: Where the eye is in the left view, as a vector (3,) from the mesh; the right view is the
                 opposite one. ``None``: where most of the outer side is seen from.
 
@@ -215,9 +215,8 @@ class Mesh:
         """
         from warpcontact.meshes.picture import plot_arrays
 
-        plot_arrays(
-            self._vertices, self._faces, self._report, path, active_faces=active_faces, direction=direction
-        )
+        active = None if active_faces is None else face_mask("active_faces", active_faces, self)
+        plot_arrays(self._vertices, self._faces, self._report, path, active=active, direction=direction)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # NumPy forgets the read-only flag in copies and pickles; the constructor restores it.

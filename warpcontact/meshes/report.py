@@ -66,6 +66,8 @@ class MeshReport:
         shortest_edge: Length [m].
         longest_edge: Length [m].
         groups: Name and number of faces of each group.
+        active_face_count: Number of active faces; ``None``: nobody chose any.
+        active_area: Their area [m²], likewise.
         repairs: What was done to the mesh on request; everything else here is about what came of it.
         errors: Why the mesh cannot be used, one sentence each; empty for a usable mesh.
         warnings: What to know before using it, one sentence each.
@@ -104,6 +106,8 @@ class MeshReport:
     shortest_edge: float = 0.0
     longest_edge: float = 0.0
     groups: tuple[tuple[str, int], ...] = ()
+    active_face_count: int | None = None
+    active_area: float | None = None
     repairs: tuple[RepairStep, ...] = ()
     errors: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -181,6 +185,9 @@ class MeshReport:
             "coincident vertices": f"{self.coincident_vertex_count}",
             "groups": self._groups(),
         }
+        if self.active_face_count is not None:
+            faces = f"{self.active_face_count} of {self.face_count}"
+            rows["active faces"] = f"{faces}, {self.active_area:.6g} of {self.area:.6g} m²"
         lines = [f"mesh {self.name!r}"] + [f"  {label:<22} {value}" for label, value in rows.items()]
         blocks = {
             "errors": self.errors,

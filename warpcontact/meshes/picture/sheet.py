@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.meshes.groups import FaceChoice
 from warpcontact.meshes.isolation import Limits
 from warpcontact.meshes.picture.defects import Defects, find_defects
 from warpcontact.meshes.picture.marks import draw_marks, line_kinds
@@ -46,6 +47,7 @@ def plot_file(
     tolerance: float = CRACK_LIMIT,
     trusted: bool = False,
     limits: Limits | None = None,
+    active_faces: FaceChoice = None,
 ) -> MeshReport:
     """Draws a mesh file, usable or not, into an .svg or .png file, and returns the report on it.
 
@@ -59,6 +61,7 @@ def plot_file(
         tolerance: Of merging.
         trusted: Whether to read without limits.
         limits: Limits of reading.
+        active_faces: As for :func:`examine_file`; the others are drawn pale.
 
     Raises:
         MeshError: If the file cannot be read, or nothing in it can be drawn.
@@ -70,9 +73,10 @@ def plot_file(
 
     check_path(picture)
     options = Options(scale, unit, prim, repair, tolerance, trusted, limits)
-    vertices, faces, _, report = examined(Path(path), None, options)
-    plot_arrays(vertices, faces, report, picture)
-    return report
+    found = examined(Path(path), None, options)
+    active = found.active(active_faces)
+    plot_arrays(found.vertices, found.faces, found.report, picture, active=active)
+    return found.complete_report(active)
 
 
 def plot_arrays(
@@ -81,7 +85,7 @@ def plot_arrays(
     report: MeshReport,
     path: str | PathLike[str],
     *,
-    active_faces: npt.ArrayLike | None = None,
+    active: npt.NDArray[np.bool_] | None = None,
     direction: npt.ArrayLike | None = None,
 ) -> None:
     """Draws triangles, usable as a mesh or not, into an .svg or .png file.
@@ -91,7 +95,7 @@ def plot_arrays(
         faces: Vertex indices of each triangle, (F, 3).
         report: What is known of them.
         path: The picture.
-        active_faces: Mask (F,) of the part that can touch; ``None``: all.
+        active: Mask (F,) of the part that can touch; ``None``: all, and nothing is said of it.
         direction: Where the eye is in the left view, (3,), seen from the surface; the right view is the opposite
             one. ``None``: where most of the outer side is seen from.
 
@@ -103,7 +107,6 @@ def plot_arrays(
 
     file = check_path(path)
     v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
-    active = _active(active_faces, len(f))
     defects = find_defects(v, f) if v.ndim == f.ndim == 2 and v.size and f.size else None
     if defects is None or not defects.drawable.any():
         raise ValueError(f"{report.name!r} has no face that can be drawn")
@@ -252,17 +255,6 @@ def _legend(
 
 def _count(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
-
-
-def _active(faces: npt.ArrayLike | None, count: int) -> npt.NDArray[np.bool_] | None:
-    if faces is None:
-        return None
-    mask = np.asarray(faces)
-    if mask.dtype != bool or mask.shape != (count,):
-        raise ValueError(
-            f"active_faces must be a mask of {count} booleans, got {mask.dtype} of shape {mask.shape}"
-        )
-    return mask
 
 
 def _direction(value: npt.ArrayLike) -> Array:
