@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+import xarray as xr
 from test_experiment import content
 
 import warpcontact as wc
@@ -129,13 +130,100 @@ def test_picture_shows_what_differs_from_the_side_that_tells(tmp_path):
 def test_section_lies_on_the_surface(shape):
     from matplotlib.figure import Figure
 
-    from warpcontact.experiment import picture
+    from warpcontact.experiment.ground import Ground, draw_section
 
     scene = wc.Experiment(content(surface=[{"name": "ground", "mesh": {"shape": shape}}])).scene()
     axes = Figure().add_subplot()
-    picture._draw_section(axes, scene.surfaces[0], 0.0)
+    draw_section(axes, Ground.of(xr.Dataset(), scene.surfaces[0]), 0.0)
     points = np.concatenate(axes.collections[0].get_segments())
     if shape == "icosphere":
         np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1.0, atol=0.01)
     else:
         np.testing.assert_allclose(points[:, 1], 0.0, atol=1e-4)
+
+
+LEFT = {"shape": "grid", "size": [4.0, 4.0], "cells": [2, 1]}  # faces 0 and 1 have x < 0
+STEP = {"shape": "box", "size": [4.0, 4.0, 0.2]}
+
+
+def drawn(folder, monkeypatch, body=(), **changes):
+    """Runs a small experiment, and returns its recording and the figure of its picture."""
+    from matplotlib.figure import Figure
+
+    figures = []
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda self, *given: (figures.append(self), save(self, *given)))
+    ball = content()["body"][0] | dict(body)
+    run = wc.Experiment(content(body=[ball], **changes)).run(folder, device="cpu")
+    return run.recording, figures[0]
+
+
+def said(figure):
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_picture_tells_inactive_faces_from_active_ones(tmp_path, monkeypatch):
+    surface = {"name": "ground", "mesh": LEFT, "active_faces": [2, 3]}
+    varied = {"ball.position": {"linspace": [[-1, -1, 0.2], [1, 1, 0.2]]}}
+    _, figure = drawn(tmp_path, monkeypatch, surface=[surface], variation=varied)
+    faces = figure.axes[0].collections[0]
+    colors = faces.get_facecolor()[:, :3]
+    x = np.array([path.vertices[:3, 0].mean() for path in faces.get_paths()])
+    assert len(x) == 4
+    assert (np.ptp(colors[x > 0], axis=1) == 0).all()
+    # No track has the hue: red is the least of the three.
+    assert (colors[x < 0, 1:].min(axis=1) > colors[x < 0, 0] + 0.1).all()
+    assert said(figure) == ["active faces", "inactive faces, which cannot touch"]
+    patches = [handle.get_facecolor()[:3] for handle in figure.legends[0].get_patches()]
+    ratio = colors[x < 0] / colors[x > 0][0]
+    np.testing.assert_allclose(ratio, np.broadcast_to(np.divide(patches[1], patches[0]), (2, 3)), rtol=1e-6)
+
+
+def test_section_tells_inactive_faces_from_active_ones(tmp_path, monkeypatch):
+    surface = {"name": "ground", "mesh": LEFT, "active_faces": [2, 3]}
+    moving = {"position": [0, 0, 0.5], "linear_velocity": [3, 0, 0]}
+    _, figure = drawn(tmp_path, monkeypatch, moving, surface=[surface])
+    lines = figure.axes[0].collections[0]
+    x = np.array([segment[:, 0].mean() for segment in lines.get_segments()])
+    colors = lines.get_color()[:, :3]
+    assert (np.ptp(colors[x > 0], axis=1) == 0).all()
+    assert (np.ptp(colors[x < 0], axis=1) > 0.3).all()
+    handles = [handle.get_color() for handle in figure.legends[0].get_lines()]
+    np.testing.assert_array_equal(colors[x > 0], np.broadcast_to(handles[0], (2, 3)))
+    np.testing.assert_array_equal(colors[x < 0], np.broadcast_to(handles[1], (2, 3)))
+
+
+def test_picture_says_nothing_of_active_faces_where_all_are(tmp_path, monkeypatch):
+    hidden = {"name": "roof", "mesh": LEFT, "active_faces": [0], "visible": False}
+    surfaces = [content()["surface"][0] | {"active_faces": [0, 1]}, hidden]
+    _, figure = drawn(tmp_path, monkeypatch, surface=surfaces)
+    assert said(figure) == []
+    assert "surfaces as in" not in figure.axes[0].get_title()
+
+
+@pytest.mark.parametrize(
+    ("variation", "differ"), [({"values": [1, 0, 0, 1]}, True), ({"value": 1}, False)], ids=["each", "one"]
+)
+def test_picture_shows_the_mesh_that_the_first_environment_has(variation, differ, tmp_path, monkeypatch):
+    from warpcontact.experiment import picture
+    from warpcontact.experiment.ground import Ground
+
+    surface = {"name": "ground", "mesh": [LEFT, STEP], "active_faces": [[0], True]}
+    varied = {
+        "ground.mesh": variation,
+        "ground.scale": {"value": 2},
+        "ball.mass": {"linspace": [1, 2]},
+        "ball.position": {"linspace": [[-1, -1, 0.5], [1, 1, 0.5]]},
+    }
+    recording, figure = drawn(tmp_path, monkeypatch, surface=[surface], variation=varied)
+    ground = Ground.of(recording, recording.scene.surfaces[0])
+    assert ground.shared is not differ
+    np.testing.assert_allclose(ground.corners.max(axis=(0, 1)), [4, 4, 0.2])
+    assert ground.active.all()
+    # Faces of the box are as wide as it is, those of the grid half as much.
+    assert all(np.ptp(path.vertices[:, 0]) == 8.0 for path in figure.axes[0].collections[0].get_paths())
+    assert said(figure) == []
+    assert ("surfaces as in environment 0" in figure.axes[0].get_title()) is differ
+    # What is the same everywhere is no colour of tracks.
+    expected = "ground.mesh" if differ else "ball.mass [kg]"
+    assert picture._color_values(recording, list(varied))[1] == expected

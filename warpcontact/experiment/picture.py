@@ -12,22 +12,21 @@ import numpy as np
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from warpcontact.frames import placed
+from warpcontact.experiment.ground import Ground, draw_from_above, draw_section, grounds_of, legend_entries
 from warpcontact.recorder import Recording
-from warpcontact.scene import Scene, Surface
+from warpcontact.scene import Scene
 
 # More tracks would hide each other.
 TRACKS = 200
 # Quantiles of more environments than this look the same and take longer.
 SAMPLE = 4096
 COLORS = "plasma"
-# Direction of the light on the ground, from the upper left.
-LIGHT = np.array([-0.5, 0.5, 0.7]) / np.linalg.norm([-0.5, 0.5, 0.7])
 # Values that span more than this factor are coloured on a logarithmic scale.
 LOGARITHMIC = 30.0
 # Tracks with a smaller extent along y, as part of the largest, are seen from the side.
@@ -50,7 +49,8 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
     envs, times = recording.sizes["env"], recording["time"].values
     tracks = [recording[f"{body.name}.position"].values for body in recording.scene.bodies]
     plane = _plane(tracks)
-    window = _window(recording.scene, [track[..., plane] for track in tracks], plane)
+    grounds = grounds_of(recording)
+    window = _window(recording.scene, grounds, [track[..., plane] for track in tracks], plane)
     width, height = window[1] - window[0]
     wide = bool(width > WIDE * height)
     size = (13.0, 4.0 + 10.8 * height / width) if wide else (13.0, 6.8)
@@ -64,7 +64,7 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
         grid = figure.add_gridspec(2, 2, width_ratios=(float(np.clip(width / height, 0.6, 1.15)), 1.0))
         places = grid[:, 0], grid[0, 1], grid[1, 1]
     above, first, second = (figure.add_subplot(place) for place in places)
-    _draw_tracks(figure, above, recording, varied, plane, window, wide)
+    _draw_tracks(figure, above, recording, grounds, varied, plane, window, wide)
     for axes, (values, label) in zip((first, second), _chosen_readings(recording), strict=True):
         _draw_quantiles(axes, times, values, label)
         axes.set_xlabel("time [s]")
@@ -87,6 +87,7 @@ def _draw_tracks(
     figure: Figure,
     axes: Any,
     recording: Recording,
+    grounds: list[Ground],
     varied: list[str],
     plane: list[int],
     window: tuple[NDArray[Any], NDArray[Any]],
@@ -97,12 +98,15 @@ def _draw_tracks(
     chosen = np.unique(np.linspace(0, envs - 1, min(envs, TRACKS)).astype(int))
     tracks = [recording[f"{body.name}.position"].isel(env=chosen).values for body in scene.bodies]
     lower, upper = window
-    for surface in scene.surfaces:
-        if surface.body is None and surface.visible:
-            if plane == [0, 2]:
-                _draw_section(axes, surface, float(np.mean([track[..., 1].mean() for track in tracks])))
-            else:
-                _draw_ground(axes, surface, lower, upper)
+    from_above = plane == [0, 1]
+    for ground in grounds:
+        if from_above:
+            draw_from_above(axes, ground, lower, upper)
+        else:
+            draw_section(axes, ground, float(np.mean([track[..., 1].mean() for track in tracks])))
+    if not all(ground.active.all() for ground in grounds):
+        # Below everything, where it hides no track.
+        figure.legend(handles=legend_entries(from_above), loc="outside lower left", ncols=2, fontsize="small")
     values, label = _color_values(recording, varied)
     norm = _norm(values)
     for track in tracks:
@@ -115,24 +119,30 @@ def _draw_tracks(
         axes.scatter(*ends, c=values[chosen], cmap=COLORS, norm=norm, s=22, edgecolors="black", lw=0.6, zorder=3)
     axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), aspect="equal")
     axes.set(xlabel="x [m]", ylabel=f"{'xyz'[plane[1]]} [m]")
-    view = "from above" if plane == [0, 1] else "from the side"
+    view = "from above" if from_above else "from the side"
     which = f"{len(chosen)} of {envs} environments" if len(chosen) < envs else "all environments"
-    axes.set_title(f"tracks {view}, {which}; dots: the end", fontsize="medium")
+    # What differs between environments can be shown as it is in one.
+    surfaces = "" if all(ground.shared for ground in grounds) else "; surfaces as in environment 0"
+    axes.set_title(f"tracks {view}, {which}; dots: the end{surfaces}", fontsize="medium")
     if envs > 1:
         # Beside the tracks if they are wide, otherwise below.
         bar: dict[str, Any] = (
             {"location": "right", "aspect": 25} if wide else {"location": "bottom", "shrink": 0.7, "aspect": 40}
         )
+        if not isinstance(norm, LogNorm) and (values == np.round(values)).all():
+            bar["ticks"] = MaxNLocator(integer=True)
         figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, label=label, pad=0.01, **bar)
 
 
-def _window(scene: Scene, tracks: list[NDArray[Any]], plane: list[int]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _window(
+    scene: Scene, grounds: list[Ground], tracks: list[NDArray[Any]], plane: list[int]
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Returns the lower left and upper right corner of what is shown: the tracks with some room around them."""
     points = np.concatenate([track.reshape(-1, 2) for track in tracks])
     points = points[np.isfinite(points).all(axis=1)]
     lower, upper = points.min(axis=0), points.max(axis=0)
     radius = max((float(contact.radius) for contact in scene.contacts), default=0.0)
-    spans = [np.ptp(_vertices(s)[:, plane], axis=0).max() for s in scene.surfaces if s.body is None]
+    spans = [np.ptp(ground.corners[..., plane].reshape(-1, 2), axis=0).max() for ground in grounds]
     # A drop straight down still needs some ground to be seen on.
     least = max(10.0 * radius, 0.05 * max(spans, default=0.0), 1.0e-3)
     half = 0.5 * np.maximum(1.12 * (upper - lower), least)
@@ -141,63 +151,15 @@ def _window(scene: Scene, tracks: list[NDArray[Any]], plane: list[int]) -> tuple
     return centre - half, centre + half
 
 
-def _vertices(surface: Surface) -> NDArray[Any]:
-    """Returns the vertices of a surface of the world, in the world [m]."""
-    return placed(surface.scale * surface.mesh.vertices, surface.position, surface.orientation)
-
-
-def _draw_ground(axes: Any, surface: Surface, lower: NDArray[Any], upper: NDArray[Any]) -> None:
-    """Draws the faces within the window, lower ones first, grey by height and by their slope to the light."""
-    corners = _vertices(surface)[surface.mesh.faces]
-    near = (corners[..., :2].max(axis=1) >= lower).all(axis=1) & (corners[..., :2].min(axis=1) <= upper).all(
-        axis=1
-    )
-    corners = corners[near]
-    if not len(corners):
-        return
-    height = corners[..., 2].mean(axis=1)
-    corners, height = corners[np.argsort(height)], np.sort(height)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # Seen from above whatever its outer side.
-    normal *= np.where(normal[:, 2:] < 0.0, -1.0, 1.0)
-    level = (height - height[0]) / max(float(height[-1] - height[0]), 1.0e-9)
-    grey = np.clip(0.45 + 0.25 * level + 0.35 * (normal @ LIGHT - LIGHT[2]) + 0.2, 0.0, 1.0)
-    polygons = PolyCollection(
-        list(corners[..., :2]), facecolors=grey[:, None].repeat(3, axis=1), edgecolors="face"
-    )
-    # Smoothed edges would leave a seam between neighbours.
-    polygons.set(linewidth=0.5, antialiased=False)
-    axes.add_collection(polygons)
-
-
-def _draw_section(axes: Any, surface: Surface, y: float) -> None:
-    """Draws where the plane of the tracks, at ``y``, cuts the surface."""
-    corners = _vertices(surface)[surface.mesh.faces]
-    # Not through vertices and along edges.
-    y += 1.0e-6 * float(np.ptp(corners[..., 1]) or 1.0)
-    side = corners[..., 1] > y
-    cut = side.any(axis=1) & ~side.all(axis=1)
-    corners, side = corners[cut], side[cut]
-    if not len(corners):
-        return
-    ends = np.roll(corners, -1, axis=1)
-    crossing = side != np.roll(side, -1, axis=1)  # two of the three edges
-    start, end = corners[crossing], ends[crossing]
-    part = (y - start[:, 1]) / (end[:, 1] - start[:, 1])
-    points = (start + part[:, None] * (end - start))[:, [0, 2]]
-    axes.add_collection(LineCollection(list(points.reshape(-1, 2, 2)), colors="0.45", linewidths=2.0, zorder=0))
-
-
 def _color_values(recording: Recording, varied: list[str]) -> tuple[NDArray[Any], str]:
     """Returns one number per environment and what it is."""
     for name in varied:
-        # What was set alike for all items of a set is one number as well.
+        # What was set alike for all items of a set is one number as well; alike everywhere, it tells nothing.
         array = recording.get(name)
         if array is None or array.dims[0] != "env" or not set(array.dims).isdisjoint(("axis", "component", "row")):
             continue
         values = array.values.reshape(array.sizes["env"], -1)
-        if (values == values[:, :1]).all():
+        if (values == values[:, :1]).all() and (len(values) == 1 or (values != values[0]).any()):
             return values[:, 0], _label(name, array)
     return recording["env"].values, "environment"
 
