@@ -2,7 +2,7 @@
 
     python benchmarks/precision.py --out benchmarks/results/precision-cpu.json
 
-The scenes are those of ``step_rate.py``. Each round runs the reference and then the other; the ratio of a round
+The scenes are those of ``works.py``. Each round runs the reference and then the other; the ratio of a round
 compares neighbours in time, and the report has the median and the spread over the rounds, so that a machine that
 others use as well tells something too.
 """
@@ -15,7 +15,9 @@ import time
 from pathlib import Path
 
 import warp as wp
-from step_rate import build, device_facts
+from engines.warpcontact import simulation
+from facts import facts
+from works import WORKS
 
 import warpcontact as wc
 
@@ -43,7 +45,7 @@ def compare(
     scene: str, envs: int, device: str, steps: int, rounds: int, pair: tuple[dict, dict]
 ) -> dict[str, float]:
     """Returns the ratio of the times of the other to those of the reference, and the rate of the reference."""
-    sims = [build(scene, envs, device, **options) for options in pair]
+    sims = [simulation(WORKS[scene], envs, device, **options) for options in pair]
     for sim in sims:
         sim.step(2)
     times = [[seconds(sim, device, steps) for sim in sims] for _ in range(rounds)]
@@ -74,8 +76,13 @@ def main() -> None:
             results.setdefault(name, {})[scene] = figures
             print(f"{name:32} {scene:6} {figures['ratio']:6.2f} times the time", flush=True)
     if options.out:
-        facts = {**device_facts(options.device), "cpu cores": os.cpu_count(), "environments": options.envs}
-        report = {"facts": facts, "steps": options.steps, "rounds": options.rounds, "time_ratio": results}
+        about = {
+            **facts(options.device, os.cpu_count() or 1),
+            "warp": wp.__version__,
+            "warpcontact": wc.__version__,
+            "environments": options.envs,
+        }
+        report = {"facts": about, "steps": options.steps, "rounds": options.rounds, "time_ratio": results}
         options.out.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
 
 

@@ -1,0 +1,68 @@
+"""MuJoCo Warp: the models of MuJoCo; steps are replayed from a graph on a GPU, as its own speed test does."""
+
+from typing import Any
+
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from works import Work
+
+from engines import mjcf
+
+WORKS = ("W1", "W2p8", "W2p64", "W3")
+PACKAGES = ("mujoco-warp", "mujoco", "warp-lang", "numpy")
+
+#: Pairs that may touch, on average over all environments, and contacts of one environment at most.
+PAIRS = {"W1": 4, "W2p8": 10, "W2p64": 72, "W3": 48}
+CONTACTS = {"W1": 8, "W2p8": 12, "W2p64": 24, "W3": 64}
+STEPS_IN_GRAPH = 10
+
+
+class Run:
+    """See the package."""
+
+    def __init__(self, work: Work, envs: int, device: str, threads: int, variant: str) -> None:
+        wp.config.log_level = wp.LOG_ERROR
+        self._shape = (envs, work.bodies)
+        host = mjcf.model(work)
+        wp.set_device(device)
+        self._model = mjw.put_model(host)
+        self._data = mjw.make_data(host, nworld=envs, nconmax=PAIRS[work.name], njmax=3 * CONTACTS[work.name])
+        self._start = wp.array(mjcf.start(work, envs), dtype=float)
+        self.reset()
+        mjw.step(self._model, self._data)  # compiles everything
+        self._graph = None
+        if wp.get_device(device).is_cuda:
+            with wp.ScopedCapture() as capture:
+                self._take(STEPS_IN_GRAPH)
+            self._graph = capture.graph
+        self.reset()
+
+    def _take(self, count: int) -> None:
+        for _ in range(count):
+            mjw.step(self._model, self._data)
+
+    def reset(self) -> None:
+        wp.copy(self._data.qpos, self._start)
+        for values in (self._data.qvel, self._data.qacc_warmstart, self._data.time):
+            values.zero_()
+
+    def step(self, count: int) -> None:
+        if self._graph is None:
+            self._take(count)
+        else:
+            for _ in range(count // STEPS_IN_GRAPH):
+                wp.capture_launch(self._graph)
+
+    def wait(self) -> None:
+        wp.synchronize()
+
+    def positions(self) -> np.ndarray:
+        return self._data.qpos.numpy().reshape(*self._shape, 7)[..., :3]
+
+    def notes(self) -> dict[str, Any]:
+        return {
+            "overflow": bool(self._data.overflow.numpy().any()),
+            "contacts": round(int(self._data.nacon.numpy()[0]) / self._shape[0], 2),
+            "rows": int(self._data.nefc.numpy().max()),
+        }

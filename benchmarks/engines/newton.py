@@ -1,0 +1,97 @@
+"""Newton: the triangles of the surface, its collision pipeline, and one of two solvers.
+
+SemiImplicit has springs and dampers, so k, c and μ are the same; its friction grows with slip by a slope in N·s/m,
+which is taken so that a body at rest feels the slope of the others. XPBD has rigid contacts, μ alone. Steps are
+replayed from a graph on both devices. What makes it fast in these works is set: the distance at which contacts are
+looked for (SemiImplicit acts on overlap alone and needs none; a body of XPBD moves at most 4 mm in a step; with
+the default of 10 cm both take several times as long, for the same motion), and buffers that suffice and no more.
+"""
+
+from typing import Any
+
+import newton
+import numpy as np
+import warp as wp
+from works import DAMPING, DT, FRICTION, GRAVITY, SLIP_SPEED, STIFFNESS, Work
+
+WORKS = ("W1", "W2p8", "W2p64", "W3")
+PACKAGES = ("newton", "warp-lang", "numpy")
+
+GAPS = {"semi-implicit": 0.0, "xpbd": 0.004}
+#: Triangles near the shapes of one environment, and contacts, on average over all: about twice what was seen.
+TRIANGLES = {"W1": 32, "W2p8": 64, "W2p64": 512, "W3": 512}
+CONTACTS = {"W1": 8, "W2p8": 32, "W2p64": 128, "W3": 128}
+STEPS_IN_GRAPH = 10  # even, so that the state is back in the first of its two buffers
+
+
+class Run:
+    """See the package."""
+
+    def __init__(self, work: Work, envs: int, device: str, threads: int, variant: str) -> None:
+        wp.config.log_level = wp.LOG_ERROR
+        self._shape = (envs, work.bodies)
+        with wp.ScopedDevice(device):
+            self._model = _model(work, envs, GAPS[variant])
+            self._pipeline = newton.CollisionPipeline(
+                self._model,
+                rigid_contact_max=CONTACTS[work.name] * envs,
+                max_triangle_pairs=max(TRIANGLES[work.name] * envs, 1000),
+            )
+            self._contacts = self._pipeline.contacts()
+            if variant == "xpbd":
+                self._solver = newton.solvers.SolverXPBD(self._model)
+            else:
+                self._solver = newton.solvers.SolverSemiImplicit(self._model, angular_damping=0.0)
+            self._states = [self._model.state(), self._model.state()]
+            self._control = self._model.control()
+            poses = np.zeros((envs * work.bodies, 7), dtype=np.float32)
+            poses[:, :3], poses[:, 6] = work.start(envs).reshape(-1, 3), 1.0
+            self._start = wp.array(poses, dtype=wp.transform)
+            self.reset()
+            self._take(2)  # compiles everything
+            with wp.ScopedCapture(device=device) as capture:
+                self._take(STEPS_IN_GRAPH)
+            self._graph = capture.graph
+            self.reset()
+
+    def _take(self, count: int) -> None:
+        state, other = self._states
+        for _ in range(count):
+            state.clear_forces()
+            self._pipeline.collide(state, self._contacts)
+            self._solver.step(state, other, self._control, self._contacts, DT)
+            state, other = other, state
+
+    def reset(self) -> None:
+        wp.copy(self._states[0].body_q, self._start)
+        self._states[0].body_qd.zero_()
+
+    def step(self, count: int) -> None:
+        for _ in range(count // STEPS_IN_GRAPH):
+            wp.capture_launch(self._graph)
+
+    def wait(self) -> None:
+        wp.synchronize()
+
+    def positions(self) -> np.ndarray:
+        return self._states[0].body_q.numpy().reshape(*self._shape, 7)[..., :3]
+
+    def notes(self) -> dict[str, Any]:
+        return {"contacts": round(int(self._contacts.rigid_contact_count.numpy()[0]) / self._shape[0], 2)}
+
+
+def _model(work: Work, envs: int, gap: float) -> newton.Model:
+    slope = FRICTION * work.mass * GRAVITY / (SLIP_SPEED * work.resting_contacts)
+    material = newton.ModelBuilder.ShapeConfig(
+        ke=STIFFNESS, kd=DAMPING, kf=slope, mu=FRICTION, mu_torsional=0.0, mu_rolling=0.0, density=0.0, gap=gap
+    )
+    one = newton.ModelBuilder(gravity=(0.0, 0.0, -GRAVITY))
+    for _ in range(work.bodies):
+        body = one.add_body(mass=work.mass, inertia=wp.mat33(np.eye(3) * work.inertia))
+        for centre, radius in work.spheres():
+            one.add_shape_sphere(body, xform=wp.transform(wp.vec3(*centre)), radius=radius, cfg=material)
+    scene = newton.ModelBuilder(gravity=(0.0, 0.0, -GRAVITY))
+    mesh = newton.Mesh(work.surface.vertices, work.surface.faces.ravel(), compute_inertia=False)
+    scene.add_shape_mesh(-1, mesh=mesh, cfg=material)
+    scene.replicate(one, envs)
+    return scene.finalize()
