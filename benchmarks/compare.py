@@ -1,0 +1,145 @@
+"""This engine and its peers side by side at the same works, in turn.
+
+    python benchmarks/compare.py                                        # on the CPU, all cores
+    python benchmarks/compare.py --device cuda:0 --envs 8192 32768 131072
+    python benchmarks/compare.py --engines warpcontact --works W1 --envs 1 64 1024
+
+Peers get an environment of their own when they are first needed; ``--here`` runs all engines in the present
+interpreter, ``--python newton=PATH`` one in another. Every round runs each engine once, so that what else a
+machine does hits all alike. Each engine is then taken at its best number of environments.
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from engines import ENGINES
+from environments import CACHE, interpreter
+from facts import facts, file_name
+from side_by_side import SideBySide
+from table import lines, summarise
+from tqdm import tqdm
+from works import STEPS, WORKS
+
+RESULTS = Path(__file__).parent / "results"
+
+
+def main() -> None:
+    """Prints a table and writes the figures."""
+    options = arguments()
+    about = facts(options.device, options.threads)
+    out = options.out or RESULTS / file_name(options.device, str(about["device"]))
+    pythons = {name: python_of(name, options) for name in options.engines}
+    entries: list[dict[str, Any]] = []
+    runs = len(options.engines) * (options.rounds + 2)
+    with tqdm(total=len(options.works) * len(options.envs) * runs, unit="run", disable=None) as bar:
+        for work in options.works:
+            able = dict(pythons)
+            for envs in options.envs:
+                done = bar.n
+                found = compare(work, envs, able, options, bar)
+                bar.update(done + runs - bar.n)  # also for engines that were left out
+                for entry in found:
+                    if not quick(entry, options):
+                        able.pop(entry["engine"])
+                entries += found
+                write(out, about, options, entries)
+    print(f"{about['device']}, {about['cores']} cores, {about['date']}")
+    print("\n".join(lines(summarise(entries))))
+    print(f"written to {out}")
+
+
+def compare(
+    work: str, envs: int, pythons: dict[str, Path], options: argparse.Namespace, bar: tqdm
+) -> list[dict[str, Any]]:
+    """Returns the results of engines at a work."""
+
+    def progress(name: str) -> None:
+        if name:
+            bar.set_description(f"{work} {envs} {name}")
+        else:
+            bar.update()
+
+    arguments = ["--steps", options.steps, "--device", options.device, "--threads", options.threads]
+    with tempfile.TemporaryDirectory() as folder:
+        cold = Path(folder) if options.cold else None
+        race = SideBySide(work, envs, pythons, [str(part) for part in arguments], cold, options.patience, progress)
+        try:
+            race.start(together=options.together)
+            for _ in range(options.rounds):
+                rates = race.round()
+                if any(envs * options.steps / rate > options.longest for rate in rates.values()):
+                    break  # nobody has an advantage from more rounds
+            race.finish()
+        finally:
+            race.end()
+    return list(race.entries.values())
+
+
+def quick(entry: dict[str, Any], options: argparse.Namespace) -> bool:
+    """Returns whether an engine is worth trying with more environments."""
+    rates = entry.get("env_steps_per_s")
+    return bool(rates) and entry["envs"] * options.steps / max(rates) < options.longest
+
+
+def python_of(name: str, options: argparse.Namespace) -> Path:
+    """Returns the interpreter of an engine."""
+    given = dict(text.split("=", 1) for text in options.python)
+    file = ENGINES[name].file
+    for key in (name, file):
+        if key in given:
+            return Path(given[key])
+    return Path(sys.executable) if options.here else interpreter(file, options.cache)
+
+
+def write(out: Path, about: dict[str, Any], options: argparse.Namespace, entries: list[dict[str, Any]]) -> None:
+    """Writes what there is so far."""
+    versions = {entry["engine"]: entry["versions"] for entry in entries if "versions" in entry}
+    told = ("versions", "steps", "device")  # of all entries at once
+    measured = [{key: value for key, value in entry.items() if key not in told} for entry in entries]
+    report = {
+        "facts": about,
+        "steps": options.steps,
+        "rounds": options.rounds,
+        "cold_start": options.cold,
+        "versions": versions,
+        "best": summarise(entries),
+        "measured": measured,
+    }
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json.dumps(report, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def arguments() -> argparse.Namespace:
+    """Returns the command line with defaults for the device."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--engines", nargs="+", choices=ENGINES, metavar="ENGINE", help=", ".join(ENGINES))
+    parser.add_argument("--works", nargs="+", choices=WORKS, default=list(WORKS))
+    parser.add_argument("--envs", type=int, nargs="+", help="numbers of environments to try, rising")
+    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="of engines that have threads")
+    parser.add_argument("--here", action="store_true", help="the present interpreter has all engines")
+    parser.add_argument("--python", nargs="+", default=[], metavar="ENGINE=PATH", help="interpreter of an engine")
+    parser.add_argument("--cache", type=Path, default=CACHE, help="where the environments of the peers are made")
+    parser.add_argument("--cold", action="store_true", help="compile everything anew, to measure the first start")
+    parser.add_argument("--together", action="store_true", help="start engines at the same time; saves waiting")
+    parser.add_argument("--patience", type=float, default=900.0, help="seconds to wait for an engine")
+    parser.add_argument("--longest", type=float, default=30.0, help="seconds of a run after which no more follow")
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    cuda = options.device.startswith("cuda")
+    if options.engines is None:
+        options.engines = [name for name, engine in ENGINES.items() if (engine.cuda if cuda else engine.cpu)]
+    if options.envs is None:
+        options.envs = [8192, 32768, 131072] if cuda else [1024]
+    return options
+
+
+if __name__ == "__main__":
+    main()

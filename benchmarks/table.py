@@ -1,0 +1,77 @@
+"""What a comparison comes to: medians, each engine's best number of environments, ratios to the best peer."""
+
+import statistics
+from typing import Any
+
+OWN = "warpcontact"
+
+
+def summarise(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Returns one row for each work and engine, at the number of environments that is its best.
+
+    Args:
+        entries: Results of single processes: ``work``, ``engine``, ``envs``, ``env_steps_per_s`` and more.
+    """
+    rows = []
+    for work, engine in dict.fromkeys((entry["work"], entry["engine"]) for entry in entries):
+        own = [entry for entry in entries if (entry["work"], entry["engine"]) == (work, engine)]
+        done = [entry for entry in own if entry.get("env_steps_per_s")]
+        if not done:
+            rows.append({"work": work, "engine": engine, "why": own[0].get("why", "no run")})
+            continue
+        best = max(done, key=lambda entry: statistics.median(entry["env_steps_per_s"]))
+        rates = best["env_steps_per_s"]
+        rows.append(
+            {
+                "work": work,
+                "engine": engine,
+                "envs": best["envs"],
+                "median": statistics.median(rates),
+                "lowest": min(rates),
+                "highest": max(rates),
+                "start_s": best["start_s"]["process"],
+                **best["sanity"],
+                "doubt": doubt(best),
+            }
+        )
+    for row in rows:
+        peers = [r["median"] for r in rows if r["work"] == row["work"] and r["engine"] != OWN and "median" in r]
+        if peers and "median" in row:
+            row["of_best_peer"] = round(row["median"] / max(peers), 3)
+    return rows
+
+
+def doubt(entry: dict[str, Any]) -> str:
+    """Returns why a run may not be worth its speed, if there is a reason."""
+    sanity, notes = entry["sanity"], entry.get("notes", {})
+    reasons = []
+    if sanity["not_finite"] > 0.0:
+        reasons.append(f"{sanity['not_finite']:.2%} not finite")
+    if sanity["below"] > 0.0:
+        reasons.append(f"{sanity['below']:.2%} below the surface")
+    if sanity["highest_body"] > 0.5:
+        # Bodies fall 0.4 m and lose energy: after a second none can be as high as where it started.
+        reasons.append(f"a body {sanity['highest_body']:.2g} m above the surface")
+    if notes.get("overflow"):
+        reasons.append("contacts overflowed")
+    return ", ".join(reasons)
+
+
+def lines(rows: list[dict[str, Any]]) -> list[str]:
+    """Returns the rows as lines of text, under a heading."""
+    text = [
+        f"{'work':6} {'engine':21} {'envs':>8} {'env-steps/s':>11}  {'lowest … highest':>19} {'× best peer':>11} "
+        f"{'height':>7} {'start':>7}"
+    ]
+    for row in rows:
+        head = f"{row['work']:6} {row['engine']:21}"
+        if "why" in row:
+            text.append(f"{head} {row['why']}")
+            continue
+        spread = f"{row['lowest']:.2e} … {row['highest']:.2e}"
+        ratio = f"{row['of_best_peer']:.2f}" if "of_best_peer" in row else ""
+        text.append(
+            f"{head} {row['envs']:8} {row['median']:11.2e}  {spread:>19} {ratio:>11} {row['mean_height']:5.3f} m "
+            f"{row['start_s']:5.1f} s{'  ! ' + row['doubt'] if row['doubt'] else ''}"
+        )
+    return text
