@@ -29,6 +29,7 @@ def summarise(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "median": statistics.median(rates),
                 "lowest": min(rates),
                 "highest": max(rates),
+                "cores_busy": statistics.median(best["cores_busy"]),
                 "start_s": best["start_s"]["process"],
                 **best["sanity"],
                 "doubt": doubt(best),
@@ -61,7 +62,7 @@ def lines(rows: list[dict[str, Any]]) -> list[str]:
     """Returns the rows as lines of text, under a heading."""
     text = [
         f"{'work':6} {'engine':21} {'envs':>8} {'env-steps/s':>11}  {'lowest … highest':>19} {'× best peer':>11} "
-        f"{'height':>7} {'start':>7}"
+        f"{'cores':>5} {'height':>7} {'start':>7}"
     ]
     for row in rows:
         head = f"{row['work']:6} {row['engine']:21}"
@@ -71,7 +72,7 @@ def lines(rows: list[dict[str, Any]]) -> list[str]:
         spread = f"{row['lowest']:.2e} … {row['highest']:.2e}"
         ratio = f"{row['of_best_peer']:.2f}" if "of_best_peer" in row else ""
         text.append(
-            f"{head} {row['envs']:8} {row['median']:11.2e}  {spread:>19} {ratio:>11} {row['mean_height']:5.3f} m "
-            f"{row['start_s']:5.1f} s{'  ! ' + row['doubt'] if row['doubt'] else ''}"
+            f"{head} {row['envs']:8} {row['median']:11.2e}  {spread:>19} {ratio:>11} {row['cores_busy']:5.2f} "
+            f"{row['mean_height']:5.3f} m {row['start_s']:5.1f} s{'  ! ' + row['doubt'] if row['doubt'] else ''}"
         )
     return text

@@ -135,7 +135,8 @@ class Work:
         """Returns the positions at the start, ``(envs, bodies, 3)``."""
         rng = np.random.default_rng(1)
         if self.bodies == 1:
-            reach = np.array([self.surface.x[-1], self.surface.y[-1]]) - 0.5
+            # A meter from the border, so that none gets there.
+            reach = np.array([self.surface.x[-1], self.surface.y[-1]]) - 1.0
             plane = rng.uniform(-reach, reach, (envs, 1, 2))
         else:
             rows = 2

@@ -98,6 +98,7 @@ def test_a_row_is_the_best_number_of_environments_against_the_best_peer():
             "engine": engine,
             "envs": envs,
             "env_steps_per_s": list(rates),
+            "cores_busy": [2.0] * len(rates),
             "start_s": {"process": 1.0},
             "sanity": figures,
         }
