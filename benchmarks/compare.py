@@ -12,6 +12,7 @@ machine does hits all alike. Each engine is then taken at its best number of env
 import argparse
 import json
 import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -88,11 +89,10 @@ def quick(entry: dict[str, Any], options: argparse.Namespace) -> bool:
 
 def python_of(name: str, options: argparse.Namespace) -> Path:
     """Returns the interpreter of an engine."""
-    given = dict(text.split("=", 1) for text in options.python)
     file = ENGINES[name].file
     for key in (name, file):
-        if key in given:
-            return Path(given[key])
+        if key in options.python:
+            return Path(options.python[key])
     return Path(sys.executable) if options.here else interpreter(file, options.cache)
 
 
@@ -133,6 +133,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--longest", type=float, default=30.0, help="seconds of a run after which no more follow")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
+    options.python = dict(text.partition("=")[::2] for text in options.python)
+    known = {*ENGINES, *(engine.file for engine in ENGINES.values())}
+    for name, path in options.python.items():
+        if name not in known or not shutil.which(path):
+            names = ", ".join(sorted(known))
+            parser.error(f"--python: {name}={path} is not one of {names} and an interpreter")
     cuda = options.device.startswith("cuda")
     if options.engines is None:
         options.engines = [name for name, engine in ENGINES.items() if (engine.cuda if cuda else engine.cpu)]
