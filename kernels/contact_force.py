@@ -13,7 +13,7 @@ import warp as wp
 from warpcontact.kernels import frames, memory
 from warpcontact.kernels.formula import Formula, coefficient_struct, named_struct
 from warpcontact.kernels.frictions import Frictionless
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, structs
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, INLINED, Work, structs
 
 
 class Parts(NamedTuple):
@@ -43,10 +43,14 @@ def arrays_of(name: str, elements: tuple[tuple[str, Any], ...]) -> Any:
 
 @functools.cache
 def kernel(parts: Parts, real: type) -> wp.Kernel:
-    """Returns the kernel for the classes of ``parts``. Launch with dim (env, contact of the group)."""
+    """Returns the kernel for the classes of ``parts``; items: blocks of the group.
+
+    What a block adds to its bodies goes to the block if ``ordered``, to be summed in order; else to the bodies,
+    whoever comes first.
+    """
     t = structs(real)
     vec3, quat, Model, State, History = t.vec3, t.quat, t.Model, t.State, t.History
-    Contacts, Wrenches, Touch, Slip = t.Contacts, t.Wrenches, t.Touch, t.Slip
+    Contacts, Near, Wrenches, Touch, Slip = t.Contacts, t.Near, t.Wrenches, t.Touch, t.Slip
     Coefficients, Memory = group_structs(parts, real)
     law_force, law_begins, law_forget = memory.functions(parts.law, real)
     friction_force, _, friction_forget = memory.functions(parts.friction, real)
@@ -103,33 +107,45 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
         return slip
 
     @wp.func
-    def add_wrench(
-        wrenches: Wrenches, state: State, env: int, body: int, p_W: vec3, force_W: vec3, torque_W: vec3
-    ):
-        if body >= 0:
-            arm_W = p_W - state.body_position[env, body]
-            wp.atomic_add(wrenches.force, env, body, force_W)
-            wp.atomic_add(wrenches.torque, env, body, wp.cross(arm_W, force_W) + torque_W)
+    def lever(state: State, env: int, body: int, p_W: vec3):
+        """From the centre of mass of ``body`` to ``p_W``; nobody asks for that of the world."""
+        if body < 0:
+            return vec3()
+        return p_W - state.body_position[env, body]
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def contact_force(
-        status: wp.array(dtype=wp.int32),
+    @wp.func
+    def add_wrench(wrenches: Wrenches, env: int, body: int, force_W: vec3, torque_W: vec3):
+        if body >= 0:
+            wp.atomic_add(wrenches.force, env, body, force_W)
+            wp.atomic_add(wrenches.torque, env, body, torque_W)
+
+    @wp.struct
+    class Pair:
+        """Wrenches on the point's body and on the surface's, about their centres of mass; forces are opposite."""
+
+        force: vec3
+        torque_1: vec3
+        torque_2: vec3
+
+    @wp.func
+    def touch_of(
         model: Model,
         state: State,
         history: History,
         remembered: Memory,
-        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]; 0: the force of this instant
-        first: wp.int32,
+        dt: real,
         coefficients: Coefficients,
         contacts: Contacts,
         kept: Memory,
-        wrenches: Wrenches,
+        env: int,
+        contact: int,
+        member: int,
+        body_1: int,
+        body_2: int,
+        q_WS: quat,
     ):
-        env, member = wp.tid()
-        if status[env] != ENV_ACTIVE:
-            return
-        contact = first + member
-        dt = step[env, 0]
+        """Forces of one contact: into ``contacts``, and as what they add to both bodies."""
+        pair = Pair()
         if contacts.status[env, contact] != CONTACT:
             contacts.approach_speed[env, contact] = real(0.0)
             contacts.normal_force[env, contact] = real(0.0)
@@ -140,17 +156,10 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
             friction_forget(kept.friction, env, member, dt)
             rolling_forget(kept.rolling, env, member, dt)
             torsion_forget(kept.torsion, env, member, dt)
-            return
+            return pair
 
         n_W = contacts.normal[env, contact]
         k_W = contacts.point[env, contact]
-        surface = model.patch_surface[model.contact_patch[contact]]
-        body_1 = model.point_body[model.contact_point[contact]]
-        body_2 = model.surface_body[surface]
-        q_WS = quat()
-        if wp.static(oriented):
-            q_WS = orientation_to_world(state, env, body_2, model.surface_orientation[env, surface])
-
         # Of the surface relative to the point: approach is positive.
         v_W = velocity_at(state, env, body_2, k_W) - velocity_at(state, env, body_1, k_W)
         approach = wp.dot(v_W, n_W)
@@ -232,9 +241,60 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
         contacts.friction_force[env, contact] = friction_W
         contacts.torque[env, contact] = torque_W
 
-        # The same force at the same point K, and the same couple, on both bodies: total force and moment vanish.
-        force_W = normal_force * n_W + friction_W
-        add_wrench(wrenches, state, env, body_1, k_W, force_W, torque_W)
-        add_wrench(wrenches, state, env, body_2, k_W, -force_W, -torque_W)
+        # The same force at the same point K, and the same couple, on both bodies: nothing is left in total.
+        pair.force = normal_force * n_W + friction_W
+        pair.torque_1 = wp.cross(lever(state, env, body_1, k_W), pair.force) + torque_W
+        pair.torque_2 = -(wp.cross(lever(state, env, body_2, k_W), pair.force) + torque_W)
+        return pair
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    def contact_force(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        history: History,
+        remembered: Memory,
+        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]; 0: the force of this instant
+        first_block: wp.int32,
+        first_contact: wp.int32,
+        coefficients: Coefficients,
+        contacts: Contacts,
+        kept: Memory,
+        near: Near,
+        ordered: wp.bool,
+        wrenches: Wrenches,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            block = first_block + task % work.items
+            if status[env] != ENV_ACTIVE or near.count[env, block] == 0:
+                continue
+            # One body and one surface for all contacts of a block.
+            start = model.block_start[block]
+            contact = model.block_contact[start]
+            surface = model.patch_surface[model.contact_patch[contact]]
+            body_1 = model.point_body[model.contact_point[contact]]
+            body_2 = model.surface_body[surface]
+            q_WS = quat()
+            if wp.static(oriented):
+                q_WS = orientation_to_world(state, env, body_2, model.surface_orientation[env, surface])
+            total = Pair()
+            for place in range(start, start + near.count[env, block]):
+                contact = near.contact[env, place]
+                pair = touch_of(
+                    model, state, history, remembered, step[env, 0], coefficients, contacts, kept,
+                    env, contact, contact - first_contact, body_1, body_2, q_WS,
+                )  # fmt: skip
+                total.force += pair.force
+                total.torque_1 += pair.torque_1
+                total.torque_2 += pair.torque_2
+            if ordered:
+                near.force[env, block] = total.force
+                near.torque_1[env, block] = total.torque_1
+                near.torque_2[env, block] = total.torque_2
+            else:
+                add_wrench(wrenches, env, body_1, total.force, total.torque_1)
+                add_wrench(wrenches, env, body_2, -total.force, total.torque_2)
 
     return contact_force

@@ -1,4 +1,4 @@
-"""The nearest point of a surface, seen from a point: by search over all faces, or by a walk from a known one."""
+"""The nearest point of a face, seen from a point; which of two is nearer; a walk to the nearest about there."""
 
 import functools
 from types import SimpleNamespace
@@ -36,75 +36,60 @@ def functions(real: type) -> SimpleNamespace:
         feature: wp.int32
         distance: real  # |P − S|
         span: real  # size of the differences that went into it
-        inner: wp.bool  # P is on the inner side
-        hidden: wp.bool  # S is not on the active part
 
     @wp.func
     def foot_on(model: Model, row: int, p: vec3):
         a = model.face_corner[row, 0] - p
         b = model.face_corner[row, 1] - p
         c = model.face_corner[row, 2] - p
-        hit = closest_to_origin(a, b, c, model.face_normal[row, 0])
+        hit = closest_to_origin(a, b, c, model.face_corner[row, 3])
         foot = Foot()
         foot.to_point = -hit.point
         foot.row = row
         foot.feature = hit.feature
         foot.distance = wp.length(hit.point)
         foot.span = wp.max(wp.length(a), wp.length(b))
-        foot.inner = wp.dot(foot.to_point, model.face_normal[row, hit.feature]) < real(0.0)
-        foot.hidden = (wp.int32(model.face_flags[row, hit.feature]) & FEATURE_ACTIVE) == 0
         return foot
 
     @wp.func
-    def before(a: Foot, b: Foot, tie: real):
+    def inner(model: Model, foot: Foot):
+        """Whether P is on the inner side of S."""
+        return wp.dot(foot.to_point, model.face_normal[foot.row, foot.feature]) < real(0.0)
+
+    @wp.func
+    def hidden(model: Model, foot: Foot):
+        """Whether S is not on the active part."""
+        return (wp.int32(model.face_flags[foot.row, foot.feature]) & FEATURE_ACTIVE) == 0
+
+    @wp.func
+    def before(model: Model, a: Foot, b: Foot, tie: real):
         """Whether ``a`` is taken of two feet at the same distance.
 
         One on the active part if they are one point; else a face before an edge before a corner, the outer side
         before the inner, and the lower face.
         """
-        if a.hidden != b.hidden and wp.length(a.to_point - b.to_point) <= tie:
-            return not a.hidden
+        hidden_a = hidden(model, a)
+        if hidden_a != hidden(model, b) and wp.length(a.to_point - b.to_point) <= tie:
+            return not hidden_a
         rank_a = wp.where(a.feature > 3, 2, wp.where(a.feature > 0, 1, 0))
         rank_b = wp.where(b.feature > 3, 2, wp.where(b.feature > 0, 1, 0))
         if rank_a != rank_b:
             return rank_a < rank_b
-        if a.inner != b.inner:
-            return not a.inner
+        inner_a = inner(model, a)
+        if inner_a != inner(model, b):
+            return not inner_a
         return a.row < b.row
 
     @wp.func
-    def nearer(best: Foot, other: Foot):
+    def nearer(model: Model, best: Foot, other: Foot):
         """Returns the nearer foot; ``distance`` of the result is the smallest seen, so that ties do not drift."""
         tie = tie_epsilon * wp.max(best.span, other.span)
         nearest = wp.min(best.distance, other.distance)
-        level = other.distance <= best.distance + tie
-        if other.distance < best.distance - tie or (level and before(other, best, tie)):
+        if other.distance < best.distance - tie or (
+            other.distance <= best.distance + tie and before(model, other, best, tie)
+        ):
             best = other
         best.distance = nearest
-        return best
-
-    @wp.func
-    def nearest_of_all(model: Model, patch: int, p: vec3, first: Foot, margin: real):
-        """Looks again at all faces about as near as ``first``, in the precision of the simulation.
-
-        Makes the choice on edges and medial axes independent of the traversal, and exact in float64.
-        """
-        mesh = model.patch_mesh[patch]
-        start = model.patch_face_start[patch]
-        best = first
-        reach = wp.float32(first.distance + margin)
-        centre = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-        face = wp.int32(0)
-        if model.patch_thin[patch]:
-            around = wp.vec3f(reach, reach, reach)
-            boxes = wp.mesh_query_aabb(mesh, centre - around, centre + around)
-            while wp.mesh_query_aabb_next(boxes, face):
-                best = nearer(best, foot_on(model, start + face, p))
-        else:
-            faces = wp.mesh_query_sphere(mesh, centre, reach)
-            while wp.mesh_query_next(faces, face):
-                best = nearer(best, foot_on(model, start + face, p))
-        best.distance = wp.length(best.to_point)
         return best
 
     @wp.func
@@ -118,7 +103,7 @@ def functions(real: type) -> SimpleNamespace:
             other = across // 3
             if across < 0 or other == row:
                 break
-            best = nearer(best, foot_on(model, other, p))
+            best = nearer(model, best, foot_on(model, other, p))
             # The neighbour runs along the edge the other way: its end there is our start.
             entered = across - 3 * other
             leave = (entered + 2) % 3
@@ -138,7 +123,7 @@ def functions(real: type) -> SimpleNamespace:
         elif at.feature > 0:
             across = model.face_neighbor[at.row, at.feature - 1]
             if across >= 0:
-                best = nearer(best, foot_on(model, across // 3, p))
+                best = nearer(model, best, foot_on(model, across // 3, p))
         best.distance = wp.length(best.to_point)
         return best
 
@@ -172,4 +157,4 @@ def functions(real: type) -> SimpleNamespace:
             foot = walk(model, about(model, foot, foot_on(model, foot.row, at), at).row, at)
         return foot
 
-    return SimpleNamespace(Foot=Foot, foot_on=foot_on, nearest_of_all=nearest_of_all, walk=walk, follow=follow)
+    return SimpleNamespace(Foot=Foot, foot_on=foot_on, inner=inner, nearer=nearer, walk=walk, follow=follow)

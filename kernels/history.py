@@ -9,47 +9,55 @@ import functools
 import warp as wp
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.memory import memory_struct
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, structs
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, structs
 
 
 @functools.cache
 def kernel(real: type, follows: bool) -> wp.Kernel:
-    """Returns the kernel that takes ``contacts`` into ``history``. Launch with dim (env, contact).
+    """Returns the kernel that takes contacts that are near into ``history``; items: blocks.
 
     ``follows``: whether any contact stays with the face that it touched, or crossed.
     """
     t = structs(real)
-    Contacts, History = t.Contacts, t.History
+    Model, Contacts, Near, History = t.Model, t.Contacts, t.Near, t.History
 
     @wp.kernel(module="unique", enable_backward=False)
     def advance_history(
+        work: Work,
         status: wp.array(dtype=wp.int32),
         time: wp.array(dtype=wp.float64),  # [env] at the end of the step [s]
         step: wp.array2d(dtype=real),  # [env, 0] [s]
+        model: Model,
         contacts: Contacts,
+        near: Near,
         history: History,
     ):
-        env, contact = wp.tid()
-        if status[env] != ENV_ACTIVE:
-            return
-        history.armed[env, contact] = contacts.armed[env, contact]
-        touching = contacts.status[env, contact] == CONTACT
-        if touching:
-            # Not below 0, which says "not touching".
-            speed = wp.max(contacts.approach_speed[env, contact], real(0.0))
-            history.entry_speed[env, contact] = wp.max(history.entry_speed[env, contact], speed)
-        else:
-            history.entry_speed[env, contact] = real(-1.0)
-        if wp.static(follows):
-            face = wp.where(touching, contacts.face[env, contact], -1)
-            crossed = contacts.crossed_face[env, contact]
-            if crossed >= 0:
-                face = crossed
-                if history.crossings[env, contact] == 0:
-                    left = (real(1.0) - contacts.crossed_at[env, contact]) * step[env, 0]
-                    history.crossing_time[env, contact] = real(time[env] - wp.float64(left))
-                history.crossings[env, contact] = history.crossings[env, contact] + 1
-            history.face[env, contact] = face
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            block = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            start = model.block_start[block]
+            for place in range(start, start + near.count[env, block]):
+                contact = near.contact[env, place]
+                history.armed[env, contact] = contacts.armed[env, contact]
+                touching = contacts.status[env, contact] == CONTACT
+                if touching:
+                    # Not below 0, which says "not touching".
+                    speed = wp.max(contacts.approach_speed[env, contact], real(0.0))
+                    history.entry_speed[env, contact] = wp.max(history.entry_speed[env, contact], speed)
+                else:
+                    history.entry_speed[env, contact] = real(-1.0)
+                if wp.static(follows):
+                    face = wp.where(touching, contacts.face[env, contact], -1)
+                    crossed = contacts.crossed_face[env, contact]
+                    if crossed >= 0:
+                        face = crossed
+                        if history.crossings[env, contact] == 0:
+                            left = (real(1.0) - contacts.crossed_at[env, contact]) * step[env, 0]
+                            history.crossing_time[env, contact] = real(time[env] - wp.float64(left))
+                        history.crossings[env, contact] = history.crossings[env, contact] + 1
+                    history.face[env, contact] = face
 
     return advance_history
 
@@ -58,14 +66,32 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
 def memory_kernel(formula: type[Formula], real: type) -> wp.Kernel:
     """Returns the kernel that takes what the force stage kept into the memory of ``formula``.
 
-    Launch with dim (env, contact of the group).
+    Items: blocks of the group.
     """
+    t = structs(real)
+    Model, Near = t.Model, t.Near
     Array = wp.array2d(dtype=memory_struct(formula, real))
 
     @wp.kernel(module="unique", enable_backward=False)
-    def advance_memory(status: wp.array(dtype=wp.int32), kept: Array, memory: Array):
-        env, member = wp.tid()
-        if status[env] == ENV_ACTIVE:
-            memory[env, member] = kept[env, member]
+    def advance_memory(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        near: Near,
+        first_block: wp.int32,
+        first_contact: wp.int32,
+        kept: Array,
+        memory: Array,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            block = task % work.items
+            block += first_block
+            if status[env] != ENV_ACTIVE:
+                continue
+            start = model.block_start[block]
+            for place in range(start, start + near.count[env, block]):
+                member = near.contact[env, place] - first_contact
+                memory[env, member] = kept[env, member]
 
     return advance_memory

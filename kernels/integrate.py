@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_FAILED, ENV_FROZEN, structs
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_FAILED, ENV_FROZEN, Work, structs
 
 
 @functools.cache
@@ -22,12 +22,12 @@ def _spin(real: type) -> wp.Function:
 
 @functools.cache
 def semi_implicit_euler(real: type) -> wp.Kernel:
-    """Returns the semi-implicit Euler kernel. Launch with dim (env, body).
+    """Returns the semi-implicit Euler kernel; items: bodies.
 
     Velocities first, from the wrenches at ``state_in``; positions with the new velocities. Rotation advances the
     angular momentum L, which carries the gyroscopic term without an approximation, and turns the body by the
     exponential of the angular velocity at mid-step: a free body keeps L to rounding and its energy to second
-    order.
+    order. One with the same inertia about all axes needs no more than its spin.
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
@@ -36,6 +36,7 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def semi_implicit_euler(
+        work: Work,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         model: Model,
@@ -43,40 +44,48 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
         wrenches: Wrenches,
         state_out: State,
     ):
-        env, body = wp.tid()
-        if status[env] != ENV_ACTIVE:
-            return
-        dt = step[env, 0]
-        acceleration = wrenches.force[env, body] / model.body_mass[env, body] + model.gravity[env, 0]
-        velocity = state_in.body_linear_velocity[env, body] + dt * acceleration
-        position = state_in.body_position[env, body] + dt * velocity
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            body = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            dt = step[env, 0]
+            acceleration = wrenches.force[env, body] / model.body_mass[env, body] + model.gravity[env, 0]
+            velocity = state_in.body_linear_velocity[env, body] + dt * acceleration
+            position = state_in.body_position[env, body] + dt * velocity
 
-        q_WB = state_in.body_orientation[env, body]
-        w_W = state_in.body_angular_velocity[env, body]
-        inertia_B = model.body_inertia[env, body]
-        inverse_B = model.body_inverse_inertia[env, body]
-        before = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
-        momentum = before + dt * wrenches.torque[env, body]
-        q_middle = rotated(q_WB, real(0.5) * dt * spin(inverse_B, q_WB, momentum))
-        orientation = rotated(q_WB, dt * spin(inverse_B, q_middle, momentum))
-        # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and scales
-        # what it rotates, which in a difference from step to step cancels instead of adding up.
-        turning = w_W + (spin(inverse_B, orientation, momentum) - spin(inverse_B, q_WB, before))
+            q_WB = state_in.body_orientation[env, body]
+            w_W = state_in.body_angular_velocity[env, body]
+            inverse_B = model.body_inverse_inertia[env, body]
+            turning = w_W + (dt * inverse_B[0, 0]) * wrenches.torque[env, body]
+            orientation = q_WB
+            if model.body_round[env, body]:
+                orientation = rotated(q_WB, dt * turning)
+            else:
+                before = wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
+                momentum = before + dt * wrenches.torque[env, body]
+                start = spin(inverse_B, q_WB, momentum)
+                q_middle = rotated(q_WB, real(0.5) * dt * start)
+                orientation = rotated(q_WB, dt * spin(inverse_B, q_middle, momentum))
+                # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and
+                # scales what it rotates, which in a difference from step to step cancels instead of adding up.
+                turning = w_W + (spin(inverse_B, orientation, momentum) - spin(inverse_B, q_WB, before))
 
-        state_out.body_position[env, body] = position
-        state_out.body_orientation[env, body] = orientation
-        state_out.body_linear_velocity[env, body] = velocity
-        state_out.body_angular_velocity[env, body] = turning
-        # One sum is finite only if every term is (no infinities of opposite sign survive the length).
-        if not wp.isfinite(wp.length(position) + wp.length(velocity) + wp.length(turning)):
-            status[env] = ENV_FAILED
+            state_out.body_position[env, body] = position
+            state_out.body_orientation[env, body] = orientation
+            state_out.body_linear_velocity[env, body] = velocity
+            state_out.body_angular_velocity[env, body] = turning
+            # One sum is finite only if every term is: squares have no opposite signs.
+            sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(turning)
+            if not wp.isfinite(sizes):
+                status[env] = ENV_FAILED
 
     return semi_implicit_euler
 
 
 @functools.cache
 def change_step(real: type) -> wp.Kernel:
-    """Returns the kernel that readies a state for steps of another length. Launch with dim (env, body).
+    """Returns the kernel that readies a state for steps of another length; items: bodies.
 
     The velocities of semi-implicit Euler belong to half a step before the positions, so a step that is longer by
     ``change`` begins from velocities of change/2 earlier. Without this the energy of a contact jumps.
@@ -87,22 +96,27 @@ def change_step(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def change_step(
+        work: Work,
         status: wp.array(dtype=wp.int32),
         change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
         model: Model,
         wrenches: Wrenches,  # of this instant
         state: State,
     ):
-        env, body = wp.tid()
-        if status[env] != ENV_ACTIVE:
-            return
-        earlier = real(0.5) * change[env, 0]
-        acceleration = wrenches.force[env, body] / model.body_mass[env, body] + model.gravity[env, 0]
-        turning = spin(
-            model.body_inverse_inertia[env, body], state.body_orientation[env, body], wrenches.torque[env, body]
-        )
-        state.body_linear_velocity[env, body] = state.body_linear_velocity[env, body] - earlier * acceleration
-        state.body_angular_velocity[env, body] = state.body_angular_velocity[env, body] - earlier * turning
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            body = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            earlier = real(0.5) * change[env, 0]
+            acceleration = wrenches.force[env, body] / model.body_mass[env, body] + model.gravity[env, 0]
+            turning = spin(
+                model.body_inverse_inertia[env, body],
+                state.body_orientation[env, body],
+                wrenches.torque[env, body],
+            )
+            state.body_linear_velocity[env, body] = state.body_linear_velocity[env, body] - earlier * acceleration
+            state.body_angular_velocity[env, body] = state.body_angular_velocity[env, body] - earlier * turning
 
     return change_step
 
@@ -111,7 +125,7 @@ def change_step(real: type) -> wp.Kernel:
 def finish(real: type) -> wp.Kernel:
     """Returns the kernel that ends a step: clocks go on, and failed environments stay where they were.
 
-    Launch with dim env. Both state buffers then hold the last accepted state of a failed environment, so a frozen
+    Both state buffers then hold the last accepted state of a failed environment, so a frozen
     one needs no further work.
     """
     t = structs(real)
@@ -119,6 +133,7 @@ def finish(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def finish_step(
+        work: Work,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         time: wp.array(dtype=wp.float64),  # [env] [s]
@@ -126,34 +141,37 @@ def finish(real: type) -> wp.Kernel:
         state_in: State,
         state_out: State,
     ):
-        env = wp.tid()
-        if status[env] == ENV_ACTIVE:
-            time[env] = time[env] + wp.float64(step[env, 0])
-        if status[env] != ENV_FAILED:
-            return
-        for body in range(bodies):
-            state_out.body_position[env, body] = state_in.body_position[env, body]
-            state_out.body_orientation[env, body] = state_in.body_orientation[env, body]
-            state_out.body_linear_velocity[env, body] = state_in.body_linear_velocity[env, body]
-            state_out.body_angular_velocity[env, body] = state_in.body_angular_velocity[env, body]
-        status[env] = ENV_FROZEN
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if status[env] == ENV_ACTIVE:
+                time[env] = time[env] + wp.float64(step[env, 0])
+            if status[env] != ENV_FAILED:
+                continue
+            for body in range(bodies):
+                state_out.body_position[env, body] = state_in.body_position[env, body]
+                state_out.body_orientation[env, body] = state_in.body_orientation[env, body]
+                state_out.body_linear_velocity[env, body] = state_in.body_linear_velocity[env, body]
+                state_out.body_angular_velocity[env, body] = state_in.body_angular_velocity[env, body]
+            status[env] = ENV_FROZEN
 
     return finish_step
 
 
 @functools.cache
 def adopt(real: type) -> wp.Kernel:
-    """Returns the kernel that copies the active environments of a state. Launch with dim (env, body)."""
+    """Returns the kernel that copies the active environments of a state; items: bodies."""
     State = structs(real).State
 
     @wp.kernel(module="unique", enable_backward=False)
-    def adopt(status: wp.array(dtype=wp.int32), source: State, target: State):
-        env, body = wp.tid()
-        if status[env] != ENV_ACTIVE:
-            return
-        target.body_position[env, body] = source.body_position[env, body]
-        target.body_orientation[env, body] = source.body_orientation[env, body]
-        target.body_linear_velocity[env, body] = source.body_linear_velocity[env, body]
-        target.body_angular_velocity[env, body] = source.body_angular_velocity[env, body]
+    def adopt(work: Work, status: wp.array(dtype=wp.int32), source: State, target: State):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            body = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            target.body_position[env, body] = source.body_position[env, body]
+            target.body_orientation[env, body] = source.body_orientation[env, body]
+            target.body_linear_velocity[env, body] = source.body_linear_velocity[env, body]
+            target.body_angular_velocity[env, body] = source.body_angular_velocity[env, body]
 
     return adopt

@@ -15,6 +15,7 @@ from warpcontact.kernels.types import (
     FEATURE_ACTIVE,
     LATCHED,
     SWEPT,
+    Work,
     structs,
 )
 
@@ -27,14 +28,14 @@ MOST_CROSSINGS = 8
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
-    """Returns the kernel that follows swept contacts in and out of their surface. Launch with dim (env, contact).
+    """Returns the kernel that follows swept contacts in and out of their surface; items: contacts.
 
     A point moves on a straight line from ``state_in`` to ``state_out`` as seen from the surface. The first time
     that it goes in is what counts as a crossing; whatever it is over in the end is ``face`` and ``crossed_face``.
     """
     t = structs(real)
     vec3, Model, State, Contacts = t.vec3, t.Model, t.State, t.Contacts
-    follow = feet.functions(real).follow
+    follow, inner = feet.functions(real).follow, feet.functions(real).inner
     frame = frames.functions(real)
     point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
@@ -124,6 +125,7 @@ def kernel(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def sweep(
+        work: Work,
         status: wp.array(dtype=wp.int32),
         model: Model,
         state_in: State,
@@ -132,78 +134,85 @@ def kernel(real: type) -> wp.Kernel:
         mark: wp.int32,  # whether environments with a crossing are to take the step again
         marked: wp.array(dtype=wp.int32),  # [0] set if there are any
     ):
-        env, contact = wp.tid()
-        if status[env] != ENV_ACTIVE:
-            return
-        option = model.contact_options[contact]
-        if (option & SWEPT) == 0:
-            return
-        geometry = model.contact_geometry[env, contact]
-        if geometry.enabled == 0:
-            return
-        # Not armed is what is known to be on the wrong side, or was never near enough for its side to be known.
-        if (option & LATCHED) != 0 and contacts.armed[env, contact] == 0 and contacts.status[env, contact] != FAR:
-            return
-        base = model.contact_patch[contact]
-        surface = model.patch_surface[base]
-        patch = base + model.surface_mesh[env, surface]
-        p = to_surface(model, state_in, env, contact, surface)
-        q = to_surface(model, state_out, env, contact, surface)
-        # A point on the inner side is held by a face, and free from where it comes out of that sheet.
-        held = wp.int32(-1)
-        if contacts.status[env, contact] == CONTACT and contacts.penetration[env, contact] >= geometry.radius:
-            held = contacts.face[env, contact]
-        over = held
-        gone = real(0.0)
-        entered = real(2.0)
-        for _ in range(wp.static(MOST_CROSSINGS)):
-            at, row = first_crossing(model, patch, held, p, q)
-            if held >= 0:
-                foot = follow(model, held, p, q)
-                over = foot.row
-                if at > real(1.0):
-                    if foot.inner:
-                        break
-                    # Past a border it comes out where it passes the plane of the face there.
-                    at = passes(model, over, p, q)
-            elif row < 0:
-                break
-            else:
-                entered = wp.min(entered, gone + (real(1.0) - gone) * at)
-            held = wp.where(held >= 0, -1, row)
-            p = p + at * (q - p)
-            gone = gone + (real(1.0) - gone) * at
-        if over >= 0:
-            # Whatever face it was held by, from the one that it is over now its nearest point is found.
-            contacts.face[env, contact] = over
-        if entered <= real(1.0):
-            contacts.armed[env, contact] = 1
-            contacts.crossed_face[env, contact] = over
-            contacts.crossed_at[env, contact] = entered
-            if mark != 0:
-                # Many threads may say so, all the same.
-                status[env] = ENV_CROSSED
-                marked[0] = 1
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            contact = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            option = model.contact_options[contact]
+            if (option & SWEPT) == 0:
+                continue
+            geometry = model.contact_geometry[env, contact]
+            if geometry.enabled == 0:
+                continue
+            # Not armed: known to be on the wrong side, or never near enough for its side to be known.
+            if (
+                (option & LATCHED) != 0
+                and contacts.armed[env, contact] == 0
+                and contacts.status[env, contact] != FAR
+            ):
+                continue
+            base = model.contact_patch[contact]
+            surface = model.patch_surface[base]
+            patch = base + model.surface_mesh[env, surface]
+            p = to_surface(model, state_in, env, contact, surface)
+            q = to_surface(model, state_out, env, contact, surface)
+            # A point on the inner side is held by a face, and free from where it comes out of that sheet.
+            held = wp.int32(-1)
+            if contacts.status[env, contact] == CONTACT and contacts.penetration[env, contact] >= geometry.radius:
+                held = contacts.face[env, contact]
+            over = held
+            gone = real(0.0)
+            entered = real(2.0)
+            for _ in range(wp.static(MOST_CROSSINGS)):
+                at, row = first_crossing(model, patch, held, p, q)
+                if held >= 0:
+                    foot = follow(model, held, p, q)
+                    over = foot.row
+                    if at > real(1.0):
+                        if inner(model, foot):
+                            break
+                        # Past a border it comes out where it passes the plane of the face there.
+                        at = passes(model, over, p, q)
+                elif row < 0:
+                    break
+                else:
+                    entered = wp.min(entered, gone + (real(1.0) - gone) * at)
+                held = wp.where(held >= 0, -1, row)
+                p = p + at * (q - p)
+                gone = gone + (real(1.0) - gone) * at
+            if over >= 0:
+                # Whatever face it was held by, from the one that it is over now its nearest point is found.
+                contacts.face[env, contact] = over
+            if entered <= real(1.0):
+                contacts.armed[env, contact] = 1
+                contacts.crossed_face[env, contact] = over
+                contacts.crossed_at[env, contact] = entered
+                if mark != 0:
+                    # Many threads may say so, all the same.
+                    status[env] = ENV_CROSSED
+                    marked[0] = 1
 
     return sweep
 
 
 @functools.cache
 def turn() -> wp.Kernel:
-    """Returns the kernel that lets environments take turns. Launch with dim env.
+    """Returns the kernel that lets environments take turns.
 
     ``back`` 0: those with a crossing become active and the active ones wait; 1: all that can be are active.
     """
 
     @wp.kernel(module="unique", enable_backward=False)
-    def take_turns(status: wp.array(dtype=wp.int32), back: wp.int32):
-        env = wp.tid()
-        if back != 0:
-            if status[env] == ENV_WAITING or status[env] == ENV_CROSSED:
+    def take_turns(work: Work, status: wp.array(dtype=wp.int32), back: wp.int32):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if back != 0:
+                if status[env] == ENV_WAITING or status[env] == ENV_CROSSED:
+                    status[env] = ENV_ACTIVE
+            elif status[env] == ENV_CROSSED:
                 status[env] = ENV_ACTIVE
-        elif status[env] == ENV_CROSSED:
-            status[env] = ENV_ACTIVE
-        elif status[env] == ENV_ACTIVE:
-            status[env] = ENV_WAITING
+            elif status[env] == ENV_ACTIVE:
+                status[env] = ENV_WAITING
 
     return take_turns

@@ -42,10 +42,39 @@ FEATURE_COUNT = 7
 FEATURE_ACTIVE = 1
 FEATURE_BORDER = 2
 
+# Where a point that does not come through a surface stays on the side that it is on.
+SIDES_NOWHERE = 0
+SIDES_EVERYWHERE = 1
+SIDES_ABOVE = 2  # within the walls of the patch
+
+# Faces that are remembered per contact.
+REMEMBERED = 8
+
 # What the geometry says about the latch of entry="latched".
 LATCH_KEEP = 0
 LATCH_ARM = 1
 LATCH_DISARM = 2
+
+
+#: For kernels with large functions: what LLVM does not inline gets its structs copied, kilobytes at every call.
+INLINED = {
+    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=100000"
+    " -mllvm=-inline-cold-callsite-threshold=30000"
+    " -mllvm=-slp-recursion-max-depth=4"
+}
+
+
+@wp.struct
+class Work:
+    """What a launch is to do: tasks, an item of an environment each, shared out among its threads.
+
+    A thread on a GPU has one. On the CPU one thread has all: it looks at the arguments once, not for every task.
+    """
+
+    first: wp.int32  # environment
+    items: wp.int32  # of an environment
+    tasks: wp.int32
+    threads: wp.int32
 
 
 @functools.cache
@@ -73,6 +102,7 @@ def structs(real: type) -> SimpleNamespace:
         body_mass: wp.array2d(dtype=real)  # [kg]
         body_inertia: wp.array2d(dtype=mat33)  # B, about the centre of mass [kg·m²]
         body_inverse_inertia: wp.array2d(dtype=mat33)  # B [1/(kg·m²)]
+        body_round: wp.array2d(dtype=wp.bool)  # whether the inertia is the same about all axes
         # Points
         point_body: wp.array(dtype=wp.int32)  # [point] body or WORLD
         point_position: wp.array2d(dtype=vec3)  # [env, point], B (or W) [m]
@@ -89,8 +119,12 @@ def structs(real: type) -> SimpleNamespace:
         patch_face_start: wp.array(dtype=wp.int32)  # [patch + 1] first row in the tables below
         patch_slack: wp.array(dtype=real)  # [patch] how far a float32 query may be off, unit of the mesh
         patch_doubtful: wp.array(dtype=wp.bool)  # [patch] whether that is more than rounding
-        patch_thin: wp.array(dtype=wp.bool)  # [patch] whether a float32 distance to a face may mean nothing
-        face_corner: wp.array2d(dtype=vec3)  # [face, corner], S, unit of the mesh
+        patch_skin: wp.array(dtype=real)  # [patch] how much farther faces are remembered than the nearest
+        patch_sides: wp.array(dtype=wp.int32)  # [patch] SIDES_*: where a point keeps the side that it is on
+        patch_wall_start: wp.array(dtype=wp.int32)  # [patch + 1] first row of its walls
+        wall_normal: wp.array(dtype=vec3)  # [wall] unit, into the region of SIDES_ABOVE, S
+        wall_offset: wp.array(dtype=real)  # [wall] of its plane along the normal
+        face_corner: wp.array2d(dtype=vec3)  # [face, 0 to 2] its corners, [face, 3] its unit normal; S
         face_normal: wp.array2d(dtype=vec3)  # [face, feature] unit pseudonormal, S
         face_flags: wp.array2d(dtype=wp.uint8)  # [face, feature] FEATURE_* bits
         face_neighbor: wp.array2d(dtype=wp.int32)  # [face, edge] 3 × row + edge of the other side; −1: none
@@ -99,6 +133,17 @@ def structs(real: type) -> SimpleNamespace:
         contact_patch: wp.array(dtype=wp.int32)  # [contact] that of the surface's first mesh
         contact_options: wp.array(dtype=wp.int32)  # [contact] option bits
         contact_geometry: wp.array2d(dtype=ContactGeometry)  # [env, contact]
+        # Sets: the contacts of one set of points with one surface. Blocks: some of them that are near each other
+        set_contact: wp.array(dtype=wp.int32)  # [set] its first contact
+        set_center: wp.array2d(dtype=vec3)  # [env, set] in the middle of the points, B (or W) [m]
+        set_extent: wp.array2d(dtype=real)  # [env, set] farthest point from there [m]
+        set_block_start: wp.array(dtype=wp.int32)  # [set + 1] first block
+        block_set: wp.array(dtype=wp.int32)  # [block]
+        block_start: wp.array(dtype=wp.int32)  # [block + 1] first of its contacts in the list
+        block_contact: wp.array(dtype=wp.int32)  # contacts by block
+        block_center: wp.array2d(dtype=vec3)  # [env, block] in the middle of its points, B (or W) [m]
+        body_block_start: wp.array(dtype=wp.int32)  # [body + 1] first of its blocks in the list
+        body_block: wp.array(dtype=wp.int32)  # 2 × block + 0 as the points' body, 1 as the surface's
 
     @wp.struct
     class State:
@@ -138,6 +183,45 @@ def structs(real: type) -> SimpleNamespace:
         torque: wp.array2d(dtype=vec3)  # [env, contact] of rolling and torsion on the point's body, W [N·m]
 
     @wp.struct
+    class Near:
+        """Which contacts a step has to do with, and what each block of them adds to its two bodies."""
+
+        contact: wp.array2d(dtype=wp.int32)  # [env, place] contacts by block, from block_start on
+        count: wp.array2d(dtype=wp.int32)  # [env, block]
+        force: wp.array2d(dtype=vec3)  # [env, block] on the points' body, W [N]
+        torque_1: wp.array2d(dtype=vec3)  # [env, block] on it, about its centre of mass, W [N·m]
+        torque_2: wp.array2d(dtype=vec3)  # [env, block] on the surface's body, about its own, W [N·m]
+
+    @wp.struct
+    class Cache:
+        """What is known of distances from earlier steps: it saves work and changes no result.
+
+        A distance changes by no more than the point moved. Zeros: nothing is known.
+        """
+
+        set_position: wp.array2d(dtype=vec3)  # [env, set] its middle when last seen, from the surface, S [m]
+        set_orientation: wp.array2d(dtype=quat)  # [env, set] B → S then
+        set_travel: wp.array2d(dtype=real)  # [env, set] no point of it moved farther, over the surface [m]
+        set_margin: wp.array2d(dtype=real)  # [env, set] rounding of a position [m]
+        set_wake: wp.array2d(dtype=real)  # [env, set] travel up to which none of its points can touch [m]
+        set_asleep: wp.array2d(dtype=wp.int32)  # [env, set] whether it has not come so far
+        block_wake: wp.array2d(dtype=real)  # [env, block] likewise [m]
+        wake: wp.array2d(dtype=real)  # [env, contact] likewise [m]
+        # On a GPU, blocks that need a search wait for the others: threads side by side do the same then
+        waiting: wp.array(dtype=wp.int32)  # [0] how many
+        waiting_task: wp.array(dtype=wp.int32)  # numbers of their tasks
+        # The nearest face, as long as the point is within ``sure`` of ``sure_place``; in units of the mesh
+        sure: wp.array2d(dtype=real)  # [env, contact]
+        sure_place: wp.array2d(dtype=vec3)  # [env, contact] S
+        nearest: wp.array2d(dtype=wp.int32)  # [env, contact] its row
+        # Faces nearest to a point, from where it was when they were looked for; in units of the mesh
+        place: wp.array2d(dtype=vec3)  # [env, contact] S
+        beyond: wp.array2d(dtype=real)  # [env, contact] all other faces are farther from there
+        faces: wp.array2d(dtype=wp.int32)  # [env, contact] how many are remembered
+        face: wp.array2d(dtype=wp.int32)  # [env, contact × REMEMBERED] their rows, the nearest first
+        distance: wp.array2d(dtype=real)  # [env, contact × REMEMBERED] from there
+
+    @wp.struct
     class Wrenches:
         force: wp.array2d(dtype=vec3)  # [env, body], W [N]
         torque: wp.array2d(dtype=vec3)  # [env, body] about the centre of mass, W [N·m]
@@ -174,6 +258,8 @@ def structs(real: type) -> SimpleNamespace:
         State=State,
         History=History,
         Contacts=Contacts,
+        Near=Near,
+        Cache=Cache,
         Wrenches=Wrenches,
         Touch=Touch,
         Slip=Slip,

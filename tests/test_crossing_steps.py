@@ -182,26 +182,3 @@ def test_wrong_numbers_of_parts_are_refused_by_name(wrong, device):
     ).model
     with pytest.raises(ValueError, match=r"crossing_steps must be a whole number of at least 1"):
         wc.Simulation(model, dt=1e-3, crossing_steps=wrong)
-
-
-@pytest.mark.parametrize("last", [1, 2])
-def test_an_interruption_between_parts_leaves_nobody_waiting(last, device, monkeypatch):
-    start, velocity, _ = fan_of_shots(12, 1.0)
-    sim = shots(hard_cases.plate(), start, velocity, dt=1e-2, precision="float64", device=device, crossing_steps=4)
-    launched = []
-    whole = sim._adopt
-
-    def interrupted(*states):
-        launched.append(1)
-        if len(launched) == last:
-            raise KeyboardInterrupt
-        whole(*states)
-
-    # Called at the end of every step in an even number of parts, with the others still waiting.
-    monkeypatch.setattr(sim, "_adopt", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        sim.step(80)
-    monkeypatch.undo()
-    assert (sim.model.arrays.status.numpy() == 0).all()
-    sim.step(20)
-    assert (sim.model.reading("ball.linear_velocity")[:, 2] > 0).all()

@@ -249,5 +249,5 @@ def test_a_mesh_whose_faces_vanish_in_float32_is_refused():
     mesh = wc.Mesh(corners, [(0, 1, 2), (3, 4, 5)])
     surface = scene.add_surface(mesh, name="ground")
     scene.add_contact(scene.add_point(scene.bodies[0], (0, 0, 0)), surface, HOOKE)
-    with pytest.raises(ValueError, match=r"ground: face 0 with corners .* has no area left in float32"):
+    with pytest.raises(ValueError, match=r"ground: face 0 has no area left in float32"):
         scene.build()

@@ -278,10 +278,64 @@ def test_surfaces_that_differ_are_in_their_environment(device, tmp_path):
     assert [error.GetErrorAsString() for error in findings(stage)] == []
 
 
-def test_a_body_is_as_large_as_the_largest_of_its_meshes():
-    from warpcontact.usd.geometry import body_size
-
+@pytest.mark.parametrize("radius", [0.0, 0.05])
+def test_points_of_a_surface_are_drawn_where_it_is_in_their_environment(radius, device, tmp_path):
     scene = wc.Scene()
-    body = scene.add_body(1.0, (1, 1, 1))
-    scene.add_surface([wc.meshes.icosphere(0.1, 0), wc.meshes.icosphere(0.4, 0)], body, scale=2.0)
-    assert body_size(body, scene, []) == pytest.approx(1.6)
+    ground = scene.add_surface(scenes.square(5.0), name="ground")
+    body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 2), name="cube")
+    skin = scene.add_surface(wc.meshes.box(), body, orientation=TILT, name="skin")
+    corners, centre = (
+        scene.add_points(skin, CORNERS, name="corners"),
+        scene.add_point(skin, (0, 0, 0.5), name="top"),
+    )
+    own = scene.add_points(body, [(0.1, 0, 0), (0, 0, 0)], name="own")
+    for points in (corners, centre, own):
+        name = f"{points.name}_ground"
+        scene.add_contact(points, ground, wc.Template(law=wc.laws.Hooke(stiffness=1e3)), radius=radius, name=name)
+    model = scene.build(envs=3, device=device, precision="float64")
+    model["skin.scale"] = scale = np.array([1.0, 2.0, 0.5])
+    model["skin.position"] = places = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0.1)])
+    model["own.position"] = shifted = np.array([(0.2, 0, 0), (0, 0.3, 0)])[None]
+    stage = export(wc.Simulation(model, dt=1e-3).run(duration=2e-3), tmp_path)
+
+    def drawn(env, name, count):
+        path = f"/World/env_{env}/cube/{name}_ground"
+        prims = [path] if count == 1 else [f"{path}/item_{item}" for item in range(count)]
+        origin = world(stage, f"/World/env_{env}/cube", 0)[1]
+        if radius:
+            return [world(stage, prim, 0)[1] - origin for prim in prims]
+        return value(stage, path, "points")
+
+    for env in range(3):
+        turn = Rotation.from_quat(TILT)
+        for name, points in (("corners", CORNERS), ("top", np.array([[0, 0, 0.5]]))):
+            expected = turn.apply(scale[env] * points) + places[env]
+            np.testing.assert_allclose(drawn(env, name, len(points)), expected, atol=1e-6)
+        np.testing.assert_allclose(drawn(env, "own", 2), shifted[0], atol=1e-6)
+    if not radius:
+        extent = value(stage, "/World/env_1/cube/corners_ground", "extent")
+        found = value(stage, "/World/env_1/cube/corners_ground", "points")
+        assert (extent[0] < found.min(axis=0)).all()
+        assert (extent[1] > found.max(axis=0)).all()
+    assert [error.GetErrorAsString() for error in findings(stage)] == []
+
+
+def test_forces_are_drawn_by_the_size_that_bodies_have(device, tmp_path):
+    """Of the largest in any environment, whichever mesh it has there."""
+    longest = {}
+    for factor in (1.0, 4.0):
+        scene = wc.Scene()
+        ground = scene.add_surface(scenes.square(5.0), name="ground")
+        body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 0.499), name="cube")
+        scene.add_surface([wc.meshes.box(), wc.meshes.box((2, 2, 2))], body, name="skin")
+        point = scene.add_point(body, (0, 0, -0.5))
+        scene.add_contact(point, ground, wc.Template(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
+        model = scene.build(envs=2, device=device)
+        model["skin.scale"] = [1.0, factor]
+        model["skin.mesh"] = [0, 1]
+        record = [f"touch.{key}" for key in ("normal_force", "normal", "point")]
+        stage = export(wc.Simulation(model, dt=1e-3).run(2e-3, record), tmp_path)
+        force = value(stage, "/World/env_0/contacts/touch/force", "points", 0)
+        longest[factor] = np.linalg.norm(force[1] - force[0])
+    # 1.5 times the diameter about the centre of mass: a box of 2 m, times the factor.
+    np.testing.assert_allclose([longest[1.0], longest[4.0]], 1.5 * np.sqrt(12) * np.array([1.0, 4.0]), rtol=0.05)

@@ -1,19 +1,22 @@
 """Scene × environments → Model: the arrays of bodies, points, surfaces and contacts."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact import elements as limits_of
+from warpcontact.blocks import make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
 from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
-from warpcontact.parameters import Field, Parameters, pack
+from warpcontact.parameters import Field, Parameter, Parameters, pack
 from warpcontact.patches import upload_patches
 from warpcontact.readings import readings_of
 from warpcontact.scene import Contact, Points, Scene, Surface
@@ -50,14 +53,17 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
     starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
     start_of = dict(zip(contacts, starts, strict=False))
 
-    bodies = (envs, len(scene.bodies))
+    blocks = make_blocks(contacts)
+    bodies, each, parts = (envs, len(scene.bodies)), (envs, starts[-1]), (envs, blocks.count)
     arrays = SimpleNamespace(
         model=t.Model(),
         initial=t.State(),
         state=allocate(t.State, bodies, where),
         wrenches=allocate(t.Wrenches, bodies, where),
-        history=allocate(t.History, (envs, starts[-1]), where),
-        contacts=allocate(t.Contacts, (envs, starts[-1]), where),
+        history=allocate(t.History, each, where),
+        contacts=allocate(t.Contacts, each, where),
+        near=allocate(t.Near, parts, where, contact=each),
+        cache=_cache(t, envs, len(contacts), blocks.count, starts[-1], where),
         status=wp.zeros(envs, dtype=wp.int32, device=where),
         time=wp.zeros(envs, dtype=wp.float64, device=where),
         measures=None,  # allocated by the first reading that needs it
@@ -67,10 +73,13 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
     parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [upload], tail=(3,))
     _add_bodies(scene, arrays, parameters, t)
     _add_surfaces(scene, arrays, parameters, t)
-    _add_points(scene, arrays, parameters, t)
+    places, moving = _add_points(scene, arrays, parameters, t)
+    following = upload_blocks(blocks, contacts, scene.bodies, arrays.model, parameters, t, places)
+    for parameter in moving:
+        parameter.uploads.extend(following)
     patch_of, meshes = upload_patches(contacts, arrays.model, t, where)
     _add_contacts(contacts, start_of, patch_of, arrays, parameters, t)
-    made = [make_group(group, start_of[group[0]], parameters, t.real) for group in groups]
+    made = [make_group(group, start_of[group[0]], blocks, parameters, t.real) for group in groups]
     return Model(
         scene=scene.snapshot(),
         envs=envs,
@@ -81,6 +90,7 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
         parameters=parameters.by_name,
         uploads=parameters.uploads,
         groups=made,
+        blocks=blocks,
         readings=readings_of(scene, start_of, made),
         meshes=meshes,
     )
@@ -101,12 +111,29 @@ def find_device(name: str) -> wp.Device:
     return wp.get_device(name)
 
 
-def allocate(struct: Any, shape: tuple[int, int], device: wp.Device) -> Any:
-    """Returns an instance of a Warp struct of arrays [env, item], each of ``shape`` and zero."""
+def allocate(struct: Any, shape: tuple[int, int], device: wp.Device, **others: tuple[int, ...]) -> Any:
+    """Returns an instance of a Warp struct of arrays [env, item], each of ``shape``, or its own one, and zero."""
     instance = struct()
     for name, variable in struct.vars.items():
-        setattr(instance, name, wp.zeros(shape, dtype=variable.type.dtype, device=device))
+        array = wp.zeros(others.get(name, shape), dtype=variable.type.dtype, device=device)
+        setattr(instance, name, array)
     return instance
+
+
+def _cache(t: SimpleNamespace, envs: int, sets: int, blocks: int, contacts: int, device: wp.Device) -> Any:
+    shapes = {name: (envs, sets) for name in t.Cache.vars if name.startswith("set_")}
+    faces = (envs, contacts * types.REMEMBERED)
+    return allocate(
+        t.Cache,
+        (envs, contacts),
+        device,
+        **shapes,
+        block_wake=(envs, blocks),
+        waiting=(1,),
+        waiting_task=(envs * blocks if device.is_cuda else 1,),
+        face=faces,
+        distance=faces,
+    )
 
 
 def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace) -> None:
@@ -117,6 +144,7 @@ def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
     send_inertia = [
         parameters.upload(model, "body_inertia", t.mat33, lambda: inertia.values),
         parameters.upload(model, "body_inverse_inertia", t.mat33, lambda: np.linalg.inv(inertia.values)),
+        parameters.upload(model, "body_round", wp.bool, lambda: _is_round(inertia.values)),
     ]
     for body in bodies:
         items = slice(body.index, body.index + 1)
@@ -136,7 +164,10 @@ def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
     _add_orientation(parameters, bodies, arrays.initial, "body_orientation", t)
 
 
-def _add_points(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace) -> None:
+def _add_points(
+    scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace
+) -> tuple[Callable[[], Array], list[Parameter]]:
+    """Adds the points; returns where all are in their bodies, (1 or envs, points, 3), and what moves them."""
     sets = scene.points
     arrays.model.point_body = _indices(
         [_body_index(points) for points in sets for _ in points.positions], parameters.device
@@ -161,7 +192,8 @@ def _add_points(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
         return values
 
     upload = parameters.upload(arrays.model, "point_position", t.vec3, places)
-    for part in {id(part): part for pose in pose_of.values() for part in pose}.values():
+    moving = list({id(part): part for pose in pose_of.values() for part in pose}.values())
+    for part in moving:
         part.uploads.append(upload)
     for points in sets:
         items = slice(points.start, points.start + len(points.positions))
@@ -174,6 +206,8 @@ def _add_points(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
             tail=(3,),
             single=points.single,
         )
+        moving.append(parameters.by_name[f"{points.name}.position"])
+    return places, moving
 
 
 def _add_surfaces(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace) -> None:
@@ -307,6 +341,10 @@ def _add_orientation(
             tail=(4,),
             convert=checks.unit_quaternions,
         )
+
+
+def _is_round(tensors: Array) -> NDArray[np.bool]:
+    return (tensors == tensors[..., :1, :1] * np.eye(3)).all(axis=(-2, -1))
 
 
 def _inertia(name: str, values: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.blocks import Blocks
 from warpcontact.kernels import contact_force
 from warpcontact.kernels.contact_force import Parts, group_structs
 from warpcontact.kernels.formula import Formula, coefficient_struct
@@ -27,6 +28,8 @@ class Group:
         kernel: Their force kernel.
         first: Index of the first contact.
         count: Number of contacts.
+        first_block: Index of their first block.
+        block_count: Number of their blocks.
         coefficients: Struct of arrays [env, contact of the group], one per part.
         memory: Struct of such arrays: what each part remembers of the last accepted step.
         kept: Likewise, what it will remember if the present step is accepted.
@@ -36,6 +39,8 @@ class Group:
     kernel: wp.Kernel
     first: int
     count: int
+    first_block: int
+    block_count: int
     coefficients: Any
     memory: Any
     kept: Any
@@ -70,7 +75,7 @@ def by_code(contacts: Sequence[Contact]) -> list[list[Contact]]:
     return list(groups.values())
 
 
-def make_group(contacts: list[Contact], first: int, parameters: Parameters, real: type) -> Group:
+def make_group(contacts: list[Contact], first: int, blocks: Blocks, parameters: Parameters, real: type) -> Group:
     """Compiles the force kernel of ``contacts`` and adds the parameters of their laws and frictions.
 
     Raises:
@@ -88,14 +93,14 @@ def make_group(contacts: list[Contact], first: int, parameters: Parameters, real
             array = wp.zeros(shape, dtype=memory_struct(formula, real), device=parameters.device)
             setattr(target, part, array)
     kernel = _compiled(parts, parameters.device, real)
-    return Group(parts, kernel, first, count, coefficients, memory, kept)
+    return Group(parts, kernel, first, count, *blocks.of_contacts(first, count), coefficients, memory, kept)
 
 
 def _compiled(parts: Parts, device: wp.Device, real: type) -> wp.Kernel:
     """Returns the force kernel, compiled here so that a mistake in a user's law shows at once."""
     kernel = contact_force.kernel(parts, real)
     try:
-        kernel.module.load(device)
+        kernel.module.load(device, block_dim=None if device.is_cuda else 1)
     except Exception as error:
         text = str(error).replace("\\n", "\n")
         hint = ""

@@ -16,10 +16,10 @@ class Integrator(ABC):
 
     @abstractmethod
     def kernel(self, real: type) -> wp.Kernel:
-        """Returns the kernel (status, dt, model, state_in, wrenches, state_out), dim (env, body)."""
+        """Returns the kernel (work, status, dt, model, state_in, wrenches, state_out); items: bodies."""
 
     def change_step(self, real: type) -> wp.Kernel | None:
-        """Returns the kernel (status, change, model, wrenches, state), dim (env, body), between unequal steps.
+        """Returns the kernel (work, status, change, model, wrenches, state) between unequal steps.
 
         It readies ``state`` for a step that is longer by ``change`` [s] than the last. ``None``: a state does not
         depend on the step that led to it.

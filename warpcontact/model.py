@@ -10,13 +10,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from warpcontact.blocks import Blocks
 from warpcontact.checks import Array
 from warpcontact.groups import Group
 from warpcontact.health import Health
 from warpcontact.parameters import Parameter, Upload, broadcast
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
-from warpcontact.schedule import force_stages
+from warpcontact.schedule import Span, force_stages
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class Model:
         parameters: dict[str, Parameter],
         uploads: list[Upload],
         groups: list[Group],
+        blocks: Blocks,
         readings: dict[str, Reading],
         meshes: list[wp.Mesh],
     ) -> None:
@@ -74,6 +76,7 @@ class Model:
         self.types = types
         self.arrays = arrays
         self.groups = groups
+        self.blocks = blocks
         self.parameters = parameters
         self.body_count = len(scene.bodies)
         self.contact_count = sum(contact.count for contact in scene.contacts)
@@ -149,29 +152,32 @@ class Model:
                 raise ValueError(
                     f"env_mask must be {self.envs} booleans, got shape {mask.shape} of {mask.dtype} values"
                 )
-        from warpcontact.kernels import clear
+        from warpcontact.kernels import reset
 
         a = self.arrays
         chosen = wp.array(mask, dtype=wp.bool, device=self.device)
         wp.launch(
-            clear.reset(self.types.real),
+            reset.environments(self.types.real),
             dim=self.envs,
             inputs=[
                 chosen,
                 self.body_count,
                 self.contact_count,
+                self.blocks.count,
+                len(self.scene.contacts),
                 a.initial,
                 a.status,
                 a.time,
                 a.state,
                 a.history,
+                a.cache,
             ],
             device=self.device,
         )
         for group in self.groups:
             for formula, memory, _ in group.memories():
                 wp.launch(
-                    clear.reset_memory(formula, self.types.real),
+                    reset.memory(formula, self.types.real),
                     dim=(self.envs, group.count),
                     inputs=[chosen, memory],
                     device=self.device,
@@ -183,7 +189,8 @@ class Model:
     def evaluate(self) -> None:
         """Computes contacts and wrenches of the current state; changes neither state nor history."""
         if self._evaluation[0] != self.revision:
-            self._evaluation = (self.revision, force_stages(self, self.arrays.state, self.no_step))
+            everything = Span(self, 0, self.envs, cached=False, ordered=True)
+            self._evaluation = (self.revision, force_stages(everything, self.arrays.state, self.no_step))
         for launch in self._evaluation[1]:
             launch.launch()
 
@@ -257,6 +264,10 @@ class Model:
         for upload in uploads:
             if upload.send():
                 self.revision += 1
+        # What was known of distances may not hold for other radii, poses or meshes.
+        cache = self.arrays.cache
+        for known in (cache.set_wake, cache.block_wake, cache.wake, cache.faces):
+            known.zero_()
 
     def find_parameter(self, name: str) -> Parameter:
         """Returns parameter ``name``.

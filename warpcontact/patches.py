@@ -18,6 +18,7 @@ from warpcontact.meshes import Mesh
 from warpcontact.meshes.examine import SLIVER_LIMIT
 from warpcontact.meshes.topology import angles, directions, slenderness
 from warpcontact.scene import Contact
+from warpcontact.sides import Sides, sides_of
 
 # Warp's queries skip triangles slimmer than the limit, which they compute in float32.
 SLIVER = 1.2 * SLIVER_LIMIT
@@ -33,6 +34,8 @@ class Patch:
     normal: NDArray[np.float64]  # (F, 7, 3) unit pseudonormals
     flags: NDArray[np.uint8]  # (F, 7) FEATURE_* bits
     neighbor: NDArray[np.int32]  # (F, 3) 3 × face + edge across each edge; −1: none, or not one alone
+    skin: float  # how much farther faces are remembered than the nearest
+    sides: Sides
 
 
 def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_active: bool) -> Patch:
@@ -75,7 +78,16 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
     is_border = np.concatenate([np.zeros((len(faces), 1), dtype=bool), border[edge], on_border[welded]], axis=1)
     flags = FEATURE_ACTIVE * is_active.astype(np.uint8) + FEATURE_BORDER * is_border.astype(np.uint8)
     assert normal.shape == (len(faces), FEATURE_COUNT, 3)
-    return Patch(corner=corner, normal=normal, flags=flags, neighbor=_neighbors(edge, ends))
+    neighbor = _neighbors(edge, ends)
+    whole = len(faces) == len(mesh.faces)
+    return Patch(
+        corner=corner,
+        normal=normal,
+        flags=flags,
+        neighbor=neighbor,
+        skin=SKIN * float(np.median(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2))),
+        sides=sides_of(mesh, corner, ends, neighbor, whole=whole),
+    )
 
 
 def upload_patches(
@@ -118,11 +130,19 @@ def upload_patches(
     model.patch_surface = send(surfaces, wp.int32, np.int32)
     model.patch_face_start = send(starts, wp.int32, np.int32)
     errors = [_query_error(patch) for patch in patches]
-    model.patch_slack = send([slack for slack, _, _ in errors], t.real, real)
-    model.patch_doubtful = send([doubtful for _, doubtful, _ in errors], wp.bool, bool)
-    model.patch_thin = send([thin for _, _, thin in errors], wp.bool, bool)
+    model.patch_slack = send([slack for slack, _ in errors], t.real, real)
+    model.patch_doubtful = send([doubtful for _, doubtful in errors], wp.bool, bool)
+    model.patch_skin = send([patch.skin for patch in patches], t.real, real)
+    model.patch_sides = send([patch.sides.kind for patch in patches], wp.int32, np.int32)
+    walls = [patch.sides for patch in patches]
+    model.patch_wall_start = send(np.cumsum([0] + [len(own.offset) for own in walls]), wp.int32, np.int32)
+    none = np.zeros((0, 3))
+    model.wall_normal = send(np.concatenate([none, *(own.normal for own in walls)]), t.vec3, real)
+    model.wall_offset = send(np.concatenate([none[:, 0], *(own.offset for own in walls)]), t.real, real)
     if patches:
-        model.face_corner = send(np.concatenate([patch.corner for patch in patches]), t.vec3, real)
+        # With its normal a face is in one place of the memory, which is what a search waits for.
+        shapes = [np.concatenate([patch.corner, patch.normal[:, :1]], axis=1) for patch in patches]
+        model.face_corner = send(np.concatenate(shapes), t.vec3, real)
         model.face_normal = send(np.concatenate([patch.normal for patch in patches]), t.vec3, real)
         model.face_flags = send(np.concatenate([patch.flags for patch in patches]), wp.uint8, np.uint8)
         shifted = [
@@ -184,8 +204,7 @@ def _neighbors(edge: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]) -
 def _query_error(patch: Patch) -> tuple[float, bool]:
     """Returns how far the float32 query may be off, and whether this is more than rounding.
 
-    The query's areas lose ε (length/height)² of the length along a triangle, and at most its height in distance:
-    where that limit is reached, about length/height = 200, the distance it sees to that triangle is arbitrary.
+    The query's areas lose ε (length/height)² of the length along a triangle, and at most its height in distance.
     """
     corner = patch.corner
     edges = np.roll(corner, -1, axis=1) - corner
@@ -195,4 +214,4 @@ def _query_error(patch: Patch) -> tuple[float, bool]:
     lost = epsilon * longest * (longest / height) ** 2
     rounding = 16.0 * epsilon * (np.abs(corner).max() + longest)
     slack = float((np.minimum(lost, height) + rounding).max())
-    return slack, bool((lost > rounding).any()), bool((lost > height).any())
+    return slack, bool((lost > rounding).any())

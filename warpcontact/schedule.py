@@ -2,47 +2,83 @@
 
 Each stage reads what earlier ones wrote:
 
-    clear → closest point → contact force (one launch per law) → integrate → sweep → finish → history
+    travel → closest point → contact force (one launch per law) → wrenches → integrate → sweep → finish → history
 """
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.kernels import clear, closest_point, history, integrate, sweep
+from warpcontact.kernels import closest_point, history, integrate, sweep, travel, wrenches
+from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
     from warpcontact.integrators import Integrator
     from warpcontact.model import Model
 
 
-def _prepare(model: "Model", kernel: wp.Kernel, dim: Any, inputs: list[Any]) -> list[wp.Launch]:
-    """Returns the launch, recorded once and replayed without packing arguments; none if there is no work."""
-    size = dim if isinstance(dim, tuple) else (dim,)
-    if 0 in size:
-        return []
-    return [wp.launch(kernel, dim=dim, inputs=inputs, device=model.device, record_cmd=True)]
+# Most threads of a GPU that search, in whole warps, for however many blocks.
+SEARCHING = 65536
 
 
-def force_stages(model: "Model", state: Any, step: wp.array) -> list[wp.Launch]:
+@dataclass(frozen=True)
+class Span:
+    """Environments side by side, of one model, and how their contacts are computed.
+
+    Attributes:
+        model: The model.
+        first: Their first environment.
+        count: How many.
+        cached: Whether what is known of distances saves work.
+        ordered: Whether wrenches are summed in one order, the same in every run.
+    """
+
+    model: "Model"
+    first: int
+    count: int
+    cached: bool
+    ordered: bool
+
+    def prepare(
+        self, kernel: wp.Kernel, items: int, inputs: list[Any], threads: int | None = None
+    ) -> list[wp.Launch]:
+        """Returns the launch for some items per environment, recorded once; none if there is no work."""
+        if items == 0:
+            return []
+        device = self.model.device
+        work = Work()
+        work.first, work.items, work.tasks = self.first, items, self.count * items
+        work.threads = (threads or work.tasks) if device.is_cuda else 1
+        return [wp.launch(kernel, dim=work.threads, inputs=[work, *inputs], device=device, record_cmd=True)]
+
+
+def force_stages(span: Span, state: Any, step: wp.array) -> list[wp.Launch]:
     """Returns the launches that compute contacts and wrenches of ``state``; they change nothing else.
 
     ``step`` [env, 0] is what the forces act over [s]; zeros for the forces of the instant.
     """
+    model = span.model
     a, real = model.arrays, model.types.real
-    bodies, contacts = (model.envs, model.body_count), (model.envs, model.contact_count)
-    launches = _prepare(model, clear.kernel(real), bodies, [a.status, a.wrenches])
-    launches += _prepare(
-        model,
-        closest_point.kernel(real, model.follows),
-        contacts,
-        [a.status, a.model, state, a.history, a.contacts],
-    )
+    launches = []
+    if span.cached:
+        launches += span.prepare(
+            travel.kernel(real), len(model.scene.contacts), [a.status, a.model, state, a.cache]
+        )
+    # Searches take much longer than what is known: on a GPU threads that search would hold up those beside them.
+    for part in ("known", "rest") if span.cached and model.device.is_cuda else ("whole",):
+        launches += span.prepare(
+            closest_point.kernel(real, model.follows, part),
+            model.blocks.count,
+            [a.status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near],
+            threads=min(SEARCHING, -(-span.count * model.blocks.count // 32) * 32) if part == "rest" else None,
+        )
+    if not span.ordered:
+        launches += span.prepare(wrenches.clear(real), model.body_count, [a.status, a.wrenches])
     for group in model.groups:
-        launches += _prepare(
-            model,
+        launches += span.prepare(
             group.kernel,
-            (model.envs, group.count),
+            group.block_count,
             [
                 a.status,
                 a.model,
@@ -50,69 +86,85 @@ def force_stages(model: "Model", state: Any, step: wp.array) -> list[wp.Launch]:
                 a.history,
                 group.memory,
                 step,
+                group.first_block,
                 group.first,
                 group.coefficients,
                 a.contacts,
                 group.kept,
+                a.near,
+                span.ordered,
                 a.wrenches,
             ],
         )
+    if span.ordered:
+        launches += span.prepare(wrenches.add_up(real), model.body_count, [a.status, a.model, a.near, a.wrenches])
     return launches
 
 
 def step_stages(
-    model: "Model", integrator: "Integrator", dt: wp.array, state_in: Any, state_out: Any, mark: wp.array | None
+    span: Span, integrator: "Integrator", dt: wp.array, state_in: Any, state_out: Any, mark: wp.array | None
 ) -> list[wp.Launch]:
     """Returns the launches that propose a step from ``state_in`` to ``state_out``.
 
     ``mark`` [0] is set, and the status of the environment changed, where a swept point crosses a surface; with
     ``None`` such a step is taken as it is.
     """
+    model = span.model
     a, real = model.arrays, model.types.real
-    bodies, contacts = (model.envs, model.body_count), (model.envs, model.contact_count)
-    launches = force_stages(model, state_in, dt)
-    launches += _prepare(
-        model, integrator.kernel(real), bodies, [a.status, dt, a.model, state_in, a.wrenches, state_out]
+    launches = force_stages(span, state_in, dt)
+    launches += span.prepare(
+        integrator.kernel(real), model.body_count, [a.status, dt, a.model, state_in, a.wrenches, state_out]
     )
     if model.sweeps:
         marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark
-        launches += _prepare(
-            model,
+        launches += span.prepare(
             sweep.kernel(real),
-            contacts,
+            model.contact_count,
             [a.status, a.model, state_in, state_out, a.contacts, int(mark is not None), marked],
         )
     return launches
 
 
-def change_stages(model: "Model", integrator: "Integrator", change: wp.array, state: Any) -> list[wp.Launch]:
+def change_stages(span: Span, integrator: "Integrator", change: wp.array, state: Any) -> list[wp.Launch]:
     """Returns the launches that ready ``state`` for steps longer by ``change`` [env, 0] than those before [s]."""
+    model = span.model
     a, kernel = model.arrays, integrator.change_step(model.types.real)
     if kernel is None:
         return []
-    return force_stages(model, state, model.no_step) + _prepare(
-        model, kernel, (model.envs, model.body_count), [a.status, change, a.model, a.wrenches, state]
+    return force_stages(span, state, model.no_step) + span.prepare(
+        kernel, model.body_count, [a.status, change, a.model, a.wrenches, state]
     )
 
 
-def accept_stages(model: "Model", dt: wp.array, state_in: Any, state_out: Any) -> list[wp.Launch]:
+def accept_stages(span: Span, dt: wp.array, state_in: Any, state_out: Any) -> list[wp.Launch]:
     """Returns the launches that accept a proposed step in all active environments."""
+    model = span.model
     a, real = model.arrays, model.types.real
-    launches = _prepare(
-        model, integrate.finish(real), model.envs, [a.status, dt, a.time, model.body_count, state_in, state_out]
+    launches = span.prepare(
+        integrate.finish(real), 1, [a.status, dt, a.time, model.body_count, state_in, state_out]
     )
-    launches += _prepare(
-        model,
+    launches += span.prepare(
         history.kernel(real, model.follows),
-        (model.envs, model.contact_count),
-        [a.status, a.time, dt, a.contacts, a.history],
+        model.blocks.count,
+        [a.status, a.time, dt, a.model, a.contacts, a.near, a.history],
     )
     for group in model.groups:
         for formula, memory, kept in group.memories():
-            launches += _prepare(
-                model,
+            launches += span.prepare(
                 history.memory_kernel(formula, real),
-                (model.envs, group.count),
-                [a.status, kept, memory],
+                group.block_count,
+                [a.status, a.model, a.near, group.first_block, group.first, kept, memory],
             )
     return launches
+
+
+def adopt_stage(span: Span, source: Any, target: Any) -> list[wp.Launch]:
+    """Returns the launch that copies the state of the active environments; a frozen one is left as it is."""
+    model = span.model
+    kernel = integrate.adopt(model.types.real)
+    return span.prepare(kernel, model.body_count, [model.arrays.status, source, target])
+
+
+def turn_stage(span: Span, *, back: bool) -> list[wp.Launch]:
+    """Returns the launch that lets environments with a crossing step and the others wait, or all step again."""
+    return span.prepare(sweep.turn(), 1, [span.model.arrays.status, int(back)])

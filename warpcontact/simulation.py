@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,27 +11,21 @@ from numpy.typing import ArrayLike
 from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
 from warpcontact.build import allocate
+from warpcontact.crew import Crew, available_threads
 from warpcontact.integrators import Integrator, SemiImplicitEuler
-from warpcontact.kernels import integrate, sweep
 from warpcontact.model import Model
 from warpcontact.parameters import broadcast, rounded
 from warpcontact.recorder import Recorder, Recording
-from warpcontact.schedule import accept_stages, change_stages, step_stages
+from warpcontact.schedule import Span
+from warpcontact.slices import Slice, Times
 
 # Steps between two looks at the progress bar; a step of a large model takes milliseconds.
 STEPS_PER_UPDATE = 50
-
-
-@dataclass(frozen=True)
-class _Step:
-    """The launches of a step from one buffer to the other, and those of a part of it."""
-
-    state_in: Any
-    state_out: Any
-    whole: list[wp.Launch]
-    part: list[wp.Launch]
-    divide: list[wp.Launch]  # before a first part from the first buffer
-    resume: list[wp.Launch]  # after a last part into the second
+# Of the cache of a core that a slice may fill, and what a contact and a body take of it; measured.
+CACHE_BYTES = 512 * 1024
+CONTACT_BYTES = 300
+BODY_BYTES = 400
+LARGEST_SLICE = 128
 
 
 class Simulation:
@@ -44,11 +37,25 @@ class Simulation:
         integrator: Scheme, semi-implicit Euler if not given.
         crossing_steps: Parts into which a step is divided, in environments in which a swept point crosses a
             surface in that step. 1: such a step is taken as it is, and the contact begins as deep as it led.
+        threads: Threads that step the environments of a model on the CPU; ``None``: one per core.
+        deterministic: Whether a run repeats to the bit on a GPU as well, where several points of a body touch;
+            on the CPU it does in any case, whatever the number of threads.
+        distance_cache: Whether what is known of distances from earlier steps saves work; results are the same.
+        graphs: Whether steps are captured and replayed, without a word from Python; results are the same.
 
     """
 
     def __init__(
-        self, model: Model, dt: float, integrator: Integrator | None = None, *, crossing_steps: int = 1
+        self,
+        model: Model,
+        dt: float,
+        integrator: Integrator | None = None,
+        *,
+        crossing_steps: int = 1,
+        threads: int | None = None,
+        deterministic: bool = False,
+        distance_cache: bool = True,
+        graphs: bool = True,
     ) -> None:
         integrator = SemiImplicitEuler() if integrator is None else integrator
         if not isinstance(model, Model):
@@ -61,27 +68,27 @@ class Simulation:
         self.integrator = integrator
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
         rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.types.real))
-        if (
-            isinstance(crossing_steps, bool)
-            or not isinstance(crossing_steps, int | np.integer)
-            or crossing_steps < 1
-        ):
-            raise ValueError(f"crossing_steps must be a whole number of at least 1, got {crossing_steps!r}")
-        self.crossing_steps = int(crossing_steps)
+        self.crossing_steps = _at_least_one("crossing_steps", crossing_steps)
+        if self.crossing_steps > 1 and not model.sweeps:
+            warnings.warn(
+                f"crossing_steps = {self.crossing_steps} divides no step: no contact of the scene has swept=True",
+                ContactWarning,
+                stacklevel=2,
+            )
+        self.threads = available_threads() if threads is None else _at_least_one("threads", threads)
+        self.deterministic = bool(deterministic)
+        self.distance_cache = bool(distance_cache)
+        self.graphs = bool(graphs)
         self._advised = False
         part = self.dt / self.crossing_steps
-        self._dt_memory = [
+        self._time_memory = [
             wp.full((1, 1), value, dtype=model.types.real, device=model.device)
             for value in (self.dt, part, part - self.dt, self.dt - part)
         ]
-        self._dt, self._part, self._shorter, self._longer = (
-            broadcast(memory, model.envs) for memory in self._dt_memory
-        )
-        divides = model.sweeps and self.crossing_steps > 1
-        self._mark = wp.zeros(1, dtype=wp.int32, device=model.device) if divides else None
+        self.times = Times(*(broadcast(memory, model.envs) for memory in self._time_memory))
         # Steps go from one buffer to the other and back; between calls the state is always in the model's.
         self._other = allocate(model.types.State, (model.envs, model.body_count), model.device)
-        self._prepared: tuple[int, list[_Step]] = (-1, [])
+        self._prepared: tuple[int, Crew | None] = (-1, None)
 
     @property
     def state(self) -> Any:
@@ -118,68 +125,30 @@ class Simulation:
             for sentence in advice(model, self.dt):
                 warnings.warn(sentence, ContactWarning, stacklevel=2)
         model.at_start = False
-        if self._prepared[0] != model.revision:
-            own, other = model.arrays.state, self._other
-            self._prepared = (model.revision, [self._prepare(own, other), self._prepare(other, own)])
-        _, steps = self._prepared
-        done = 0
-        try:
-            while done < count:
-                self._take(steps, done % 2)
-                done += 1
-        except BaseException:
-            # Whoever was waiting for the others would wait for ever.
-            if self._mark is not None:
-                self._turn(back=True)
-            raise
-        finally:
-            # Also after an interruption: the state is in the model's buffer, and the clock tells its time.
-            if done % 2:
-                self._adopt(self._other, model.arrays.state)
-            self.model.time += done * self.dt
+        revision, crew = self._prepared
+        if crew is None or revision != model.revision:
+            crew = Crew(self._slices(), self.threads)
+            self._prepared = (model.revision, crew)
+        before = model.time
+        for done in crew.step(count):
+            model.time = before + done * self.dt
 
-    def _prepare(self, state_in: Any, state_out: Any) -> "_Step":
-        model, integrator, mark = self.model, self.integrator, self._mark
-        part, divide, resume = [], [], []
-        if mark is not None:
-            part = step_stages(model, integrator, self._part, state_in, state_out, None)
-            part += accept_stages(model, self._part, state_in, state_out)
-            divide = change_stages(model, integrator, self._shorter, state_in)
-            resume = change_stages(model, integrator, self._longer, state_out)
-        return _Step(
-            state_in,
-            state_out,
-            whole=step_stages(model, integrator, self._dt, state_in, state_out, mark)
-            + accept_stages(model, self._dt, state_in, state_out),
-            part=part,
-            divide=divide,
-            resume=resume,
-        )
-
-    def _take(self, steps: "list[_Step]", way: int) -> None:
-        """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""
-        if self._mark is not None:
-            self._mark.zero_()
-        for launch in steps[way].whole:
-            launch.launch()
-        if self._mark is None or not self._mark.numpy()[0]:
-            return
-        # Environments with a crossing have not moved on. The others wait.
-        self._turn(back=False)
-        for launch in steps[way].divide:
-            launch.launch()
-        for part in range(self.crossing_steps):
-            for launch in steps[(way + part) % 2].part:
-                launch.launch()
-        if self.crossing_steps % 2 == 0:
-            self._adopt(steps[way].state_in, steps[way].state_out)
-        for launch in steps[way].resume:
-            launch.launch()
-        self._turn(back=True)
-
-    def _turn(self, *, back: bool) -> None:
+    def _slices(self) -> list[Slice]:
         model = self.model
-        wp.launch(sweep.turn(), dim=model.envs, inputs=[model.arrays.status, int(back)], device=model.device)
+        # On the CPU a slice is stepped by one thread, so the order is the same in any case.
+        ordered = self.deterministic or not model.device.is_cuda
+        size = _slice_size(model, self.threads)
+        return [
+            Slice(
+                Span(model, first, min(size, model.envs - first), self.distance_cache, ordered),
+                self.integrator,
+                self.times,
+                self._other,
+                parts=self.crossing_steps,
+                captured=self.graphs,
+            )
+            for first in range(0, model.envs, size)
+        ]
 
     def run(
         self,
@@ -246,17 +215,22 @@ class Simulation:
             }
         )
 
-    def _adopt(self, source: Any, target: Any) -> None:
-        """Copies the state of the active environments; a frozen one is left as it is."""
-        wp.launch(
-            integrate.adopt(self.model.types.real),
-            dim=(self.model.envs, self.model.body_count),
-            inputs=[self.model.arrays.status, source, target],
-            device=self.model.device,
-        )
-
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"
+
+
+def _at_least_one(name: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
+    return int(value)
+
+
+def _slice_size(model: Model, threads: int) -> int:
+    """Returns how many environments a slice has: as many as fit into the cache of a core, and enough slices."""
+    if model.device.is_cuda:
+        return model.envs
+    per_env = CONTACT_BYTES * model.contact_count + BODY_BYTES * model.body_count
+    return max(1, min(CACHE_BYTES // per_env, LARGEST_SLICE, -(-model.envs // threads)))
 
 
 def whole_steps(name: str, time: float, dt: float, *, exact: bool) -> int:

@@ -2,17 +2,13 @@
 
 import os
 from pathlib import Path
-from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from warpcontact.meshes.examine import examine
-from warpcontact.meshes.groups import FaceChoice, face_mask
-from warpcontact.meshes.isolation import Limits, read_isolated
-from warpcontact.meshes.mesh import Mesh, MeshError
-from warpcontact.meshes.readers import SUFFIXES, USD_SUFFIXES, Content, Unreadable, read
-from warpcontact.meshes.repair import RepairRequest, check_tolerance, repair_arrays, steps_of
+from warpcontact.meshes.groups import FaceChoice
+from warpcontact.meshes.intake import Examined, Task, carry_out, unreadable
+from warpcontact.meshes.isolation import Limits, carry_out_apart
+from warpcontact.meshes.mesh import Mesh, MeshError, positive
+from warpcontact.meshes.readers import SUFFIXES, USD_SUFFIXES, Unreadable
+from warpcontact.meshes.repair import RepairRequest, check_tolerance, steps_of
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import CRACK_LIMIT
 from warpcontact.meshes.units import metres
@@ -136,41 +132,8 @@ class Options:
         )
 
 
-class Examined(NamedTuple):
-    """What is in a file, empty if it is not readable, and the report on it.
-
-    Attributes:
-        vertices: Positions, (V, 3) [m].
-        faces: Vertex indices of each triangle, (F, 3); they may be out of range.
-        groups: Face numbers by the name of the group.
-        report: What is known of them; it leaves the groups out.
-    """
-
-    vertices: npt.NDArray[Any]
-    faces: npt.NDArray[Any]
-    groups: dict[str, npt.NDArray[np.int64]]
-    report: MeshReport
-
-    def active(self, choice: FaceChoice) -> npt.NDArray[np.bool] | None:
-        """Returns the mask (F,) of the chosen faces; ``None`` if nothing is chosen, or there is no face."""
-        return None if choice is None or not len(self.faces) else face_mask("active_faces", choice, self)
-
-    def complete_report(self, active: npt.NDArray[np.bool] | None) -> MeshReport:
-        """Returns the report with the groups, and with the active part if there is a mask (F,) of it."""
-        groups = tuple((name, len(members)) for name, members in self.groups.items())
-        report = replace(self.report, groups=groups)
-        if active is None:
-            return report
-        chosen = self.faces[active]
-        corners = self.vertices[chosen[np.all((chosen >= 0) & (chosen < len(self.vertices)), axis=1)]]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = 0.5 * float(np.linalg.norm(cross, axis=1).sum())
-        return replace(report, active_face_count=len(chosen), active_area=area)
-
-
 def examined(path: Path, name: str | None, options: Options) -> Examined:
-    """Returns what is in a file, called ``name`` or like the file, and the report on it."""
-    title = path.stem if name is None else name
+    """Reads, repairs and examines a file, in a process of its own unless it is trusted."""
     suffix = path.suffix.lower()
     _check_file(path)
     if options.prim is not None and suffix not in USD_SUFFIXES:
@@ -185,25 +148,7 @@ def examined(path: Path, name: str | None, options: Options) -> Examined:
             return carry_out(task, confined=False)
         return carry_out_apart(task, options.limits)
     except Unreadable as error:
-        report = MeshReport(title, errors=(str(error),))
-        return Examined(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), {}, report)
-    with np.errstate(over="ignore"):  # infinity is refused by the examination
-        vertices = np.asarray(content.vertices, dtype=np.float64) * factor
-    try:
-        vertices, faces, groups, repairs = repair_arrays(
-            vertices, content.faces, content.groups, options.steps, options.tolerance
-        )
-    except MeshError as error:
-        return Examined(vertices, content.faces, content.groups, MeshReport(title, errors=(str(error),)))
-    report = examine(vertices, faces, title, overlaps=True)
-    said = [content.unit_warning] if options.unit is None and content.unit_warning else []
-    report = replace(
-        report,
-        repairs=repairs,
-        warnings=(*content.warnings, *said, *report.warnings),
-        notes=(*content.notes, *report.notes),
-    )
-    return Examined(vertices, faces, groups, report)
+        return unreadable(task.title, error)
 
 
 def _check_file(path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from warpcontact.meshes.examine import examine
 from warpcontact.meshes.groups import FaceChoice, checked_groups, face_mask
+from warpcontact.meshes.remarks import flipped, handed_on
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import weld
 

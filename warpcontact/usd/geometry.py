@@ -65,19 +65,15 @@ def spheres_of(replay: Replay) -> list[Spheres]:
     return list(found.values())
 
 
-def body_size(body: Body, scene: Scene, spheres: Iterable[Spheres]) -> float:
-    """Returns the diameter about its centre of mass of everything a body carries [m]."""
-    reach = 0.0
-    for surface in scene.surfaces:
-        if surface.body is body:
-            # Rotation of the mesh in its own frame does not change how far it reaches from that frame's origin.
-            far = surface.scale * max(np.linalg.norm(mesh.vertices, axis=1).max() for mesh in surface.meshes)
-            far += np.linalg.norm(surface.position)
-            reach = max(reach, float(far))
-    for group in spheres:
-        if group.body is body:
-            reach = max(reach, float((np.linalg.norm(group.positions, axis=1) + group.radii).max()))
-    return 2.0 * reach
+def body_size(body: Body, placements: Iterable["Placement"], spheres: Iterable[Spheres]) -> float:
+    """Returns the diameter about its centre of mass of everything a body carries in any environment [m]."""
+    reach = [placement.reach for placement in placements if placement.surface.body is body]
+    reach += [
+        float((np.linalg.norm(group.places, axis=-1) + group.radii).max())
+        for group in spheres
+        if group.body is body
+    ]
+    return 2.0 * max(reach, default=0.0)
 
 
 def scene_size(replay: Replay, placements: Sequence["Placement"], spheres: Sequence[Spheres]) -> float:
@@ -86,8 +82,8 @@ def scene_size(replay: Replay, placements: Sequence["Placement"], spheres: Seque
     largest = max((body_size(body, placements, spheres) for body in bodies), default=0.0)
     if largest > 0.0:
         return largest
-    places = [replay.pose(body)[0].reshape(-1, 3) for body in scene.bodies]
-    places += [surface.scale * mesh.bounds for surface in scene.surfaces for mesh in surface.meshes]
+    places = [replay.pose(body)[0].reshape(-1, 3) for body in bodies]
+    places += [placement.corners for placement in placements]
     if not places:
         return 1.0
     return 0.1 * float(np.linalg.norm(np.ptp(np.concatenate(places), axis=0))) or 1.0

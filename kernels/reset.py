@@ -1,4 +1,4 @@
-"""Start of a step: zero wrenches; start of a run: the initial state."""
+"""Start of a run: the initial state, and nothing known of what was before."""
 
 import functools
 
@@ -9,38 +9,24 @@ from warpcontact.kernels.types import ENV_ACTIVE, structs
 
 
 @functools.cache
-def kernel(real: type) -> wp.Kernel:
-    """Returns the kernel that zeroes ``wrenches``. Launch with dim (env, body)."""
-    t = structs(real)
-    vec3, Wrenches = t.vec3, t.Wrenches
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def clear_wrenches(status: wp.array(dtype=wp.int32), wrenches: Wrenches):
-        env, body = wp.tid()
-        if status[env] != ENV_ACTIVE:
-            return
-        wrenches.force[env, body] = vec3()
-        wrenches.torque[env, body] = vec3()
-
-    return clear_wrenches
-
-
-@functools.cache
-def reset(real: type) -> wp.Kernel:
+def environments(real: type) -> wp.Kernel:
     """Returns the kernel that puts chosen environments back to the start. Launch with dim env."""
     t = structs(real)
-    State, History = t.State, t.History
+    State, History, Cache = t.State, t.History, t.Cache
 
     @wp.kernel(module="unique", enable_backward=False)
     def reset_environments(
         mask: wp.array(dtype=wp.bool),
         bodies: wp.int32,
         contacts: wp.int32,
+        blocks: wp.int32,
+        sets: wp.int32,
         initial: State,
         status: wp.array(dtype=wp.int32),
         time: wp.array(dtype=wp.float64),
         state: State,
         history: History,
+        cache: Cache,
     ):
         env = wp.tid()
         if not mask[env]:
@@ -58,12 +44,19 @@ def reset(real: type) -> wp.Kernel:
             history.face[env, contact] = -1
             history.crossings[env, contact] = 0
             history.crossing_time[env, contact] = real(wp.nan)
+            cache.wake[env, contact] = real(0.0)
+            cache.faces[env, contact] = 0
+        for block in range(blocks):
+            cache.block_wake[env, block] = real(0.0)
+        for number in range(sets):
+            cache.set_wake[env, number] = real(0.0)
+            cache.set_travel[env, number] = real(0.0)
 
     return reset_environments
 
 
 @functools.cache
-def reset_memory(formula: type[Formula], real: type) -> wp.Kernel:
+def memory(formula: type[Formula], real: type) -> wp.Kernel:
     """Returns the kernel that empties the memory of ``formula``. Launch with dim (env, contact of the group)."""
     Struct = memory_struct(formula, real)
 

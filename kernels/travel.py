@@ -1,0 +1,71 @@
+"""How far the points of a set moved over their surface: none that was farther away than this can touch it now."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels import frames
+from warpcontact.kernels.types import ENV_ACTIVE, Work, structs
+
+# Rounding of a position, in units of epsilon times the size of what it is computed from.
+ROUNDING = 32.0
+
+
+@functools.cache
+def kernel(real: type) -> wp.Kernel:
+    """Returns the kernel that adds up the travel of every set; items: sets.
+
+    It is seen from the surface, which may move as well. A body that was put elsewhere has travelled there.
+    """
+    t = structs(real)
+    Model, State, Cache = t.Model, t.State, t.Cache
+    frame = frames.functions(real)
+    point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
+    epsilon = wp.constant(real(t.epsilon))
+    rounding = wp.constant(real(t.epsilon * ROUNDING))
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def add_travel(work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, cache: Cache):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            number = task % work.items
+            if task == 0:
+                cache.waiting[0] = 0
+            if status[env] != ENV_ACTIVE:
+                continue
+            contact = model.set_contact[number]
+            surface = model.patch_surface[model.contact_patch[contact]]
+            carrier = model.surface_body[surface]
+            o_B = model.surface_position[env, surface]
+            o_W = point_to_world(state, env, carrier, o_B)
+            q_WS = orientation_to_world(state, env, carrier, model.surface_orientation[env, surface])
+            body = model.point_body[model.contact_point[contact]]
+            c_B = model.set_center[env, number]
+            c_W = point_to_world(state, env, body, c_B)
+            q_SB = wp.quat_inverse(q_WS) * orientation_to_world(state, env, body, wp.quat_identity(dtype=real))
+            position = wp.quat_rotate_inv(q_WS, c_W - o_W)
+            extent = model.set_extent[env, number]
+
+            # Two rotations, as unit quaternions, move a point at distance 1 from each other by 2 |q − q'| at most.
+            last = cache.set_orientation[env, number]
+            turned = wp.min(wp.length(q_SB - last), wp.length(q_SB + last))
+            moved = wp.length(position - cache.set_position[env, number]) + real(2.0) * extent * turned
+            before = cache.set_travel[env, number]
+            travel = before + moved * (real(1.0) + real(8.0) * epsilon) + epsilon * before
+            margin = rounding * (wp.length(c_W) + wp.length(o_W) + wp.length(c_B) + wp.length(o_B) + extent)
+            cache.set_position[env, number] = position
+            cache.set_orientation[env, number] = q_SB
+            cache.set_travel[env, number] = travel
+            cache.set_margin[env, number] = margin
+
+            wake = cache.set_wake[env, number]
+            asleep = travel + margin < wake
+            if not asleep:
+                # Its blocks may have learned more since.
+                wake = real(wp.inf)
+                for block in range(model.set_block_start[number], model.set_block_start[number + 1]):
+                    wake = wp.min(wake, cache.block_wake[env, block])
+                cache.set_wake[env, number] = wake
+                asleep = travel + margin < wake
+            cache.set_asleep[env, number] = wp.where(asleep, 1, 0)
+
+    return add_travel

@@ -1,0 +1,279 @@
+"""However steps are taken, cached or not, captured or not, in slices by many threads: results are equal."""
+
+import signal
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import warpcontact as wc
+from warpcontact import crew, simulation
+
+STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
+PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
+TEMPLATE = wc.Template(
+    law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0), friction=wc.frictions.Tanh(mu=0.5, velocity_scale=0.01)
+)
+STUCK = wc.Template(
+    law=wc.laws.HuntCrossley(stiffness=2e4, restitution=0.5),
+    friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
+)
+ENVS = 24
+
+
+def cloud(count, size, seed=3):
+    """Points (count, 3) on the surface of a box of ``size``."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1, 1, (count, 3))
+    points[np.arange(count), np.abs(points).argmax(axis=1)] = np.sign(
+        points[np.arange(count), np.abs(points).argmax(axis=1)]
+    )
+    return 0.5 * size * points
+
+
+def terrain_with(points, radius=0.0, **contact):
+    def make():
+        scene = wc.Scene()
+        ground = scene.add_surface(
+            wc.meshes.sinusoidal_terrain((4, 4), (30, 30), amplitude=0.15, wavelength=1.3), name="ground"
+        )
+        body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.5), name="body")
+        scene.add_contact(scene.add_points(body, points), ground, TEMPLATE, radius=radius, name="touch", **contact)
+        return scene
+
+    return make
+
+
+def falling_on(mesh, *, radius=0.05, height=0.8, template=TEMPLATE, surface=None, **contact):
+    def make():
+        scene = wc.Scene()
+        ground = scene.add_surface(mesh, name="ground", **(surface or {}))
+        body = scene.add_body(0.5, (1e-3, 1e-3, 1e-3), position=(0, 0, height), name="body")
+        scene.add_contact(
+            scene.add_point(body, (0, 0, 0)), ground, template, radius=radius, name="touch", **contact
+        )
+        return scene
+
+    return make
+
+
+def two_bodies():
+    """A box of points falls on a box that turns and flies, and both on the ground."""
+    scene = wc.Scene()
+    ground = scene.add_surface(wc.meshes.grid((6, 6), (5, 5)), name="ground")
+    block = scene.add_body(
+        2.0, (0.03, 0.04, 0.05), position=(0, 0, 0.5), angular_velocity=(1, 2, 0.5), name="block"
+    )
+    shell = scene.add_surface(wc.meshes.box((0.4, 0.5, 0.3)), block, name="shell")
+    body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 1.0), name="body")
+    points = scene.add_points(body, cloud(40, 0.2))
+    corners = scene.add_points(block, 0.5 * np.array([0.4, 0.5, 0.3]) * CORNERS)
+    scene.add_contact(points, shell, STUCK, name="upper")
+    scene.add_contact(corners, ground, STUCK, name="lower")
+    scene.add_contact(points, ground, TEMPLATE, name="missed")
+    return scene
+
+
+def half_active(mesh):
+    return {"active_faces": mesh.vertices[mesh.faces].mean(axis=1)[:, 0] > -0.1}
+
+
+SHELL = wc.meshes.icosphere(0.4, 3)
+PLATE = wc.meshes.grid((1.0, 0.6), (4, 3))
+CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+# A floor, and a wall that shows its inner side to what lies on it: the side changes where both are equally near.
+FOLDED = wc.Mesh(
+    [(-1, -1, 0), (0.5, -1, 0), (0.5, 1, 0), (-1, 1, 0), (0.6, -1, 0), (0.6, 1, 0), (0.6, 1, 1), (0.6, -1, 1)],
+    [(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)],
+)
+SCENES = {
+    "sphere on terrain": terrain_with([[0.02, 0.01, 0.0]], radius=0.08),
+    "box of points on terrain": terrain_with(cloud(60, 0.2)),
+    "one with a limited depth": terrain_with(cloud(20, 0.2), max_depth=0.05),
+    "one that sees little": terrain_with(cloud(20, 0.2), radius=0.01, search_radius=0.06),
+    "on a ball": falling_on(SHELL),
+    "on the inner side of a ball": falling_on(SHELL.flipped(), height=0.1),
+    "beside a plate": falling_on(PLATE),
+    "over its rim": falling_on(PLATE, rim="outer"),
+    "latched": falling_on(PLATE, entry="latched"),
+    "latched on a ball": falling_on(SHELL, entry="latched"),
+    "swept": falling_on(SHELL, swept=True),
+    "a fold that hides a side": falling_on(FOLDED),
+    "partly active": falling_on(SHELL, surface=half_active(SHELL)),
+    "the active part": falling_on(SHELL, surface=half_active(SHELL), search="active"),
+    "with memory": falling_on(SHELL, template=STUCK),
+    "two bodies": two_bodies,
+}
+
+
+def start(model, seed=1):
+    rng = np.random.default_rng(seed)
+    for body in model.scene.bodies:
+        position = model[f"{body.name}.position"]
+        position[:, :2] += rng.uniform(-0.5, 0.5, (model.envs, 2))
+        position[:, 2] += rng.uniform(0.0, 0.3, model.envs)
+        model[f"{body.name}.position"] = position
+        model[f"{body.name}.linear_velocity"] = rng.normal(0, 0.7, (model.envs, 3))
+        model[f"{body.name}.angular_velocity"] = rng.normal(0, 2.0, (model.envs, 3))
+
+
+def run(name, precision, device, *, steps=700, envs=ENVS, **options):
+    model = SCENES[name]().build(envs=envs, precision=precision, device=device)
+    start(model)
+    sim = wc.Simulation(model, dt=1e-3, **options)
+    states = []
+    for _ in range(7):
+        sim.step(steps // 7)
+        states.append([model.reading(f"{b.name}.{key}") for b in model.scene.bodies for key in STATE])
+    # What only falls has its velocity from the start and from gravity.
+    fall = model["body.linear_velocity"] + steps * 1e-3 * model["scene.gravity"]
+    pushed = np.abs(model.reading("body.linear_velocity") - fall).max(axis=1) > 1e-2
+    return states, pushed
+
+
+def assert_same(left, right):
+    for now, (some, others) in enumerate(zip(left, right, strict=True)):
+        for value, other in zip(some, others, strict=True):
+            np.testing.assert_array_equal(value, other, err_msg=f"after part {now}")
+
+
+@PRECISIONS
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("name", SCENES)
+def test_what_is_known_of_distances_changes_nothing(name, precision, device):
+    known, pushed = run(name, precision, device)
+    afresh, _ = run(name, precision, device, distance_cache=False, graphs=False, threads=1)
+    assert pushed.sum() >= 3
+    assert_same(known, afresh)
+
+
+@PRECISIONS
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+def test_nor_does_it_when_bodies_are_put_elsewhere_or_parameters_change(precision, device):
+    """Between steps somebody sets the state, moves the surface, changes sizes or resets some environments."""
+
+    def run(distance_cache):
+        scene = wc.Scene()
+        meshes = [wc.meshes.box((1.0, 1.0, 0.2)), wc.meshes.icosphere(0.5, 2)]
+        ground = scene.add_surface(meshes, name="ground")
+        body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.8), name="body")
+        points = scene.add_points(body, cloud(30, 0.2), name="points")
+        scene.add_contact(points, ground, STUCK, radius=0.01, name="touch")
+        model = scene.build(envs=ENVS, precision=precision, device=device)
+        start(model)
+        sim = wc.Simulation(model, dt=1e-3, distance_cache=distance_cache)
+        rng = np.random.default_rng(8)
+
+        def put(near):
+            state = sim.state.body_position.numpy().copy()
+            state[::3, 0] = near + rng.normal(0, 0.02, (len(state[::3]), 3))
+            sim.state.body_position.assign(state)
+
+        changes = [
+            lambda: put((0.0, 0.0, 0.25)),
+            lambda: put((0.0, 0.0, 5.0)),
+            lambda: put((0.0, 0.0, 0.65)),
+            lambda: model.__setitem__("ground.mesh", rng.integers(0, 2, ENVS)),
+            lambda: model.__setitem__("ground.position", rng.normal(0, 0.1, (ENVS, 3))),
+            lambda: model.__setitem__("ground.scale", rng.uniform(0.8, 1.3, ENVS)),
+            lambda: model.__setitem__("touch.radius", 0.03),
+            lambda: model.__setitem__("touch.enabled", rng.integers(0, 2, ENVS)),
+            lambda: model.__setitem__("touch.enabled", True),
+            lambda: model.__setitem__("points.position", cloud(30, 0.3)[None]),
+            lambda: model.__setitem__("touch.max_depth", 0.05),
+            lambda: sim.reset(np.arange(ENVS) % 2 == 0),
+            lambda: model.reading("touch.gap"),
+        ]
+        states = []
+        for change in changes:
+            sim.step(70)
+            change()
+            sim.step(1)
+            states.append([model.reading(f"body.{key}") for key in STATE])
+        return states
+
+    assert_same(run(True), run(False))
+
+
+@PRECISIONS
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("name", ["box of points on terrain", "with memory", "swept", "two bodies"])
+def test_captured_steps_are_the_launched_ones(name, precision, device):
+    """A graph of many steps, of two, of one and whatever they add up to."""
+
+    def run(graphs):
+        model = SCENES[name]().build(envs=ENVS, precision=precision, device=device)
+        start(model)
+        sim = wc.Simulation(model, dt=1e-3, graphs=graphs)
+        states = []
+        for count in (1, 2, 3, 32, 65, 350, 1, 31):
+            sim.step(count)
+            states.append([model.reading(f"{b.name}.{key}") for b in model.scene.bodies for key in STATE])
+        states.append([[model.time]])
+        return states
+
+    assert_same(run(True), run(False))
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("name", ["box of points on terrain", "with memory", "swept", "two bodies"])
+@pytest.mark.parametrize(("threads", "size"), [(2, 7), (3, 1), (5, 100)])
+def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypatch):
+    alone, _ = run(name, "float32", device, threads=1)
+    monkeypatch.setattr(simulation, "LARGEST_SLICE", size)
+    monkeypatch.setattr(crew, "ALONE", 0)
+    shared, _ = run(name, "float32", device, threads=threads)
+    assert_same(alone, shared)
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+def test_simulations_side_by_side_do_not_notice_each_other(device):
+    names = ["box of points on terrain", "with memory", "on a ball", "two bodies"]
+    alone = [run(name, "float32", device)[0] for name in names]
+    # A GPU has one stream for all: there they take turns.
+    with ThreadPoolExecutor(len(names) if device == "cpu" else 1) as pool:
+        together = list(pool.map(lambda name: run(name, "float32", device)[0], names))
+    for expected, states in zip(alone, together, strict=True):
+        assert_same(expected, states)
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("name", ["box of points on terrain", "two bodies"])
+def test_a_deterministic_run_repeats_to_the_bit(name, device):
+    first, _ = run(name, "float32", device, deterministic=True)
+    second, _ = run(name, "float32", device, deterministic=True, graphs=False)
+    assert_same(first, second)
+
+
+@pytest.mark.parametrize("crossing_steps", [1, 4])
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+def test_an_interruption_leaves_all_environments_at_one_time(crossing_steps, device):
+    """Ctrl-C, whenever it comes: whole steps were taken by everybody, and the clock tells how many."""
+
+    def prepared():
+        model = SCENES["swept"]().build(envs=ENVS, device=device)
+        start(model)
+        return wc.Simulation(model, dt=1e-3, crossing_steps=crossing_steps)
+
+    sim = prepared()
+    sim.step()
+    timer = threading.Timer(1.0, signal.raise_signal, (signal.SIGINT,))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        sim.step(10**7)
+    timer.join()
+    assert sim.steps > 1
+    assert (sim.model.arrays.status.numpy() == 0).all()
+    np.testing.assert_allclose(sim.model.arrays.time.numpy(), sim.time, rtol=1e-5)
+    other = prepared()
+    other.step(sim.steps)
+    for key in STATE:
+        np.testing.assert_array_equal(sim.model.reading(f"body.{key}"), other.model.reading(f"body.{key}"))
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "4"])
+def test_wrong_numbers_of_threads_are_refused_by_name(wrong, device):
+    model = SCENES["on a ball"]().build(device=device)
+    with pytest.raises(ValueError, match=r"threads must be a whole number of at least 1"):
+        wc.Simulation(model, dt=1e-3, threads=wrong)

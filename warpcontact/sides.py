@@ -1,0 +1,127 @@
+"""Where a point keeps the side of a surface that it is on, as long as it does not come through the surface.
+
+The side of a point is that of the nearest face. Of surfaces in general it can change without a touch, where two
+faces are equally near and show different sides; of those told here it cannot.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.checks import Array
+from warpcontact.kernels.types import SIDES_ABOVE, SIDES_EVERYWHERE, SIDES_NOWHERE
+from warpcontact.meshes import Mesh
+from warpcontact.meshes.overlap import MOST_FACES
+from warpcontact.meshes.topology import components
+
+# Of areas: far above their rounding, far below a face.
+_TOLERANCE = 1.0e-9
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Where a surface keeps its sides apart.
+
+    Attributes:
+        kind: One of SIDES_*.
+        normal: Unit normals of the walls of the region, into it, (n, 3), axes of the mesh.
+        offset: Where they are along their normals, (n,), unit of the mesh, from the origin of the corners.
+    """
+
+    kind: int = SIDES_NOWHERE
+    normal: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    offset: Array = field(default_factory=lambda: np.zeros(0))
+
+
+def bounds_a_region(mesh: Mesh) -> bool:
+    """Returns whether a mesh parts space into two regions, of which one sees its outer sides only, the other none.
+
+    That is so of closed surfaces that do not cut themselves, each part of which faces the other way than the part
+    that it lies in. Large ones that were not examined for cuts may be, and are not told.
+    """
+    report = mesh.report
+    parts = report.components
+    if not report.closed or report.component_count > len(parts) or not all(part.closed for part in parts):
+        return False
+    if report.non_manifold_edge_count or any(part.volume == 0.0 for part in parts):
+        return False
+    outward = [(part.volume or 0.0) > 0.0 for part in parts]
+    outermost = {side for part, side in zip(parts, outward, strict=True) if part.inside is None}
+    if len(outermost) > 1:
+        return False
+    if any(
+        part.inside is not None and outward[part.inside] == side for part, side in zip(parts, outward, strict=True)
+    ):
+        return False
+    cuts = report.self_intersection_count
+    if cuts is None:
+        cuts = len(mesh.self_intersections()) if report.face_count <= MOST_FACES else 1
+    return cuts == 0
+
+
+def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[np.int32]) -> Sides:
+    """Returns where an open surface keeps its sides apart: above it, if it has one height over each place.
+
+    Seen along some direction it has to cover a convex region once, as terrains, plates and bowls do. From a point
+    within the walls over the rim, and above it, the way to the nearest face does not leave these walls, nor cross
+    the surface, and so arrives on the outer side.
+
+    Args:
+        corner: Corners of each face, (F, 3, 3).
+        ends: Numbers of the vertices at the ends of each edge, in the order of the face, (F, 3, 2).
+        neighbor: What lies across each edge, as in ``Patch``, (F, 3).
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    up = cross.sum(axis=0)
+    if not np.linalg.norm(up) > 0.0:
+        return Sides()
+    up /= np.linalg.norm(up)
+    steep = cross @ up <= _TOLERANCE * np.linalg.norm(cross, axis=1)
+    inner = np.argwhere(neighbor >= 0)
+    links = np.column_stack([inner[:, 0], neighbor[neighbor >= 0] // 3])
+    if steep.any() or components(links, len(corner))[0] != 1:
+        return Sides()
+
+    # Its rim, corner by corner: one loop.
+    rim = np.argwhere(neighbor < 0)
+    start, end = ends[rim[:, 0], rim[:, 1]].T
+    if not len(start) or len(np.unique(start)) < len(start):
+        return Sides()
+    following = dict(zip(start.tolist(), end.tolist(), strict=True))
+    place = dict(zip(start.tolist(), corner[rim[:, 0], rim[:, 1]], strict=True))
+    loop = [int(start[0])]
+    while (after := following.get(loop[-1])) is not None and after != loop[0] and len(loop) < len(start):
+        loop.append(after)
+    if len(loop) < len(start):
+        return Sides()
+
+    across = np.linalg.svd(up[None])[2][1:]
+    if np.linalg.det(np.vstack([across, up])) < 0.0:
+        across = across[::-1]
+    flat = np.array([place[vertex] for vertex in loop]) @ across.T
+    x, y = (flat - flat[0]).T
+    within = 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    try:
+        hull = ConvexHull(flat)
+    except QhullError:
+        return Sides()
+    size = float(np.ptp(flat, axis=0).max())
+    # Whichever way round: the distance of the rim from the walls over the hull of it.
+    beside = (hull.equations[:, :2] @ flat.T + hull.equations[:, 2:]).max(axis=0)
+    covered = 0.5 * float((cross @ up).sum())
+    equal = np.allclose([within, covered], hull.volume, rtol=_TOLERANCE, atol=0.0)
+    if not equal or (beside < -_TOLERANCE * size).any():
+        return Sides()
+    return Sides(SIDES_ABOVE, -hull.equations[:, :2] @ across, hull.equations[:, 2].copy())
+
+
+def sides_of(
+    mesh: Mesh, corner: Array, ends: NDArray[np.integer], neighbor: NDArray[np.int32], *, whole: bool
+) -> Sides:
+    """Returns where a mesh, or with ``whole`` false a part of it that has these faces, keeps its sides apart."""
+    if whole and bounds_a_region(mesh):
+        return Sides(SIDES_EVERYWHERE)
+    return sides_of_graph(corner, ends, neighbor)

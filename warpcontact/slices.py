@@ -1,0 +1,145 @@
+"""A slice of the environments: so few that their state stays in the cache of a core, which steps them alone.
+
+A step is a list of launches. Where nothing has to be decided on the host they are captured once, many steps at a
+time, and replayed; launches and replays compute the same.
+"""
+
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from warpcontact.integrators import Integrator
+from warpcontact.schedule import (
+    Span,
+    accept_stages,
+    adopt_stage,
+    change_stages,
+    step_stages,
+    turn_stage,
+)
+
+# Steps in a graph, the most first; whatever is asked for is made up of these. An odd one ends in the other buffer
+# and is copied back.
+GRAPH_STEPS = (32, 2, 1)
+
+# One capture at a time, in the whole process.
+_capturing = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Times:
+    """Lengths of steps [env, 0] [s]: of a whole one, of a part, and what the one is longer or shorter by."""
+
+    whole: wp.array
+    part: wp.array
+    shorter: wp.array
+    longer: wp.array
+
+
+@dataclass(frozen=True)
+class _Step:
+    """The launches of a step from one buffer to the other, and those of a part of it."""
+
+    whole: list[wp.Launch]
+    part: list[wp.Launch]
+    divide: list[wp.Launch]  # before a first part from the first buffer
+    resume: list[wp.Launch]  # after a last part into the second
+    back: list[wp.Launch]  # copies the second buffer to the first
+
+
+class Slice:
+    """Steps the environments of a span, between the model's state and another buffer.
+
+    Args:
+        span: The environments.
+        integrator: The scheme.
+        times: Lengths of steps.
+        other: The other buffer of the state.
+        parts: Parts into which a step with a crossing is divided.
+        captured: Whether steps are captured and replayed.
+    """
+
+    def __init__(
+        self, span: Span, integrator: Integrator, times: Times, other: Any, *, parts: int, captured: bool
+    ) -> None:
+        model = span.model
+        self.envs = span.count
+        self._device = model.device
+        self._parts = parts
+        divides = model.sweeps and parts > 1
+        self._mark = wp.zeros(1, dtype=wp.int32, device=model.device) if divides else None
+        own = model.arrays.state
+        self._steps = [
+            self._prepare(span, integrator, times, *buffers) for buffers in ((own, other), (other, own))
+        ]
+        self._wait, self._wake = (turn_stage(span, back=back) for back in (False, True))
+        # What is decided on the host cannot be captured.
+        self._captured = captured and not divides
+        self._graphs: dict[int, wp.Graph] = {}
+
+    def _prepare(self, span: Span, integrator: Integrator, times: Times, state_in: Any, state_out: Any) -> _Step:
+        part, divide, resume = [], [], []
+        if self._mark is not None:
+            part = step_stages(span, integrator, times.part, state_in, state_out, None)
+            part += accept_stages(span, times.part, state_in, state_out)
+            divide = change_stages(span, integrator, times.shorter, state_in)
+            resume = change_stages(span, integrator, times.longer, state_out)
+        return _Step(
+            whole=step_stages(span, integrator, times.whole, state_in, state_out, self._mark)
+            + accept_stages(span, times.whole, state_in, state_out),
+            part=part,
+            divide=divide,
+            resume=resume,
+            back=adopt_stage(span, state_out, state_in),
+        )
+
+    def capture(self, count: int) -> None:
+        """Captures what ``step(count)`` will replay. Not while other threads step."""
+        if not self._captured:
+            return
+        for steps in GRAPH_STEPS:
+            if count >= steps and steps not in self._graphs:
+                with _capturing, wp.ScopedCapture(device=self._device) as capture:
+                    for number in range(steps):
+                        _launch(self._steps[number % 2].whole)
+                    if steps % 2:
+                        _launch(self._steps[0].back)
+                self._graphs[steps] = capture.graph
+            count %= steps
+
+    def step(self, count: int) -> None:
+        """Takes ``count`` steps; the state is in the model's buffer before and after."""
+        if self._captured:
+            for steps in GRAPH_STEPS:
+                while count >= steps:
+                    wp.capture_launch(self._graphs[steps])
+                    count -= steps
+            return
+        for number in range(count):
+            self._take(number % 2)
+        if count % 2:
+            _launch(self._steps[0].back)
+
+    def _take(self, way: int) -> None:
+        """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""
+        if self._mark is not None:
+            self._mark.zero_()
+        _launch(self._steps[way].whole)
+        if self._mark is None or not self._mark.numpy()[0]:
+            return
+        # Environments with a crossing have not moved on. The others wait.
+        _launch(self._wait)
+        _launch(self._steps[way].divide)
+        for part in range(self._parts):
+            _launch(self._steps[(way + part) % 2].part)
+        if self._parts % 2 == 0:
+            _launch(self._steps[1 - way].back)
+        _launch(self._steps[way].resume)
+        _launch(self._wake)
+
+
+def _launch(launches: list[wp.Launch]) -> None:
+    for launch in launches:
+        launch.launch()
