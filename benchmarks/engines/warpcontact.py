@@ -1,5 +1,6 @@
 """warpcontact: Kelvin–Voigt contact with tanh friction on the triangles of the surface."""
 
+import inspect
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,10 @@ PACKAGES = ("warpcontact", "warp-lang", "numpy")
 
 
 def simulation(work: Work, envs: int, device: str, precision: str = "float32", **options: Any) -> wc.Simulation:
-    """Returns a simulation of a work; options other than ``crossing_steps`` are those of its contact."""
+    """Returns a simulation of a work; options are those of ``wc.Simulation``, others those of its contact."""
     wp.config.log_level = wp.LOG_ERROR
-    stepping = {"crossing_steps": options.pop("crossing_steps", 1)}
+    names = inspect.signature(wc.Simulation).parameters
+    stepping = {name: options.pop(name) for name in tuple(options) if name in names}
     template = wc.Template(
         law=wc.laws.KelvinVoigt(stiffness=STIFFNESS, damping=DAMPING),
         friction=wc.frictions.Tanh(mu=FRICTION, velocity_scale=SLIP_SPEED),
@@ -34,7 +36,7 @@ class Run:
     """See the package."""
 
     def __init__(self, work: Work, envs: int, device: str, threads: int, variant: str) -> None:
-        self._sim = simulation(work, envs, device)
+        self._sim = simulation(work, envs, device, threads=threads)
 
     def reset(self) -> None:
         self._sim.reset()
