@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.kernels import closest_point, history, integrate, sweep, travel, wrenches
+from warpcontact.kernels import history, integrate, near, sweep, travel, wrenches
 from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def force_stages(span: Span, state: Any, step: wp.array) -> list[wp.Launch]:
     # Searches take much longer than what is known: on a GPU threads that search would hold up those beside them.
     for part in ("known", "rest") if span.cached and model.device.is_cuda else ("whole",):
         launches += span.prepare(
-            closest_point.kernel(real, model.follows, part),
+            near.kernel(real, model.follows, part),
             model.blocks.count,
             [a.status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near],
             threads=min(SEARCHING, -(-span.count * model.blocks.count // 32) * 32) if part == "rest" else None,
