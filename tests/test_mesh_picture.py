@@ -103,6 +103,10 @@ def check_counts(defects, report):
     # Of duplicates the picture shows the copies and the original.
     assert (defects.duplicate.sum() > 0) == (report.duplicate_face_count > 0)
     assert defects.inward.any() == (report.inward_component_count > 0)
+    assert len(defects.pinched) == report.non_manifold_vertex_count
+    assert len(defects.cracks) == report.crack_vertex_count
+    if report.self_intersection_count is not None:
+        assert defects.cutting.any() == (report.self_intersection_count > 0)
 
 
 def broken():
@@ -141,12 +145,31 @@ def test_all_kinds_of_defects_are_found_and_named_in_the_legend(tmp_path):
         "outer side",
         "inner side",
         "closed parts that face inward: 320 faces",
-        "duplicates: 2 faces",
+        "on others with the same corners: 2 faces",
         "open border: 6 edges",
         "degenerate: 1 face",
         "2 faces without a finite place not shown",
         "500 mm",
     ):
+        assert words in said
+
+
+def test_cuts_pinches_and_cracks_are_marked(tmp_path):
+    """Two boxes through each other, two more that touch in a corner, and a seam that is all but closed."""
+    boxes = [(0.0, 0.0, 0.0), (0.5, 0.4, 0.3), (4.0, 0.0, 0.0), (5.0, 1.0, 1.0)]
+    box = wc.meshes.box((1, 1, 1))
+    vertices = np.concatenate([box.vertices + place for place in boxes])
+    seam = [(8, 0, 0), (9, 0, 0), (8.5, 1, 0), (8, 1e-7, 0), (9, 1e-7, 0), (8.5, -1, 0)]
+    faces = np.concatenate([box.faces + 8 * i for i in range(4)] + [np.array([[32, 33, 34], [36, 35, 37]])])
+    write_obj(tmp_path / "parts.obj", np.concatenate([vertices, seam]), faces)
+    report = plot_file(tmp_path / "parts.obj", tmp_path / "parts.svg")
+    assert (report.non_manifold_vertex_count, report.crack_vertex_count) == (1, 4)
+    assert report.self_intersection_count > 0
+    defects = find_defects(np.concatenate([vertices, seam]), faces)
+    assert set(np.flatnonzero(defects.cutting)) < set(range(24))
+    said = "\n".join(re.findall(r"<!-- (.*?) -->", (tmp_path / "parts.svg").read_text()))
+    cut = int(defects.cutting.sum())
+    for words in (f"cut or overlap others: {cut} faces", "touching in a point only: 1 vertex", "cracks: 4 vertices"):
         assert words in said
 
 

@@ -195,13 +195,21 @@ def _describe(
 
 def _border(v: npt.NDArray[np.float64], edges: npt.NDArray[np.intp], near: float) -> tuple[int, int]:
     """Number of loops of border edges (n, 2), and of their vertices with another one within ``near``."""
-    from scipy.spatial import KDTree
-
+    vertices, links = np.unique(edges, return_inverse=True)
     if not len(edges):
         return 0, 0
-    vertices, links = np.unique(edges, return_inverse=True)
-    distances, _ = KDTree(v[vertices]).query(v[vertices], k=2, distance_upper_bound=near)
-    return components(links.reshape(-1, 2), len(vertices))[0], int(np.isfinite(distances[:, 1]).sum())
+    return components(links.reshape(-1, 2), len(vertices))[0], int(meets_another(v[vertices], near).sum())
+
+
+def meets_another(points: npt.NDArray[np.float64], near: float) -> npt.NDArray[np.bool]:
+    """Whether another one of the points (n, 3) is within ``near`` of each."""
+    from scipy.spatial import KDTree
+
+    if not len(points):
+        return np.zeros(0, dtype=bool)
+    distances, _ = KDTree(points).query(points, k=2, distance_upper_bound=near)
+    found: npt.NDArray[np.bool] = np.isfinite(distances[:, 1])
+    return found
 
 
 def components(links: npt.NDArray[np.intp], count: int) -> tuple[int, npt.NDArray[np.int32]]:

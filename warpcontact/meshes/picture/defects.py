@@ -7,14 +7,15 @@ import numpy as np
 import numpy.typing as npt
 
 from warpcontact.meshes.examine import COORDINATE_LIMIT, SLIVER_LIMIT
-from warpcontact.meshes.topology import representatives, slenderness
+from warpcontact.meshes.overlap import intersections
+from warpcontact.meshes.topology import CRACK_LIMIT, Edges, meets_another, representatives, slenderness
 
 Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Defects:
-    """Faces as masks over all faces, (F,); edges as vertex indices, (n, 2).
+    """Faces as masks over all faces, (F,); edges as vertex indices, (n, 2), and vertices, (n,).
 
     Topology is that of the report: of the welded surface and its sound faces.
     """
@@ -23,13 +24,19 @@ class Defects:
     degenerate: Mask
     duplicate: Mask
     inward: Mask  # of closed parts that face inward
+    cutting: Mask  # that cut through others, or overlap them in a plane
     border: npt.NDArray[np.int64]
     non_manifold: npt.NDArray[np.int64]
     inconsistent: npt.NDArray[np.int64]
+    pinched: npt.NDArray[np.int64]  # vertices at which parts of the surface touch in a point only
+    cracks: npt.NDArray[np.int64]  # border vertices that all but meet another one
 
 
-def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any]) -> Defects:
-    """Returns the defects of any arrays (V, 3) and (F, 3), usable as a mesh or not."""
+def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any], *, cuts: bool = True) -> Defects:
+    """Returns the defects of any arrays (V, 3) and (F, 3), usable as a mesh or not.
+
+    ``cuts``: whether to look for faces that cut each other, which takes longest.
+    """
     near: Mask = np.all(np.abs(vertices) <= COORDINATE_LIMIT, axis=1)  # false for NaN
     known: Mask = np.all((faces >= 0) & (faces < len(vertices)), axis=1)
     index = np.where(known[:, None], faces, 0).astype(np.int64)
@@ -52,14 +59,28 @@ def find_defects(vertices: npt.NDArray[np.float64], faces: npt.NDArray[Any]) -> 
     balance = np.bincount(edge, np.where(ends[:, 0] < ends[:, 1], 1.0, -1.0), len(edge))
     inward = np.zeros(len(faces), dtype=bool)
     inward[sound] = _inward(vertices, corners[sound], edge, (count % 2 == 1) | (balance != 0.0))
+    border, seamed = ends[count == 1], np.zeros(0, dtype=np.int64)
+    pinched, cutting = seamed, np.zeros(len(faces), dtype=bool)
+    if len(sound):
+        rim = np.unique(border)
+        size = float(np.ptp(vertices[corners[sound]], axis=(0, 1)).max())
+        seamed = rim[meets_another(vertices[rim], CRACK_LIMIT * size)]
+        pinched = np.flatnonzero(Edges(corners[sound]).fans(corners[sound]) > 1)
+        whole = sound[~degenerate[sound]]
+        pairs = intersections(vertices, corners[whole]) if cuts else None
+        if pairs is not None:
+            cutting[whole[np.unique(pairs)]] = True
     return Defects(
         drawable=drawable,
         degenerate=degenerate,
         duplicate=duplicate,
         inward=inward,
-        border=ends[count == 1],
+        cutting=cutting,
+        border=border,
         non_manifold=ends[count > 2],
         inconsistent=ends[(count == 2) & (balance != 0.0)],
+        pinched=pinched,
+        cracks=seamed,
     )
 
 

@@ -1,4 +1,4 @@
-"""What is drawn over the surface: lines along its defects, the axes, and a bar of known length."""
+"""What is drawn over the surface: lines and spots at its defects, the axes, and a bar of known length."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -53,6 +53,24 @@ def line_kinds(defects: Defects, faces: npt.NDArray[Any] | None = None) -> list[
     return [kind for kind in found if kind.count]
 
 
+@dataclass(frozen=True)
+class Spots:
+    """Defects of one kind that are vertices."""
+
+    what: str
+    color: Any
+    vertices: npt.NDArray[np.int64]  # (n,)
+
+
+def spot_kinds(defects: Defects) -> list[Spots]:
+    """Returns the kinds that a mesh has."""
+    found = (
+        Spots("touching in a point only", (0.55, 0.0, 0.65), defects.pinched),
+        Spots("cracks", (0.75, 0.35, 0.0), defects.cracks),
+    )
+    return [kind for kind in found if len(kind.vertices)]
+
+
 def draw_marks(
     axes: Any, view: View, depth: Array, vertices: Array, faces: npt.NDArray[Any], defects: Defects
 ) -> None:
@@ -72,6 +90,12 @@ def draw_marks(
         for chosen, strength in ((~clear, FAINT), (clear, 1.0)):
             at = _apart(spots[chosen, :2])
             axes.scatter(*at.T, s=70.0, facecolors="none", edgecolors=[kind.color], linewidths=1.1, alpha=strength)
+    for spot in spot_kinds(defects):
+        places = view.project(vertices[spot.vertices])
+        clear = view.visible(places, depth)
+        for chosen, strength in ((~clear, FAINT), (clear, 1.0)):
+            at = _apart(places[chosen, :2])
+            axes.scatter(*at.T, s=34.0, color=[spot.color], marker="D", edgecolors="white", alpha=strength)
     _draw_axes(axes, view)
     _draw_bar(axes, view)
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from warpcontact.meshes.groups import FaceChoice
 from warpcontact.meshes.isolation import Limits
 from warpcontact.meshes.picture.defects import Defects, find_defects
-from warpcontact.meshes.picture.marks import draw_marks, line_kinds
+from warpcontact.meshes.picture.marks import draw_marks, line_kinds, spot_kinds
 from warpcontact.meshes.picture.painter import paint
 from warpcontact.meshes.picture.view import View, best_direction, in_words
 from warpcontact.meshes.repair import RepairRequest
@@ -25,7 +25,7 @@ DPI = 120
 # Red, green and blue.
 OUTER, INNER = (0.52, 0.66, 0.82), (0.93, 0.62, 0.35)
 IDLE_OUTER, IDLE_INNER = (0.80, 0.80, 0.80), (0.90, 0.82, 0.72)
-DUPLICATE, INWARD = (0.95, 0.85, 0.20), (0.66, 0.45, 0.80)
+DUPLICATE, INWARD, CUTTING = (0.95, 0.85, 0.20), (0.66, 0.45, 0.80), (0.90, 0.35, 0.35)
 # Direction of the light in the picture: right, up, towards the eye.
 LIGHT = np.array([-0.40, 0.45, 0.80])
 SHADE = 0.48
@@ -107,7 +107,10 @@ def plot_arrays(
 
     file = check_path(path)
     v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
-    defects = find_defects(v, f) if v.ndim == f.ndim == 2 and v.size and f.size else None
+    defects = None
+    if v.ndim == f.ndim == 2 and v.size and f.size:
+        # Of what was not examined nothing is known, and nothing is drawn.
+        defects = find_defects(v, f, cuts=bool(report.self_intersection_count))
     if defects is None or not defects.drawable.any():
         raise ValueError(f"{report.name!r} has no face that can be drawn")
     shown = np.flatnonzero(defects.drawable)
@@ -157,6 +160,7 @@ def _draw_surface(
         idle = np.where(outer[:, None], IDLE_OUTER, IDLE_INNER)
         color = np.where(active[shown][:, None], color, idle)
     color[defects.inward[shown]] = INWARD
+    color[defects.cutting[shown]] = CUTTING
     color[defects.duplicate[shown]] = DUPLICATE
     towards = normal * np.where(outer, 1.0, -1.0)[:, None]
     frame = np.stack([view.right, view.up, view.direction])
@@ -226,7 +230,8 @@ def _legend(
         entries.append(Patch(color=IDLE_OUTER, label=f"not active: {_count(idle, 'face')}"))
     for mask, color, what in (
         (defects.inward, INWARD, "closed parts that face inward"),
-        (defects.duplicate, DUPLICATE, "duplicates"),
+        (defects.cutting, CUTTING, "cut or overlap others"),
+        (defects.duplicate, DUPLICATE, "on others with the same corners"),
     ):
         if mask.any():
             entries.append(Patch(color=color, label=f"{what}: {_count(int(mask.sum()), 'face')}"))
@@ -235,6 +240,10 @@ def _legend(
         entries.append(
             Line2D([], [], color=kind.color, lw=2.0, label=f"{kind.what}: {_count(kind.count, kind.noun)}")
         )
+    spots = spot_kinds(defects)
+    for spot in spots:
+        label = f"{spot.what}: {len(spot.vertices):,} {'vertex' if len(spot.vertices) == 1 else 'vertices'}"
+        entries.append(Line2D([], [], color=spot.color, lw=0.0, marker="D", markeredgecolor="white", label=label))
     figure.legend(
         handles=entries,
         loc="lower center",
@@ -243,10 +252,12 @@ def _legend(
         fontsize="medium",
     )
     notes = []
-    if marks:
-        notes.append("lines are faint where the surface hides them")
-    elif not (defects.inward.any() or defects.duplicate.any()):
+    if marks or spots:
+        notes.append("lines and spots are faint where the surface hides them")
+    elif not (defects.inward.any() or defects.duplicate.any() or defects.cutting.any()):
         notes.append("no open border and no defect")
+    if report.self_intersection_count is None:
+        notes.append("not examined for faces that cut each other")
     if left_out := report.face_count - len(shown):
         notes.append(f"{_count(left_out, 'face')} without a finite place not shown")
     y = 0.62 / figure.get_figheight()
