@@ -169,7 +169,11 @@ def test_cuts_pinches_and_cracks_are_marked(tmp_path):
     assert set(np.flatnonzero(defects.cutting)) < set(range(24))
     said = "\n".join(re.findall(r"<!-- (.*?) -->", (tmp_path / "parts.svg").read_text()))
     cut = int(defects.cutting.sum())
-    for words in (f"cut or overlap others: {cut} faces", "touching in a point only: 1 vertex", "cracks: 4 vertices"):
+    for words in (
+        f"cut or overlap others: {cut} faces",
+        "touching in a point only: 1 vertex",
+        "cracks: 4 vertices",
+    ):
         assert words in said
 
 

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
+import warp as wp
+
 from warpcontact.slices import Slice
 
 # Between two looks at whether somebody wants to interrupt [s]; the threads wait for each other then.
@@ -32,7 +34,8 @@ class Crew:
 
     def __init__(self, slices: list[Slice], threads: int) -> None:
         self._slices = slices
-        self._threads = min(threads, len(slices))
+        # Kernels in Warp's debug mode share a pointer to the storage of tiles, which they look at when they end.
+        self._threads = 1 if wp.config.mode == "debug" else min(threads, len(slices))
         self._pool: ThreadPoolExecutor | None = None
         self._envs = sum(part.envs for part in slices)
         self._chunk = 32
