@@ -164,3 +164,23 @@ def test_thin_triangles_are_exact_in_float32_away_from_contact_too(thickness, de
     """Where the float32 query may name a wrong face, its choice is looked at again at any distance."""
     mesh = wc.meshes.box((1.0, 0.7, thickness))
     assert_exact_on_closed(mesh, np.zeros(3), Surface(mesh.vertices[mesh.faces]), 20_000, "float32", device)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_search_radius_loses_nothing_that_it_reaches(precision, device):
+    """Beside the rim of a thin box, whose long triangles a float32 query sees farther away than they are."""
+    count, reach = 2000, 1e-4
+    rng = np.random.default_rng(5)
+    scene = wc.Scene(gravity=(0, 0, 0))
+    ground = scene.add_surface(wc.meshes.box((1, 1, 1e-3)), name="ground")
+    body = scene.add_body(1.0, (1, 1, 1), name="body")
+    template = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, template, search_radius=reach, name="touch")
+    model = scene.build(envs=count, precision=precision, device=device)
+    away = rng.uniform(0.05, 2.0, count) * reach
+    beside, above = rng.uniform(-0.49, 0.49, count), rng.uniform(-4e-4, 4e-4, count)
+    model["body.position"] = np.column_stack([0.5 + away, beside, above])
+    seen = model.reading("touch.status") != wc.Status.FAR
+    # float32 places a point to 6e-8 m.
+    np.testing.assert_array_equal(seen[np.abs(away - reach) > 1e-7], (away < reach)[np.abs(away - reach) > 1e-7])
+    np.testing.assert_allclose(model.reading("touch.gap"), np.minimum(away, reach), rtol=0, atol=1e-7)
