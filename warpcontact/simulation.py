@@ -19,8 +19,8 @@ from warpcontact.recorder import Recorder, Recording
 from warpcontact.schedule import Span
 from warpcontact.slices import Slice, Times
 
-# Steps between two looks at the progress bar; a step of a large model takes milliseconds.
-STEPS_PER_UPDATE = 50
+# Steps between two looks at the progress bar, whole graphs; a step of a large model takes milliseconds.
+STEPS_PER_UPDATE = 64
 # Of the cache of a core that a slice may fill, and what a contact and a body take of it; measured.
 CACHE_BYTES = 512 * 1024
 CONTACT_BYTES = 300
@@ -42,7 +42,6 @@ class Simulation:
             on the CPU it does in any case, whatever the number of threads.
         distance_cache: Whether what is known of distances from earlier steps saves work; results are the same.
         graphs: Whether steps are captured and replayed, without a word from Python; results are the same.
-
     """
 
     def __init__(
