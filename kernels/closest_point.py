@@ -62,8 +62,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     recall, nearest_of_all = of_search.recall, of_search.nearest_of_all
     nearest_to_remember = of_search.nearest_to_remember
     frame = frames.functions(real)
-    point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
-    origin, rotation_to_world = frame.origin, frame.rotation_to_world
+    apart, turned = frame.apart, frame.turned
+    orientation_to_world, rotation_to_world = frame.orientation_to_world, frame.rotation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
     point_epsilon = wp.constant(real(t.epsilon * POINT_ROUNDING))
     # The mesh that the query searches is stored in float32, whatever the precision of the simulation.
@@ -96,9 +96,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     class View:
         """Where the points of a block are, and what they see of their surface."""
 
-        b_W: vec3  # origin of the points' body
+        apart_W: vec3  # from the origin of the surface to where the points are given from
         R_WB: mat33
-        o_W: vec3  # origin of the surface
         R_WS: mat33
         scale: real
         per_scale: real
@@ -110,13 +109,13 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     def view_of(model: Model, state: State, env: int, block: int):
         view = View()
         contact = model.block_contact[model.block_start[block]]
-        body = model.point_body[model.contact_point[contact]]
-        view.b_W = origin(state, env, body)
-        view.R_WB = rotation_to_world(state, env, body)
+        point = model.contact_point[contact]
+        view.R_WB = rotation_to_world(state, env, model.point_body[point])
         base = model.contact_patch[contact]
         surface = model.patch_surface[base]
         carrier = model.surface_body[surface]
-        view.o_W = point_to_world(state, env, carrier, model.surface_position[env, surface])
+        o_W = turned(state, env, carrier, model.surface_position[env, surface])
+        view.apart_W = apart(model, state, env, point, surface) - o_W
         q_BS = model.surface_orientation[env, surface]
         view.R_WS = wp.quat_to_matrix(orientation_to_world(state, env, carrier, q_BS))
         view.scale = model.surface_scale[env, surface]
@@ -159,8 +158,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         contacts.normal[env, contact] = vec3()
         contacts.face[env, contact] = -1
         contacts.crossed_face[env, contact] = -1
-        p_W = view.b_W + view.R_WB * model.point_position[env, model.contact_point[contact]]
-        contacts.point[env, contact] = p_W
+        arm_W = view.R_WB * model.point_position[env, model.contact_point[contact]]
+        contacts.arm[env, contact] = arm_W
         if geometry.enabled == 0:
             contacts.gap[env, contact] = real(wp.nan)
             contacts.status[env, contact] = DISABLED
@@ -170,7 +169,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         # Into the mesh's own frame and unit, where float32 is as good as the mesh.
         patch, scale = view.patch, view.scale
         reach = radius * view.per_scale
-        p_S = view.per_scale * (wp.transpose(view.R_WS) * (p_W - view.o_W))
+        p_S = view.per_scale * (wp.transpose(view.R_WS) * (view.apart_W + arm_W))
 
         option = model.contact_options[contact]
         extent = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
@@ -318,7 +317,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         to_deepest = -radius * n_S
         to_contact = to_surface + geometry.kappa * (to_deepest - to_surface)
         contacts.normal[env, contact] = view.R_WS * n_S
-        contacts.point[env, contact] = p_W + view.R_WS * to_contact
+        contacts.arm[env, contact] = arm_W + view.R_WS * to_contact
         return free
 
     return SimpleNamespace(View=View, view_of=view_of, room_on_side=room_on_side, look=look)

@@ -64,16 +64,16 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
     lowest = wp.constant(real(-math.inf if parts.law.pulls else 0.0))
     # Mean arm of friction under the pressure of Hertz: (3π/16) a.
     hertz_arm = wp.constant(real(3.0 * math.pi / 16.0))
-    velocity_at = frames.functions(real).velocity_at
-    orientation_to_world = frames.functions(real).orientation_to_world
+    frame = frames.functions(real)
+    velocity_at, orientation_to_world, apart = frame.velocity_at, frame.orientation_to_world, frame.apart
 
     @wp.func
-    def mobility(model: Model, state: State, env: int, body: int, p_W: vec3, n_W: vec3):
-        """Inverse of the mass that ``body`` opposes to a force along ``n_W`` at ``p_W``; 0 for the world."""
+    def mobility(model: Model, state: State, env: int, body: int, arm_W: vec3, n_W: vec3):
+        """Inverse of the mass that ``body`` opposes to a force along ``n_W`` at ``arm_W``; 0 for the world."""
         if body < 0:
             return real(0.0)
         q_WB = state.body_orientation[env, body]
-        lever_B = wp.quat_rotate_inv(q_WB, wp.cross(p_W - state.body_position[env, body], n_W))
+        lever_B = wp.quat_rotate_inv(q_WB, wp.cross(arm_W, n_W))
         turning = wp.dot(lever_B, model.body_inverse_inertia[env, body] * lever_B)
         return real(1.0) / model.body_mass[env, body] + turning
 
@@ -107,13 +107,6 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
         return slip
 
     @wp.func
-    def lever(state: State, env: int, body: int, p_W: vec3):
-        """From the centre of mass of ``body`` to ``p_W``; nobody asks for that of the world."""
-        if body < 0:
-            return vec3()
-        return p_W - state.body_position[env, body]
-
-    @wp.func
     def add_wrench(wrenches: Wrenches, env: int, body: int, force_W: vec3, torque_W: vec3):
         if body >= 0:
             wp.atomic_add(wrenches.force, env, body, force_W)
@@ -142,6 +135,7 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
         member: int,
         body_1: int,
         body_2: int,
+        apart_W: vec3,
         q_WS: quat,
     ):
         """Forces of one contact: into ``contacts``, and as what they add to both bodies."""
@@ -159,9 +153,11 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
             return pair
 
         n_W = contacts.normal[env, contact]
-        k_W = contacts.point[env, contact]
+        # To K, from the centre of mass of either body.
+        arm_1 = contacts.arm[env, contact]
+        arm_2 = apart_W + arm_1
         # Of the surface relative to the point: approach is positive.
-        v_W = velocity_at(state, env, body_2, k_W) - velocity_at(state, env, body_1, k_W)
+        v_W = velocity_at(state, env, body_2, arm_2) - velocity_at(state, env, body_1, arm_1)
         approach = wp.dot(v_W, n_W)
 
         touch = Touch()
@@ -172,7 +168,7 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
         touch.entry_speed = wp.max(wp.max(history.entry_speed[env, contact], approach), real(0.0))
         if wp.static(needs_mass):
             touch.mass = real(1.0) / (
-                mobility(model, state, env, body_1, k_W, n_W) + mobility(model, state, env, body_2, k_W, n_W)
+                mobility(model, state, env, body_1, arm_1, n_W) + mobility(model, state, env, body_2, arm_2, n_W)
             )
         touch.dt = dt
         begins = history.entry_speed[env, contact] < real(0.0)
@@ -243,8 +239,8 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
 
         # The same force at the same point K, and the same couple, on both bodies: nothing is left in total.
         pair.force = normal_force * n_W + friction_W
-        pair.torque_1 = wp.cross(lever(state, env, body_1, k_W), pair.force) + torque_W
-        pair.torque_2 = -(wp.cross(lever(state, env, body_2, k_W), pair.force) + torque_W)
+        pair.torque_1 = wp.cross(arm_1, pair.force) + torque_W
+        pair.torque_2 = -(wp.cross(arm_2, pair.force) + torque_W)
         return pair
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
@@ -274,8 +270,10 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
             start = model.block_start[block]
             contact = model.block_contact[start]
             surface = model.patch_surface[model.contact_patch[contact]]
-            body_1 = model.point_body[model.contact_point[contact]]
+            point = model.contact_point[contact]
+            body_1 = model.point_body[point]
             body_2 = model.surface_body[surface]
+            apart_W = apart(model, state, env, point, surface)
             q_WS = quat()
             if wp.static(oriented):
                 q_WS = orientation_to_world(state, env, body_2, model.surface_orientation[env, surface])
@@ -284,7 +282,7 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
                 contact = near.contact[env, place]
                 pair = touch_of(
                     model, state, history, remembered, step[env, 0], coefficients, contacts, kept,
-                    env, contact, contact - first_contact, body_1, body_2, q_WS,
+                    env, contact, contact - first_contact, body_1, body_2, apart_W, q_WS,
                 )  # fmt: skip
                 total.force += pair.force
                 total.torque_1 += pair.torque_1

@@ -11,15 +11,36 @@ from warpcontact.kernels.types import structs
 def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``."""
     t = structs(real)
-    vec3, quat, State = t.vec3, t.quat, t.State
+    vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
     one = wp.constant(real(1.0))
 
     @wp.func
-    def point_to_world(state: State, env: int, body: int, p_B: vec3):
-        """Position in W of a point given in the frame of ``body`` (WORLD: already in W)."""
+    def apart(model: Model, state: State, env: int, point: int, surface: int):
+        """From the origin of what carries ``surface`` to that of what carries ``point``, W.
+
+        The origin of a body is its centre of mass; of what is fixed to the world, its anchor. Bodies that touch
+        are near each other, wherever in the world: the difference is as fine as they are, positions are not.
+        """
+        body = model.point_body[point]
+        remainder = vec3()
+        difference = model.point_anchor[env, point]
+        if body >= 0:
+            difference = state.body_position[env, body]
+            remainder = state.body_position_remainder[env, body]
+        carrier = model.surface_body[surface]
+        if carrier < 0:
+            difference -= model.surface_anchor[env, surface]
+        else:
+            difference -= state.body_position[env, carrier]
+            remainder -= state.body_position_remainder[env, carrier]
+        return difference + remainder
+
+    @wp.func
+    def turned(state: State, env: int, body: int, v_B: vec3):
+        """A vector given in the axes of ``body`` (WORLD: already in W), in W."""
         if body < 0:
-            return p_B
-        return state.body_position[env, body] + wp.quat_rotate(state.body_orientation[env, body], p_B)
+            return v_B
+        return wp.quat_rotate(state.body_orientation[env, body], v_B)
 
     @wp.func
     def orientation_to_world(state: State, env: int, body: int, q_BS: quat):
@@ -36,19 +57,20 @@ def functions(real: type) -> SimpleNamespace:
         return wp.quat_to_matrix(state.body_orientation[env, body])
 
     @wp.func
-    def origin(state: State, env: int, body: int):
-        """Position in W of the centre of mass of ``body`` (WORLD: its origin)."""
+    def velocity_at(state: State, env: int, body: int, arm_W: vec3):
+        """Velocity in W of the point of ``body`` at ``arm_W`` from its centre of mass; 0 for the world."""
         if body < 0:
             return vec3()
-        return state.body_position[env, body]
+        return state.body_linear_velocity[env, body] + wp.cross(state.body_angular_velocity[env, body], arm_W)
 
     @wp.func
-    def velocity_at(state: State, env: int, body: int, p_W: vec3):
-        """Velocity in W of the material point of ``body`` at ``p_W``; 0 for the world."""
-        if body < 0:
-            return vec3()
-        arm = p_W - state.body_position[env, body]
-        return state.body_linear_velocity[env, body] + wp.cross(state.body_angular_velocity[env, body], arm)
+    def copy_body(source: State, target: State, env: int, body: int):
+        """Copies the state of one body."""
+        target.body_position[env, body] = source.body_position[env, body]
+        target.body_position_remainder[env, body] = source.body_position_remainder[env, body]
+        target.body_orientation[env, body] = source.body_orientation[env, body]
+        target.body_linear_velocity[env, body] = source.body_linear_velocity[env, body]
+        target.body_angular_velocity[env, body] = source.body_angular_velocity[env, body]
 
     @wp.func
     def rotated(q: quat, angle_W: vec3):
@@ -72,10 +94,11 @@ def functions(real: type) -> SimpleNamespace:
         return wp.normalize(quat(axis[0], axis[1], axis[2], cosine) * q)
 
     return SimpleNamespace(
-        point_to_world=point_to_world,
+        apart=apart,
+        turned=turned,
         orientation_to_world=orientation_to_world,
         rotation_to_world=rotation_to_world,
-        origin=origin,
         velocity_at=velocity_at,
+        copy_body=copy_body,
         rotated=rotated,
     )

@@ -52,7 +52,12 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
             dt = step[env, 0]
             acceleration = wrenches.force[env, body] / model.body_mass[env, body] + model.gravity[env, 0]
             velocity = state_in.body_linear_velocity[env, body] + dt * acceleration
-            position = state_in.body_position[env, body] + dt * velocity
+            # A step is often smaller than what a position is rounded to: nothing of it is lost.
+            before = state_in.body_position[env, body]
+            way = dt * velocity + state_in.body_position_remainder[env, body]
+            position = before + way
+            gone = position - before
+            remainder = (before - (position - gone)) + (way - gone)
 
             q_WB = state_in.body_orientation[env, body]
             w_W = state_in.body_angular_velocity[env, body]
@@ -62,16 +67,18 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
             if model.body_round[env, body]:
                 orientation = rotated(q_WB, dt * turning)
             else:
-                before = wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
-                momentum = before + dt * wrenches.torque[env, body]
+                inertia_B = model.body_inertia[env, body]
+                last_momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
+                momentum = last_momentum + dt * wrenches.torque[env, body]
                 start = spin(inverse_B, q_WB, momentum)
                 q_middle = rotated(q_WB, real(0.5) * dt * start)
                 orientation = rotated(q_WB, dt * spin(inverse_B, q_middle, momentum))
                 # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and
                 # scales what it rotates, which in a difference from step to step cancels instead of adding up.
-                turning = w_W + (spin(inverse_B, orientation, momentum) - spin(inverse_B, q_WB, before))
+                turning = w_W + (spin(inverse_B, orientation, momentum) - spin(inverse_B, q_WB, last_momentum))
 
             state_out.body_position[env, body] = position
+            state_out.body_position_remainder[env, body] = remainder
             state_out.body_orientation[env, body] = orientation
             state_out.body_linear_velocity[env, body] = velocity
             state_out.body_angular_velocity[env, body] = turning
@@ -130,6 +137,7 @@ def finish(real: type) -> wp.Kernel:
     """
     t = structs(real)
     State = t.State
+    copy_body = frames.functions(real).copy_body
 
     @wp.kernel(module="unique", enable_backward=False)
     def finish_step(
@@ -148,10 +156,7 @@ def finish(real: type) -> wp.Kernel:
             if status[env] != ENV_FAILED:
                 continue
             for body in range(bodies):
-                state_out.body_position[env, body] = state_in.body_position[env, body]
-                state_out.body_orientation[env, body] = state_in.body_orientation[env, body]
-                state_out.body_linear_velocity[env, body] = state_in.body_linear_velocity[env, body]
-                state_out.body_angular_velocity[env, body] = state_in.body_angular_velocity[env, body]
+                copy_body(state_in, state_out, env, body)
             status[env] = ENV_FROZEN
 
     return finish_step
@@ -161,6 +166,7 @@ def finish(real: type) -> wp.Kernel:
 def adopt(real: type) -> wp.Kernel:
     """Returns the kernel that copies the active environments of a state; items: bodies."""
     State = structs(real).State
+    copy_body = frames.functions(real).copy_body
 
     @wp.kernel(module="unique", enable_backward=False)
     def adopt(work: Work, status: wp.array(dtype=wp.int32), source: State, target: State):
@@ -169,9 +175,6 @@ def adopt(real: type) -> wp.Kernel:
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
-            target.body_position[env, body] = source.body_position[env, body]
-            target.body_orientation[env, body] = source.body_orientation[env, body]
-            target.body_linear_velocity[env, body] = source.body_linear_velocity[env, body]
-            target.body_angular_velocity[env, body] = source.body_angular_velocity[env, body]
+            copy_body(source, target, env, body)
 
     return adopt

@@ -1,4 +1,4 @@
-"""Energy and momentum of every body."""
+"""Places, energy and momentum, in float64 whatever the precision: sums, and what is far from the origin."""
 
 import functools
 
@@ -6,31 +6,77 @@ import warp as wp
 from warpcontact.kernels.types import structs
 
 
+@wp.struct
+class Bodies:
+    """What is measured of bodies."""
+
+    position: wp.array2d(dtype=wp.vec3d)  # [env, body] centre of mass, W [m]
+    kinetic_energy: wp.array2d(dtype=wp.float64)  # [env, body] [J]
+    potential_energy: wp.array2d(dtype=wp.float64)  # [env, body] −m g·x, zero at the origin of W [J]
+    linear_momentum: wp.array2d(dtype=wp.vec3d)  # [env, body] W [kg·m/s]
+    angular_momentum: wp.array2d(dtype=wp.vec3d)  # [env, body] about the origin of W [kg·m²/s]
+
+
+@wp.struct
+class Points:
+    """What is measured of contacts."""
+
+    position: wp.array2d(dtype=wp.vec3d)  # [env, contact] K, where the force acts, W [m]
+
+
 @functools.cache
-def kernel(real: type) -> wp.Kernel:
+def _wide(real: type) -> wp.Function:
+    t = structs(real)
+    vec3 = t.vec3
+
+    @wp.func
+    def wide(v: vec3):
+        return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
+
+    return wide
+
+
+@functools.cache
+def bodies(real: type) -> wp.Kernel:
     """Returns the kernel that measures each body. Launch with dim (env, body)."""
     t = structs(real)
-    vec3, Model, State = t.vec3, t.Model, t.State
+    Model, State = t.Model, t.State
+    wide = _wide(real)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def measure_bodies(
-        model: Model,
-        state: State,
-        kinetic_energy: wp.array2d(dtype=real),  # [J]
-        potential_energy: wp.array2d(dtype=real),  # −m g·x, zero at the origin of W [J]
-        linear_momentum: wp.array2d(dtype=vec3),  # W [kg·m/s]
-        angular_momentum: wp.array2d(dtype=vec3),  # about the origin of W [kg·m²/s]
-    ):
+    def measure_bodies(model: Model, state: State, measured: Bodies):
         env, body = wp.tid()
-        mass = model.body_mass[env, body]
-        p_W = state.body_position[env, body]
+        mass = wp.float64(model.body_mass[env, body])
+        p_W = wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
         q_WB = state.body_orientation[env, body]
-        v_W = state.body_linear_velocity[env, body]
-        w_B = wp.quat_rotate_inv(q_WB, state.body_angular_velocity[env, body])
-        spin_B = model.body_inertia[env, body] * w_B
-        kinetic_energy[env, body] = real(0.5) * (mass * wp.dot(v_W, v_W) + wp.dot(w_B, spin_B))
-        potential_energy[env, body] = -mass * wp.dot(model.gravity[env, 0], p_W)
-        linear_momentum[env, body] = mass * v_W
-        angular_momentum[env, body] = wp.cross(p_W, mass * v_W) + wp.quat_rotate(q_WB, spin_B)
+        v_W = wide(state.body_linear_velocity[env, body])
+        w_W = state.body_angular_velocity[env, body]
+        spin_W = wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
+        turning = wp.dot(wide(w_W), wide(spin_W))
+        measured.position[env, body] = p_W
+        measured.kinetic_energy[env, body] = wp.float64(0.5) * (mass * wp.dot(v_W, v_W) + turning)
+        measured.potential_energy[env, body] = -mass * wp.dot(wide(model.gravity[env, 0]), p_W)
+        measured.linear_momentum[env, body] = mass * v_W
+        measured.angular_momentum[env, body] = wp.cross(p_W, mass * v_W) + wide(spin_W)
 
     return measure_bodies
+
+
+@functools.cache
+def points(real: type) -> wp.Kernel:
+    """Returns the kernel that places the point of each contact. Launch with dim (env, contact)."""
+    t = structs(real)
+    Model, State, Contacts = t.Model, t.State, t.Contacts
+    wide = _wide(real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def measure_points(model: Model, state: State, contacts: Contacts, measured: Points):
+        env, contact = wp.tid()
+        point = model.contact_point[contact]
+        body = model.point_body[point]
+        origin_W = wide(model.point_anchor[env, point])
+        if body >= 0:
+            origin_W = wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
+        measured.position[env, contact] = origin_W + wide(contacts.arm[env, contact])
+
+    return measure_points

@@ -51,8 +51,8 @@ def kernel(real: type, follows: bool, part: str = "whole") -> wp.Kernel:
         All that lies nearer to it than this is as free. Negative: nothing is known.
         """
         patch = view.patch
-        c_W = view.b_W + view.R_WB * model.block_center[env, block]
-        c_S = view.per_scale * (wp.transpose(view.R_WS) * (c_W - view.o_W))
+        c_W = view.apart_W + view.R_WB * model.block_center[env, block]
+        c_S = view.per_scale * (wp.transpose(view.R_WS) * c_W)
         query = wp.mesh_query_point_no_sign(
             model.patch_mesh[patch],
             wp.vec3f(wp.float32(c_S[0]), wp.float32(c_S[1]), wp.float32(c_S[2])),

@@ -3,6 +3,7 @@
 import functools
 
 import warp as wp
+from warpcontact.kernels import frames
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.types import ENV_ACTIVE, structs
@@ -13,6 +14,7 @@ def environments(real: type) -> wp.Kernel:
     """Returns the kernel that puts chosen environments back to the start. Launch with dim env."""
     t = structs(real)
     State, History, Cache = t.State, t.History, t.Cache
+    copy_body = frames.functions(real).copy_body
 
     @wp.kernel(module="unique", enable_backward=False)
     def reset_environments(
@@ -34,10 +36,7 @@ def environments(real: type) -> wp.Kernel:
         status[env] = ENV_ACTIVE
         time[env] = wp.float64(0.0)
         for body in range(bodies):
-            state.body_position[env, body] = initial.body_position[env, body]
-            state.body_orientation[env, body] = initial.body_orientation[env, body]
-            state.body_linear_velocity[env, body] = initial.body_linear_velocity[env, body]
-            state.body_angular_velocity[env, body] = initial.body_angular_velocity[env, body]
+            copy_body(initial, state, env, body)
         for contact in range(contacts):
             history.entry_speed[env, contact] = real(-1.0)
             history.armed[env, contact] = 0

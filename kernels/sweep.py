@@ -37,7 +37,7 @@ def kernel(real: type) -> wp.Kernel:
     vec3, Model, State, Contacts = t.vec3, t.Model, t.State, t.Contacts
     follow, inner = feet.functions(real).follow, feet.functions(real).inner
     frame = frames.functions(real)
-    point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
+    apart, turned, orientation_to_world = frame.apart, frame.turned, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
 
@@ -45,11 +45,12 @@ def kernel(real: type) -> wp.Kernel:
     def to_surface(model: Model, state: State, env: int, contact: int, surface: int):
         """The point in the mesh's frame and unit."""
         point = model.contact_point[contact]
-        body = model.surface_body[surface]
-        p_W = point_to_world(state, env, model.point_body[point], model.point_position[env, point])
-        o_W = point_to_world(state, env, body, model.surface_position[env, surface])
-        q_WS = orientation_to_world(state, env, body, model.surface_orientation[env, surface])
-        return wp.quat_rotate_inv(q_WS, p_W - o_W) / model.surface_scale[env, surface]
+        carrier = model.surface_body[surface]
+        arm_W = turned(state, env, model.point_body[point], model.point_position[env, point])
+        o_W = turned(state, env, carrier, model.surface_position[env, surface])
+        q_WS = orientation_to_world(state, env, carrier, model.surface_orientation[env, surface])
+        p_W = apart(model, state, env, point, surface) - o_W + arm_W
+        return wp.quat_rotate_inv(q_WS, p_W) / model.surface_scale[env, surface]
 
     @wp.func
     def size(v: vec3):

@@ -19,7 +19,7 @@ def kernel(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Cache = t.Model, t.State, t.Cache
     frame = frames.functions(real)
-    point_to_world, orientation_to_world = frame.point_to_world, frame.orientation_to_world
+    apart, turned, orientation_to_world = frame.apart, frame.turned, frame.orientation_to_world
     epsilon = wp.constant(real(t.epsilon))
     rounding = wp.constant(real(t.epsilon * ROUNDING))
 
@@ -36,22 +36,23 @@ def kernel(real: type) -> wp.Kernel:
             surface = model.patch_surface[model.contact_patch[contact]]
             carrier = model.surface_body[surface]
             o_B = model.surface_position[env, surface]
-            o_W = point_to_world(state, env, carrier, o_B)
             q_WS = orientation_to_world(state, env, carrier, model.surface_orientation[env, surface])
-            body = model.point_body[model.contact_point[contact]]
+            point = model.contact_point[contact]
+            body = model.point_body[point]
             c_B = model.set_center[env, number]
-            c_W = point_to_world(state, env, body, c_B)
+            between = apart(model, state, env, point, surface)
+            c_W = between + turned(state, env, body, c_B) - turned(state, env, carrier, o_B)
             q_SB = wp.quat_inverse(q_WS) * orientation_to_world(state, env, body, wp.quat_identity(dtype=real))
-            position = wp.quat_rotate_inv(q_WS, c_W - o_W)
+            position = wp.quat_rotate_inv(q_WS, c_W)
             extent = model.set_extent[env, number]
 
             # Two rotations, as unit quaternions, move a point at distance 1 from each other by 2 |q − q'| at most.
             last = cache.set_orientation[env, number]
-            turned = wp.min(wp.length(q_SB - last), wp.length(q_SB + last))
-            moved = wp.length(position - cache.set_position[env, number]) + real(2.0) * extent * turned
+            turn = wp.min(wp.length(q_SB - last), wp.length(q_SB + last))
+            moved = wp.length(position - cache.set_position[env, number]) + real(2.0) * extent * turn
             before = cache.set_travel[env, number]
             travel = before + moved * (real(1.0) + real(8.0) * epsilon) + epsilon * before
-            margin = rounding * (wp.length(c_W) + wp.length(o_W) + wp.length(c_B) + wp.length(o_B) + extent)
+            margin = rounding * (wp.length(between) + wp.length(c_B) + wp.length(o_B) + extent)
             cache.set_position[env, number] = position
             cache.set_orientation[env, number] = q_SB
             cache.set_travel[env, number] = travel

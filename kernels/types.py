@@ -105,10 +105,12 @@ def structs(real: type) -> SimpleNamespace:
         body_round: wp.array2d(dtype=wp.bool)  # whether the inertia is the same about all axes
         # Points
         point_body: wp.array(dtype=wp.int32)  # [point] body or WORLD
-        point_position: wp.array2d(dtype=vec3)  # [env, point], B (or W) [m]
+        point_position: wp.array2d(dtype=vec3)  # [env, point], B (or W, from its anchor) [m]
+        point_anchor: wp.array2d(dtype=vec3)  # [env, point], W; of points of the world, one for those of a set [m]
         # Surfaces
         surface_body: wp.array(dtype=wp.int32)  # [surface] body or WORLD
-        surface_position: wp.array2d(dtype=vec3)  # [env, surface] origin of S in B (or W) [m]
+        surface_position: wp.array2d(dtype=vec3)  # [env, surface] origin of S in B (or W, from its anchor) [m]
+        surface_anchor: wp.array2d(dtype=vec3)  # [env, surface], W; of a surface of the world [m]
         surface_orientation: wp.array2d(dtype=quat)  # [env, surface] S → B (or W)
         surface_scale: wp.array2d(dtype=real)  # [env, surface] m per unit of the mesh
         surface_mesh: wp.array2d(dtype=wp.int32)  # [env, surface] which of its meshes it has
@@ -135,19 +137,20 @@ def structs(real: type) -> SimpleNamespace:
         contact_geometry: wp.array2d(dtype=ContactGeometry)  # [env, contact]
         # Sets: the contacts of one set of points with one surface. Blocks: some of them that are near each other
         set_contact: wp.array(dtype=wp.int32)  # [set] its first contact
-        set_center: wp.array2d(dtype=vec3)  # [env, set] in the middle of the points, B (or W) [m]
+        set_center: wp.array2d(dtype=vec3)  # [env, set] in the middle of the points, as they are given [m]
         set_extent: wp.array2d(dtype=real)  # [env, set] farthest point from there [m]
         set_block_start: wp.array(dtype=wp.int32)  # [set + 1] first block
         block_set: wp.array(dtype=wp.int32)  # [block]
         block_start: wp.array(dtype=wp.int32)  # [block + 1] first of its contacts in the list
         block_contact: wp.array(dtype=wp.int32)  # contacts by block
-        block_center: wp.array2d(dtype=vec3)  # [env, block] in the middle of its points, B (or W) [m]
+        block_center: wp.array2d(dtype=vec3)  # [env, block] in the middle of its points, as they are given [m]
         body_block_start: wp.array(dtype=wp.int32)  # [body + 1] first of its blocks in the list
         body_block: wp.array(dtype=wp.int32)  # 2 × block + 0 as the points' body, 1 as the surface's
 
     @wp.struct
     class State:
         body_position: wp.array2d(dtype=vec3)  # [env, body] centre of mass, W [m]
+        body_position_remainder: wp.array2d(dtype=vec3)  # [env, body] what rounding left of it; to be added [m]
         body_orientation: wp.array2d(dtype=quat)  # [env, body] B → W
         body_linear_velocity: wp.array2d(dtype=vec3)  # [env, body] of the centre of mass, W [m/s]
         body_angular_velocity: wp.array2d(dtype=vec3)  # [env, body], W [rad/s]
@@ -170,7 +173,9 @@ def structs(real: type) -> SimpleNamespace:
         gap: wp.array2d(dtype=real)  # [env, contact] < 0 in overlap [m]
         penetration: wp.array2d(dtype=real)  # [env, contact] 0 unless status is CONTACT [m]
         normal: wp.array2d(dtype=vec3)  # [env, contact] out of the surface, W
-        point: wp.array2d(dtype=vec3)  # [env, contact] K, where the force acts, W [m]
+        arm: wp.array2d(
+            dtype=vec3
+        )  # [env, contact] to K, where the force acts, from where points are given, W [m]
         face: wp.array2d(dtype=wp.int32)  # [env, contact] row of the face; −1: none
         status: wp.array2d(dtype=wp.int32)  # [env, contact] OPEN, CONTACT, …
         armed: wp.array2d(dtype=wp.int32)  # [env, contact] the latch this geometry leads to

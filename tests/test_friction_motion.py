@@ -69,7 +69,9 @@ def test_a_block_sticks_below_the_friction_angle_and_slides_above(friction, stee
     path, speed = place(model), model.reading("block.linear_velocity")[:, 0]
     sim.step(5000)
     # At rest, near the limit after the small slip that a sudden load gives.
-    np.testing.assert_allclose(place(model)[:2], path[:2], rtol=1e-6)
+    # A spring takes no less than half a rounding of its stretch, here 3e-5 m at most, in a step.
+    unfelt = {"float32": 5000 * 0.5 * np.spacing(np.float32(3e-5)), "float64": 1e-12}[precision]
+    np.testing.assert_allclose(place(model)[:2], path[:2], rtol=1e-6, atol=unfelt)
     assert (path[:2] < 2e-3).all()
     if isinstance(friction, F.CundallStrack):
         np.testing.assert_allclose(path[0], G * np.sin(angles[0]) / 1e5, rtol=1e-3)

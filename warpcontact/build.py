@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact import elements as limits_of
+from warpcontact.arrays import allocate
 from warpcontact.blocks import make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
 from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
-from warpcontact.parameters import Field, Parameter, Parameters, pack
+from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import upload_patches
 from warpcontact.readings import readings_of
 from warpcontact.scene import Contact, Points, Scene, Surface
@@ -66,7 +67,8 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
         cache=_cache(t, envs, len(contacts), blocks.count, starts[-1], where),
         status=wp.zeros(envs, dtype=wp.int32, device=where),
         time=wp.zeros(envs, dtype=wp.float64, device=where),
-        measures=None,  # allocated by the first reading that needs it
+        bodies=None,  # measures, allocated by the first reading that needs them
+        points=None,
     )
     gravity = Field(scene.gravity[None])
     upload = parameters.upload(arrays.model, "gravity", t.vec3, lambda: gravity.values)
@@ -111,15 +113,6 @@ def find_device(name: str) -> wp.Device:
     return wp.get_device(name)
 
 
-def allocate(struct: Any, shape: tuple[int, int], device: wp.Device, **others: tuple[int, ...]) -> Any:
-    """Returns an instance of a Warp struct of arrays [env, item], each of ``shape``, or its own one, and zero."""
-    instance = struct()
-    for name, variable in struct.vars.items():
-        array = wp.zeros(others.get(name, shape), dtype=variable.type.dtype, device=device)
-        setattr(instance, name, array)
-    return instance
-
-
 def _cache(t: SimpleNamespace, envs: int, sets: int, blocks: int, contacts: int, device: wp.Device) -> Any:
     shapes = {name: (envs, sets) for name in t.Cache.vars if name.startswith("set_")}
     faces = (envs, contacts * types.REMEMBERED)
@@ -160,14 +153,19 @@ def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
             given=((3, 3), (3,)),
         )
     for key, unit in (("position", "m"), ("linear_velocity", "m/s"), ("angular_velocity", "rad/s")):
-        _add_vector(parameters, bodies, key, unit, arrays.initial, f"body_{key}", t)
+        field, uploads = _add_vector(parameters, bodies, key, unit, arrays.initial, f"body_{key}", t)
+        if key == "position":
+            _add_remainder(parameters, field, uploads, arrays.initial, t)
     _add_orientation(parameters, bodies, arrays.initial, "body_orientation", t)
 
 
 def _add_points(
     scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace
 ) -> tuple[Callable[[], Array], list[Parameter]]:
-    """Adds the points; returns where all are in their bodies, (1 or envs, points, 3), and what moves them."""
+    """Adds the points; returns where all are, (1 or envs, points, 3), and what moves them.
+
+    That is in their bodies, or in the world from an anchor in the middle of their set.
+    """
     sets = scene.points
     arrays.model.point_body = _indices(
         [_body_index(points) for points in sets for _ in points.positions], parameters.device
@@ -181,7 +179,7 @@ def _add_points(
         if points.surface is not None
     }
 
-    def places() -> Array:
+    def whole_places() -> Array:
         values = position.values
         for points, pose in pose_of.items():
             items = slice(points.start, points.start + len(points.positions))
@@ -191,10 +189,27 @@ def _add_points(
             values[:, items] = moved
         return values
 
-    upload = parameters.upload(arrays.model, "point_position", t.vec3, places)
+    def anchors() -> Array:
+        values = whole_places()
+        result = np.zeros_like(values)
+        for points in sets:
+            if points.body is None:
+                own = values[:, points.start : points.start + len(points.positions)]
+                middle = 0.5 * (own.min(axis=1, keepdims=True) + own.max(axis=1, keepdims=True))
+                items = slice(points.start, points.start + len(points.positions))
+                result[:, items] = split("point_position", middle, parameters.real)[0]
+        return result
+
+    def places() -> Array:
+        return whole_places() - anchors()
+
+    uploads = [
+        parameters.upload(arrays.model, "point_anchor", t.vec3, anchors),
+        parameters.upload(arrays.model, "point_position", t.vec3, places),
+    ]
     moving = list({id(part): part for pose in pose_of.values() for part in pose}.values())
     for part in moving:
-        part.uploads.append(upload)
+        part.uploads.extend(uploads)
     for points in sets:
         items = slice(points.start, points.start + len(points.positions))
         parameters.add(
@@ -202,7 +217,7 @@ def _add_points(
             position,
             items,
             limits("m"),
-            [upload],
+            list(uploads),
             tail=(3,),
             single=points.single,
         )
@@ -219,28 +234,40 @@ def _add_surfaces(scene: Scene, arrays: SimpleNamespace, parameters: Parameters,
     which = Field(np.zeros(len(surfaces)))
     centre = np.array([surface.centre for surface in surfaces]).reshape(-1, 3)
 
+    of_world = np.array([surface.body is None for surface in surfaces], dtype=bool)[:, None]
+
     def centre_in_body() -> Array:
         # Kernels see a mesh from where its numbers are finest; here that is placed, in float64.
         offset = scale.values[..., None] * centre
         return placed(offset[..., None, :], position.values, orientation.values)[..., 0, :]
 
-    send_position = parameters.upload(model, "surface_position", t.vec3, centre_in_body)
+    def anchor() -> Array:
+        return np.where(of_world, split("surface_position", centre_in_body(), parameters.real)[0], 0.0)
+
+    def from_anchor() -> Array:
+        centres = centre_in_body()
+        return np.where(of_world, split("surface_position", centres, parameters.real)[1], centres)
+
+    send_position = [
+        parameters.upload(model, "surface_anchor", t.vec3, anchor),
+        parameters.upload(model, "surface_position", t.vec3, from_anchor),
+    ]
     send_orientation = parameters.upload(model, "surface_orientation", t.quat, lambda: orientation.values)
     send_scale = parameters.upload(model, "surface_scale", t.real, lambda: scale.values)
     send_which = parameters.upload(model, "surface_mesh", wp.int32, lambda: which.values.astype(np.int32))
     for surface in surfaces:
         items = slice(surface.index, surface.index + 1)
-        parameters.add(f"{surface.name}.position", position, items, limits("m"), [send_position], tail=(3,))
+        parameters.add(f"{surface.name}.position", position, items, limits("m"), list(send_position), tail=(3,))
         parameters.add(
             f"{surface.name}.orientation",
             orientation,
             items,
             checks.FINITE,
-            [send_orientation, send_position],
+            [send_orientation, *send_position],
             tail=(4,),
             convert=checks.unit_quaternions,
         )
-        sends = [send_scale, send_position]
+        sends = [send_scale, *send_position]
         parameters.add(f"{surface.name}.scale", scale, items, limits_of.SCALE, sends)
         if len(surface.meshes) > 1:
             allowed = limits("-", at_least=0.0, at_most=len(surface.meshes) - 1.0)
@@ -316,13 +343,25 @@ def _add_vector(
     struct: Any,
     attribute: str,
     t: SimpleNamespace,
-) -> None:
+) -> tuple[Field, list[Upload]]:
     """Adds a vector that every element has."""
     field = Field(np.array([getattr(element, key) for element in elements]).reshape(-1, 3))
-    upload = parameters.upload(struct, attribute, t.vec3, lambda: field.values)
+    uploads = [parameters.upload(struct, attribute, t.vec3, lambda: field.values)]
     for element in elements:
         items = slice(element.index, element.index + 1)
-        parameters.add(f"{element.name}.{key}", field, items, limits(unit), [upload], tail=(3,))
+        parameters.add(f"{element.name}.{key}", field, items, limits(unit), uploads, tail=(3,))
+    return field, uploads
+
+
+def _add_remainder(
+    parameters: Parameters, position: Field, uploads: list[Upload], initial: Any, t: SimpleNamespace
+) -> None:
+    """Adds what rounding leaves of the position of every body, which follows it."""
+
+    def remainder() -> Array:
+        return split("body_position", position.values, parameters.real)[1]
+
+    uploads.append(parameters.upload(initial, "body_position_remainder", t.vec3, remainder))
 
 
 def _add_orientation(

@@ -1,7 +1,7 @@
 """A built scene: parameters, state and memory of many environments on one device."""
 
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -10,11 +10,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from warpcontact.arrays import allocate, broadcast
 from warpcontact.blocks import Blocks
 from warpcontact.checks import Array
 from warpcontact.groups import Group
 from warpcontact.health import Health
-from warpcontact.parameters import Parameter, Upload, broadcast
+from warpcontact.parameters import Parameter, Upload
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import Span, force_stages
@@ -27,13 +28,16 @@ class State:
     Write into them (``state.body_position.assign(values)``), do not replace them.
 
     Attributes:
-        body_position: Centre of mass, world [m].
+        body_position: Centre of mass, world [m], as far as the precision tells it.
+        body_position_remainder: What rounding left of it [m]: the centre of mass is at the sum of both. To place a
+            body to the precision it is enough to write the position.
         body_orientation: Rotation body → world, quaternion (x, y, z, w).
         body_linear_velocity: Velocity of the centre of mass, world [m/s].
         body_angular_velocity: Angular velocity, world axes [rad/s].
     """
 
     body_position: wp.array
+    body_position_remainder: wp.array
     body_orientation: wp.array
     body_linear_velocity: wp.array
     body_angular_velocity: wp.array
@@ -217,35 +221,37 @@ class Model:
             KeyError: If there is no such reading.
         """
         reading = self.find_reading(name)
-        if reading.of_contacts:
-            self.evaluate()
-        if reading.of_measures:
-            self.measure()
+        self.prepare({*reading.needs})
         # On the CPU the values are a view of memory that the next step overwrites.
         return reading.finish(np.array(reading.array(self.arrays).numpy()))
 
-    def measure(self) -> None:
-        """Computes energies and momenta of the current state."""
+    def prepare(self, needs: Set[str]) -> None:
+        """Computes what readings of the current state need, by their ``needs``."""
+        if "contacts" in needs or "points" in needs:
+            self.evaluate()
+        if "bodies" in needs:
+            self._measure_bodies()
+        if "points" in needs:
+            self._measure_points()
+
+    def _measure_bodies(self) -> None:
         from warpcontact.kernels import measures
 
-        a = self.arrays
-        if a.measures is None:
-            t = self.types
-            shape = (self.envs, self.body_count)
-            a.measures = SimpleNamespace(
-                kinetic_energy=wp.zeros(shape, dtype=t.real, device=self.device),
-                potential_energy=wp.zeros(shape, dtype=t.real, device=self.device),
-                linear_momentum=wp.zeros(shape, dtype=t.vec3, device=self.device),
-                angular_momentum=wp.zeros(shape, dtype=t.vec3, device=self.device),
-            )
-        m = a.measures
-        wp.launch(
-            measures.kernel(self.types.real),
-            dim=(self.envs, self.body_count),
-            inputs=[a.model, a.state],
-            outputs=[m.kinetic_energy, m.potential_energy, m.linear_momentum, m.angular_momentum],
-            device=self.device,
-        )
+        a, shape = self.arrays, (self.envs, self.body_count)
+        if a.bodies is None:
+            a.bodies = allocate(measures.Bodies, shape, self.device)
+        kernel = measures.bodies(self.types.real)
+        wp.launch(kernel, dim=shape, inputs=[a.model, a.state], outputs=[a.bodies], device=self.device)
+
+    def _measure_points(self) -> None:
+        from warpcontact.kernels import measures
+
+        a, shape = self.arrays, (self.envs, self.contact_count)
+        if a.points is None:
+            a.points = allocate(measures.Points, shape, self.device)
+        kernel = measures.points(self.types.real)
+        inputs = [a.model, a.state, a.contacts]
+        wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.points], device=self.device)
 
     def grouped_contacts(self) -> Iterator[tuple[Group, Contact, int]]:
         """Iterates over the contacts: the group each is computed in, and the index of its first item there."""

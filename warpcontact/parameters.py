@@ -16,6 +16,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import checks
+from warpcontact.arrays import broadcast
 from warpcontact.checks import Array
 from warpcontact.kernels.formula import check_values
 
@@ -164,23 +165,6 @@ class Upload:
         return True
 
 
-def broadcast(memory: wp.array, envs: int) -> wp.array:
-    """Returns ``memory`` (1 or envs, items) as an array (envs, items), with stride 0 if it is shared.
-
-    The caller keeps ``memory`` alive.
-    """
-    if memory.shape[0] == envs:
-        return memory
-    return wp.array(
-        ptr=memory.ptr,
-        shape=(envs, *memory.shape[1:]),
-        strides=(0, *memory.strides[1:]),
-        dtype=memory.dtype,
-        device=memory.device,
-        copy=False,
-    )
-
-
 class Parameters:
     """The parameters and uploads of a model in the making.
 
@@ -243,3 +227,14 @@ def rounded(name: str, values: NDArray[Any], dtype: Any) -> NDArray[Any]:
     if lost.any():
         raise ValueError(f"{name}: {values[lost].flat[0]:g} does not fit into {np.dtype(dtype).name}")
     return result
+
+
+def split(name: str, values: Array, dtype: Any) -> tuple[Array, Array]:
+    """Returns ``values`` as they are rounded on the device, and what rounding leaves of them.
+
+    Raises:
+        ValueError: If a value does not fit there.
+    """
+    leading = rounded(name, values, dtype).astype(np.float64)
+    with np.errstate(under="ignore"):
+        return leading, (values - leading).astype(dtype).astype(np.float64)

@@ -16,7 +16,6 @@ AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
 
 # name: (array, unit, what it is)
 _BODY_STATE = {
-    "position": ("body_position", "m", "centre of mass, world"),
     "orientation": ("body_orientation", "-", "rotation body → world, quaternion x, y, z, w"),
     "linear_velocity": ("body_linear_velocity", "m/s", "velocity of the centre of mass, world"),
     "angular_velocity": ("body_angular_velocity", "rad/s", "angular velocity, world axes"),
@@ -25,6 +24,7 @@ _BODY_WRENCH = {
     "force": ("force", "N", "sum of the contact forces, world"),
     "torque": ("torque", "N·m", "sum of their moments about the centre of mass, world axes"),
 }
+# In float64 whatever the precision: sums, and places far from the origin.
 _BODY_MEASURE = {
     "kinetic_energy": ("kinetic_energy", "J", "kinetic energy"),
     "potential_energy": ("potential_energy", "J", "potential energy of gravity, 0 at the world's origin"),
@@ -37,7 +37,6 @@ _CONTACT = {
     "normal_force": ("normal_force", "N", "normal force"),
     "friction_force": ("friction_force", "N", "friction force on the point's body, world"),
     "torque": ("torque", "N·m", "couple of rolling and torsion on the point's body, world"),
-    "point": ("point", "m", "point K where the force acts, world"),
     "normal": ("normal", "-", "unit normal out of the surface, world"),
     "slip_speed": ("slip_speed", "m/s", "tangential speed at K, 0 without contact"),
     "approach_speed": ("approach_speed", "m/s", "rate of penetration at K, 0 without contact"),
@@ -58,8 +57,8 @@ class Reading:
         unit: SI unit.
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
-        of_contacts: Whether contacts and wrenches have to be evaluated first.
-        of_measures: Whether energies and momenta have to be measured first.
+        needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, or contact
+            ``"points"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
     """
@@ -68,8 +67,7 @@ class Reading:
     unit: str
     meaning: str
     array: Callable[[SimpleNamespace], wp.array]
-    of_contacts: bool = False
-    of_measures: bool = False
+    needs: tuple[str, ...] = ()
     items: int = 0
     total: bool = False
 
@@ -95,27 +93,32 @@ def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[
         return lambda arrays: getattr(getattr(arrays, part), attribute)[:, items]
 
     for body in scene.bodies:
+        place = column("bodies", "position", body.index)
+        add(f"{body.name}.position", "m", "centre of mass, world", place, needs=("bodies",))
         for key, (attribute, unit, meaning) in _BODY_STATE.items():
             add(f"{body.name}.{key}", unit, meaning, column("state", attribute, body.index))
         for key, (attribute, unit, meaning) in _BODY_WRENCH.items():
             array = column("wrenches", attribute, body.index)
-            add(f"{body.name}.{key}", unit, meaning, array, of_contacts=True)
+            add(f"{body.name}.{key}", unit, meaning, array, needs=("contacts",))
         for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
-            array = column("measures", attribute, body.index)
-            add(f"{body.name}.{key}", unit, meaning, array, of_measures=True)
+            array = column("bodies", attribute, body.index)
+            add(f"{body.name}.{key}", unit, meaning, array, needs=("bodies",))
     for contact in scene.contacts:
         single = contact.points.single
         start = start_of[contact]
         items = start if single else slice(start, start + contact.count)
+        count = 0 if single else contact.count
+        place = column("points", "position", items)
+        meaning = "point K where the force acts, world"
+        add(f"{contact.name}.point", "m", meaning, place, needs=("points",), items=count)
         for key, (attribute, unit, meaning) in _CONTACT.items():
             array = column("contacts", attribute, items)
-            count = 0 if single else contact.count
-            add(f"{contact.name}.{key}", unit, meaning, array, of_contacts=True, items=count)
+            add(f"{contact.name}.{key}", unit, meaning, array, needs=("contacts",), items=count)
         group = next(group for group in groups if group.first <= start < group.first + group.count)
         for part, formula in contact.template.formulas.items():
             for key, memory in formula.memories.items():
-                place = start - group.first
-                own = place if single else slice(place, place + contact.count)
+                offset = start - group.first
+                own = offset if single else slice(offset, offset + contact.count)
                 view = group.of_memory(part, key)[:, own]
                 frame = ", axes of the surface" if memory.tangent else ""
                 meaning = f"{memory.meaning}, as of the last step{frame}"
@@ -125,14 +128,13 @@ def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[
                     memory.unit,
                     meaning,
                     lambda arrays, view=view: view,
-                    items=0 if single else contact.count,
+                    items=count,
                 )
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
-            count = 0 if single else contact.count
             add(f"{contact.name}.{key}", unit, meaning, column("history", attribute, items), items=count)
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
-        array = column("measures", attribute, slice(0, len(scene.bodies)))
-        add(f"scene.{key}", unit, f"{meaning}, all bodies", array, of_measures=True, total=True)
+        array = column("bodies", attribute, slice(0, len(scene.bodies)))
+        add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)
     return table
 
 

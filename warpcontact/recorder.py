@@ -102,20 +102,15 @@ class Recorder:
             both = ("position", "orientation")
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
         readings = [model.find_reading(name) for name in dict.fromkeys(wanted)]
-        self.of_contacts = any(reading.of_contacts for reading in readings)
-        self.of_measures = any(reading.of_measures for reading in readings)
-        if self.of_measures:
-            model.measure()
+        self.needs = {need for reading in readings for need in reading.needs}
+        model.prepare(self.needs)
         self.channels = [_Channel(model, reading, frames) for reading in readings]
         self.times = np.zeros(frames)
         self.taken = 0
 
     def take(self, time: float) -> None:
         """Takes one frame of the current state at ``time`` [s]."""
-        if self.of_contacts:
-            self.model.evaluate()
-        if self.of_measures:
-            self.model.measure()
+        self.model.prepare(self.needs)
         for channel in self.channels:
             channel.take()
         self.times[self.taken] = time

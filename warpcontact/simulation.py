@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
-from warpcontact.build import allocate
+from warpcontact.arrays import allocate, broadcast
 from warpcontact.crew import Crew, available_threads
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.model import Model
-from warpcontact.parameters import broadcast, rounded
+from warpcontact.parameters import rounded
 from warpcontact.recorder import Recorder, Recording
 from warpcontact.schedule import Span
 from warpcontact.slices import Slice, Times
