@@ -22,7 +22,7 @@ from facts import facts
 from works import WORKS
 
 import warpcontact as wc
-from warpcontact.build import allocate
+from warpcontact.arrays import allocate
 from warpcontact.crew import available_threads
 from warpcontact.schedule import Span, accept_stages, step_stages
 
