@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
-from warpcontact import crew, simulation
+from warpcontact import crew, stepping
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
@@ -221,7 +221,7 @@ def test_captured_steps_are_the_launched_ones(name, precision, device):
 @pytest.mark.parametrize(("threads", "size"), [(2, 7), (3, 1), (5, 100)])
 def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypatch):
     alone, _ = run(name, "float32", device, threads=1)
-    monkeypatch.setattr(simulation, "LARGEST_SLICE", size)
+    monkeypatch.setattr(stepping, "LARGEST_SLICE", size)
     monkeypatch.setattr(crew, "ALONE", 0)
     shared, _ = run(name, "float32", device, threads=threads)
     assert_same(alone, shared)

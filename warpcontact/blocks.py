@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.arrays import Layout
 from warpcontact.checks import Array
 from warpcontact.parameters import Parameters
 from warpcontact.scene import Body, Contact
@@ -81,6 +82,7 @@ def upload_blocks(
     contacts: list[Contact],
     bodies: list[Body],
     model: Any,
+    layout: Layout,
     parameters: Parameters,
     t: Any,
     places: Callable[[], Array],
@@ -92,6 +94,7 @@ def upload_blocks(
         contacts: The contacts in the order of the device.
         bodies: All bodies.
         model: The struct.
+        layout: For what is the same in all environments.
         parameters: For the middle and extent of the sets, which follow the points.
         t: Structs.
         places: Returns where all points are in their bodies, (1 or envs, points, 3).
@@ -100,24 +103,24 @@ def upload_blocks(
         The uploads that have to follow when points are moved.
     """
 
-    def send(values: Any) -> wp.array:
-        return wp.array(np.asarray(values, dtype=np.int32), dtype=wp.int32, device=parameters.device)
+    def send(name: str, values: Any) -> None:
+        layout.content("contacts", model, name, values, wp.int32)
 
     sizes = np.diff(blocks.set_start)
     firsts = np.cumsum([0] + [contact.count for contact in contacts])
-    model.set_contact = send(firsts[:-1])
-    model.set_block_start = send(blocks.set_start)
-    model.block_set = send(np.repeat(np.arange(len(contacts)), sizes))
-    model.block_start = send(blocks.start)
-    model.block_contact = send(blocks.contact)
+    send("set_contact", firsts[:-1])
+    send("set_block_start", blocks.set_start)
+    send("block_set", np.repeat(np.arange(len(contacts)), sizes))
+    send("block_start", blocks.start)
+    send("block_contact", blocks.contact)
     of_body: list[list[int]] = [[] for _ in bodies]
     for number, contact in enumerate(contacts):
         for block in range(blocks.set_start[number], blocks.set_start[number + 1]):
             for side, body in enumerate((contact.points.body, contact.surface.body)):
                 if body is not None:
                     of_body[body.index].append(2 * block + side)
-    model.body_block_start = send(np.cumsum([0] + [len(own) for own in of_body]))
-    model.body_block = send([entry for own in of_body for entry in own])
+    send("body_block_start", np.cumsum([0] + [len(own) for own in of_body]))
+    send("body_block", [entry for own in of_body for entry in own])
 
     by_set = [contact.points.start + np.arange(contact.count) for contact in contacts]
     by_block = [

@@ -1,6 +1,7 @@
 """Scene × environments → Model: the arrays of bodies, points, surfaces and contacts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,17 +11,19 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact import elements as limits_of
-from warpcontact.arrays import allocate
-from warpcontact.blocks import make_blocks, upload_blocks
+from warpcontact.arrays import Layout, fixed, per_env
+from warpcontact.blocks import Blocks, make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
+from warpcontact.footprint import Footprint, require
 from warpcontact.frames import placed
-from warpcontact.groups import by_code, make_group
+from warpcontact.groups import Group, by_code, compile_group, make_group
 from warpcontact.kernels import types
-from warpcontact.model import Model
-from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
+from warpcontact.model import Model, OfScene
+from warpcontact.parameters import Field, Parameter, Parameters, Upload, needs_of, pack, split
 from warpcontact.patches import upload_patches
-from warpcontact.readings import readings_of
+from warpcontact.readings import Reading, readings_of
 from warpcontact.scene import Contact, Points, Scene, Surface
+from warpcontact.stepping import stepping_needs
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
@@ -37,17 +40,93 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
     Raises:
         ValueError: If an argument is out of range or the scene has no body.
         TypeError: If a law or friction does not compile.
+        MemoryError: If they take more memory than there is, with how many environments would fit; nothing has
+            been allocated then.
     """
     if isinstance(envs, bool) or not isinstance(envs, int | np.integer) or envs < 1:
         raise ValueError(f"envs must be a whole number of at least 1, got {envs!r}")
+    return draw_up(scene, device, precision).build(int(envs))
+
+
+@dataclass(frozen=True)
+class Draft(OfScene):
+    """Everything of a model but the number of environments, and no memory on its device yet.
+
+    Attributes:
+        scene: The scene.
+        device: Warp device.
+        precision: ``"float32"`` or ``"float64"``.
+        types: Structs.
+        layout: What is to lie on the device.
+        arrays: The arrays, once they are built.
+        parameters: The parameters.
+        groups: The contacts by the code of their laws and frictions.
+        blocks: The contacts by what lies together.
+        readings: What can be measured.
+        meshes: What is searched, once it is built.
+    """
+
+    scene: Scene
+    device: wp.Device
+    precision: str
+    types: SimpleNamespace
+    layout: Layout
+    arrays: SimpleNamespace
+    parameters: Parameters
+    groups: list[Group]
+    blocks: Blocks
+    readings: dict[str, Reading]
+    meshes: list[wp.Mesh]
+
+    def memory(self, envs: int, varied: Collection[str] = ()) -> Footprint:
+        """Returns what ``envs`` environments would take, and a simulation that steps them.
+
+        Args:
+            envs: Number of environments.
+            varied: Names of the parameters that are to have a value per environment.
+        """
+        needs = self.layout.needs(envs)
+        needs += needs_of(self.parameters.by_name, self.parameters.uploads, envs, varied)
+        return Footprint(envs, str(self.device), tuple(needs + stepping_needs(self, envs)))
+
+    def build(self, envs: int) -> Model:
+        """Returns the model of ``envs`` environments; once.
+
+        Raises:
+            MemoryError: If it takes more memory than there is.
+            TypeError: If a law or friction does not compile.
+        """
+        require(self.memory, envs)
+        for group in self.groups:
+            compile_group(group, self.device, self.types.real)
+        self.layout.allocate(envs)
+        return Model(
+            scene=self.scene,
+            envs=envs,
+            device=self.device,
+            precision=self.precision,
+            types=self.types,
+            layout=self.layout,
+            arrays=self.arrays,
+            parameters=self.parameters.by_name,
+            uploads=self.parameters.uploads,
+            groups=self.groups,
+            blocks=self.blocks,
+            readings=self.readings,
+            meshes=self.meshes,
+        )
+
+
+def draw_up(scene: Scene, device: str = "auto", precision: str = "float32") -> Draft:
+    """Prepares a model of ``scene``; arguments and errors are those of ``build``."""
     checks.choice("precision", precision, tuple(PRECISIONS))
     if not scene.bodies:
         raise ValueError("the scene has no body; add_body adds one")
     where = find_device(device)
-    envs = int(envs)
 
     t = types.structs(PRECISIONS[precision])
-    parameters = Parameters(envs, where, t.real)
+    layout = Layout(where)
+    parameters = Parameters(where, t.real)
     groups = by_code(scene.contacts)
     contacts = [contact for group in groups for contact in group]
     # Contacts lie on the device in the order of their groups.
@@ -55,42 +134,45 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
     start_of = dict(zip(contacts, starts, strict=False))
 
     blocks = make_blocks(contacts)
-    bodies, each, parts = (envs, len(scene.bodies)), (envs, starts[-1]), (envs, blocks.count)
+    bodies, each, parts = per_env(len(scene.bodies)), per_env(starts[-1]), per_env(blocks.count)
     arrays = SimpleNamespace(
         model=t.Model(),
         initial=t.State(),
-        state=allocate(t.State, bodies, where),
-        wrenches=allocate(t.Wrenches, bodies, where),
-        history=allocate(t.History, each, where),
-        contacts=allocate(t.Contacts, each, where),
-        near=allocate(t.Near, parts, where, contact=each),
-        cache=_cache(t, envs, len(contacts), blocks.count, starts[-1], where),
-        status=wp.zeros(envs, dtype=wp.int32, device=where),
-        time=wp.zeros(envs, dtype=wp.float64, device=where),
+        state=layout.struct("state", t.State, bodies),
+        wrenches=layout.struct("state", t.Wrenches, bodies),
+        history=layout.struct("contacts", t.History, each),
+        contacts=layout.struct("contacts", t.Contacts, each),
+        near=layout.struct("contacts", t.Near, parts, contact=each),
+        cache=_cache(t, layout, len(contacts), blocks.count, starts[-1]),
+        status=None,
+        time=None,
+        instant=None,
         bodies=None,  # measures, allocated by the first reading that needs them
         points=None,
     )
+    layout.array("state", arrays, "status", wp.int32, per_env())
+    layout.array("state", arrays, "time", wp.float64, per_env())
+    layout.array("state", arrays, "instant", t.real, fixed(1, 1))
     gravity = Field(scene.gravity[None])
     upload = parameters.upload(arrays.model, "gravity", t.vec3, lambda: gravity.values)
     parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [upload], tail=(3,))
     _add_bodies(scene, arrays, parameters, t)
-    _add_surfaces(scene, arrays, parameters, t)
-    places, moving = _add_points(scene, arrays, parameters, t)
-    following = upload_blocks(blocks, contacts, scene.bodies, arrays.model, parameters, t, places)
+    _add_surfaces(scene, arrays, layout, parameters, t)
+    places, moving = _add_points(scene, arrays, layout, parameters, t)
+    following = upload_blocks(blocks, contacts, scene.bodies, arrays.model, layout, parameters, t, places)
     for parameter in moving:
         parameter.uploads.extend(following)
-    patch_of, meshes = upload_patches(contacts, arrays.model, t, where)
-    _add_contacts(contacts, start_of, patch_of, arrays, parameters, t)
-    made = [make_group(group, start_of[group[0]], blocks, parameters, t.real) for group in groups]
-    return Model(
+    patch_of, meshes = upload_patches(contacts, arrays.model, layout, t)
+    _add_contacts(contacts, start_of, patch_of, arrays, layout, parameters, t)
+    made = [make_group(group, start_of[group[0]], blocks, layout, parameters, t.real) for group in groups]
+    return Draft(
         scene=scene.snapshot(),
-        envs=envs,
         device=where,
         precision=precision,
         types=t,
+        layout=layout,
         arrays=arrays,
-        parameters=parameters.by_name,
-        uploads=parameters.uploads,
+        parameters=parameters,
         groups=made,
         blocks=blocks,
         readings=readings_of(scene, start_of, made),
@@ -113,17 +195,17 @@ def find_device(name: str) -> wp.Device:
     return wp.get_device(name)
 
 
-def _cache(t: SimpleNamespace, envs: int, sets: int, blocks: int, contacts: int, device: wp.Device) -> Any:
-    shapes = {name: (envs, sets) for name in t.Cache.vars if name.startswith("set_")}
-    faces = (envs, contacts * types.REMEMBERED)
-    return allocate(
+def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int) -> Any:
+    shapes = {name: per_env(sets) for name in t.Cache.vars if name.startswith("set_")}
+    faces = per_env(contacts * types.REMEMBERED)
+    return layout.struct(
+        "cache",
         t.Cache,
-        (envs, contacts),
-        device,
+        per_env(contacts),
         **shapes,
-        block_wake=(envs, blocks),
-        waiting=(1,),
-        waiting_task=(envs * blocks if device.is_cuda else 1,),
+        block_wake=per_env(blocks),
+        waiting=fixed(1),
+        waiting_task=(lambda envs: (envs * blocks,)) if layout.device.is_cuda else fixed(1),
         face=faces,
         distance=faces,
     )
@@ -160,16 +242,15 @@ def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
 
 
 def _add_points(
-    scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace
+    scene: Scene, arrays: SimpleNamespace, layout: Layout, parameters: Parameters, t: SimpleNamespace
 ) -> tuple[Callable[[], Array], list[Parameter]]:
     """Adds the points; returns where all are, (1 or envs, points, 3), and what moves them.
 
     That is in their bodies, or in the world from an anchor in the middle of their set.
     """
     sets = scene.points
-    arrays.model.point_body = _indices(
-        [_body_index(points) for points in sets for _ in points.positions], parameters.device
-    )
+    bodies = [_body_index(points) for points in sets for _ in points.positions]
+    layout.content("contacts", arrays.model, "point_body", bodies, wp.int32)
     position = Field(np.concatenate([np.zeros((0, 3)), *(points.positions for points in sets)]))
     pose_of = {
         points: [
@@ -225,9 +306,12 @@ def _add_points(
     return places, moving
 
 
-def _add_surfaces(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace) -> None:
+def _add_surfaces(
+    scene: Scene, arrays: SimpleNamespace, layout: Layout, parameters: Parameters, t: SimpleNamespace
+) -> None:
     surfaces, model = scene.surfaces, arrays.model
-    model.surface_body = _indices([_body_index(surface) for surface in surfaces], parameters.device)
+    bodies = [_body_index(surface) for surface in surfaces]
+    layout.content("surfaces", model, "surface_body", bodies, wp.int32)
     position = Field(np.array([surface.position for surface in surfaces]).reshape(-1, 3))
     orientation = Field(np.array([surface.orientation for surface in surfaces]).reshape(-1, 4))
     scale = Field(np.array([surface.scale for surface in surfaces]))
@@ -280,13 +364,18 @@ def _add_contacts(
     start_of: dict[Contact, int],
     patch_of: dict[Contact, int],
     arrays: SimpleNamespace,
+    layout: Layout,
     parameters: Parameters,
     t: SimpleNamespace,
 ) -> None:
     model = arrays.model
+
+    def send(name: str, values: list[int]) -> None:
+        layout.content("contacts", model, name, values, wp.int32)
+
     each = [(contact, item) for contact in contacts for item in range(contact.count)]
-    model.contact_point = _indices([contact.points.start + item for contact, item in each], parameters.device)
-    model.contact_patch = _indices([patch_of[contact] for contact, _ in each], parameters.device)
+    send("contact_point", [contact.points.start + item for contact, item in each])
+    send("contact_patch", [patch_of[contact] for contact, _ in each])
     options = {
         contact: types.LATCHED * (contact.entry == "latched")
         + types.RIM_OUTER * (contact.rim == "outer")
@@ -294,7 +383,7 @@ def _add_contacts(
         + types.SWEPT * contact.swept
         for contact in contacts
     }
-    model.contact_options = _indices([options[contact] for contact, _ in each], parameters.device)
+    send("contact_options", [options[contact] for contact, _ in each])
 
     ranges = {
         "radius": limits_of.RADIUS,
@@ -395,7 +484,3 @@ def _inertia(name: str, values: Array) -> Array:
 
 def _body_index(element: Points | Surface) -> int:
     return types.WORLD if element.body is None else element.body.index
-
-
-def _indices(values: list[int], device: wp.Device) -> wp.array:
-    return wp.array(np.array(values, dtype=np.int32), dtype=wp.int32, device=device)

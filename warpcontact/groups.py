@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks
 from warpcontact.kernels import contact_force
 from warpcontact.kernels.contact_force import Parts, group_structs
@@ -75,12 +76,10 @@ def by_code(contacts: Sequence[Contact]) -> list[list[Contact]]:
     return list(groups.values())
 
 
-def make_group(contacts: list[Contact], first: int, blocks: Blocks, parameters: Parameters, real: type) -> Group:
-    """Compiles the force kernel of ``contacts`` and adds the parameters of their laws and frictions.
-
-    Raises:
-        TypeError: If a law or friction does not compile.
-    """
+def make_group(
+    contacts: list[Contact], first: int, blocks: Blocks, layout: Layout, parameters: Parameters, real: type
+) -> Group:
+    """Adds the parameters of the laws and frictions of ``contacts``, and the memory that these have."""
     parts = contacts[0].template.parts
     Coefficients, Memory = group_structs(parts, real)
     coefficients, memory, kept = Coefficients(), Memory(), Memory()
@@ -89,18 +88,21 @@ def make_group(contacts: list[Contact], first: int, blocks: Blocks, parameters: 
         _add_formula(contacts, part, formula, coefficients, parameters, real)
         for target in (memory, kept):
             # Never looked at if the formula remembers nothing.
-            shape = (parameters.envs, count) if formula.memories else (1, 1)
-            array = wp.zeros(shape, dtype=memory_struct(formula, real), device=parameters.device)
-            setattr(target, part, array)
-    kernel = _compiled(parts, parameters.device, real)
+            shape = per_env(count) if formula.memories else fixed(1, 1)
+            layout.array("contacts", target, part, memory_struct(formula, real), shape)
+    kernel = contact_force.kernel(parts, real)
     return Group(parts, kernel, first, count, *blocks.of_contacts(first, count), coefficients, memory, kept)
 
 
-def _compiled(parts: Parts, device: wp.Device, real: type) -> wp.Kernel:
-    """Returns the force kernel, compiled here so that a mistake in a user's law shows at once."""
-    kernel = contact_force.kernel(parts, real)
+def compile_group(group: Group, device: wp.Device, real: type) -> None:
+    """Compiles the force kernel of ``group``, so that a mistake in a user's law shows at once.
+
+    Raises:
+        TypeError: If a law or friction does not compile.
+    """
+    parts = group.parts
     try:
-        kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+        group.kernel.module.load(device, block_dim=None if device.is_cuda else 1)
     except Exception as error:
         text = str(error).replace("\\n", "\n")
         hint = ""
@@ -118,7 +120,6 @@ def _compiled(parts: Parts, device: wp.Device, real: type) -> wp.Kernel:
             + "\n".join(_what_is_there(part, formula, real) for part, formula in present.items())
             + hint
         ) from error
-    return kernel
 
 
 def _what_is_there(part: str, formula: type[Formula], real: type) -> str:

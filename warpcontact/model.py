@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Iterator, Set
 from dataclasses import dataclass
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,15 +11,17 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from warpcontact.arrays import allocate, broadcast
+from warpcontact.arrays import Layout, broadcast, per_env
 from warpcontact.blocks import Blocks
 from warpcontact.checks import Array
+from warpcontact.footprint import Footprint, Need
 from warpcontact.groups import Group
 from warpcontact.health import Health
-from warpcontact.parameters import Parameter, Upload
+from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import Span, force_stages
+from warpcontact.stepping import stepping_needs
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,33 @@ class State:
     body_angular_velocity: wp.array
 
 
-class Model:
+class OfScene:
+    """What follows from a scene alone, whatever the number of its environments."""
+
+    scene: Scene
+
+    @cached_property
+    def body_count(self) -> int:
+        """Number of bodies of an environment."""
+        return len(self.scene.bodies)
+
+    @cached_property
+    def contact_count(self) -> int:
+        """Number of contacts of an environment."""
+        return sum(contact.count for contact in self.scene.contacts)
+
+    @cached_property
+    def sweeps(self) -> bool:
+        """Whether any contact looks for crossings."""
+        return any(contact.swept for contact in self.scene.contacts)
+
+    @cached_property
+    def follows(self) -> bool:
+        """Whether any contact stays with what it touched."""
+        return self.sweeps or any(contact.entry == "latched" for contact in self.scene.contacts)
+
+
+class Model(OfScene):
     """Many environments of one scene on a device. Made by ``Scene.build``.
 
     ``model["ball.mass"]`` reads a parameter, (envs, …); ``model["ball.mass"] = values`` sets it, from one value
@@ -65,6 +94,7 @@ class Model:
         device: wp.Device,
         precision: str,
         types: SimpleNamespace,
+        layout: Layout,
         arrays: SimpleNamespace,
         parameters: dict[str, Parameter],
         uploads: list[Upload],
@@ -78,15 +108,11 @@ class Model:
         self.device = device
         self.precision = precision
         self.types = types
+        self.layout = layout
         self.arrays = arrays
         self.groups = groups
         self.blocks = blocks
         self.parameters = parameters
-        self.body_count = len(scene.bodies)
-        self.contact_count = sum(contact.count for contact in scene.contacts)
-        # Whether any contact looks for crossings, or stays with what it touched.
-        self.sweeps = any(contact.swept for contact in scene.contacts)
-        self.follows = self.sweeps or any(contact.entry == "latched" for contact in scene.contacts)
         # Goes up when a device array moves: whoever prepared launches prepares them again.
         self.revision = 0
         # Simulated time since the last complete reset [s].
@@ -95,9 +121,8 @@ class Model:
         self.at_start = True
         self._meshes = meshes  # kept alive: a kernel only holds their ids
         self._readings = readings
-        self._instant = wp.zeros((1, 1), dtype=types.real, device=device)
         # Step of 0 [env, 0]: for the forces of an instant.
-        self.no_step = broadcast(self._instant, envs)
+        self.no_step = broadcast(arrays.instant, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
         self._send(uploads)
@@ -123,7 +148,16 @@ class Model:
             ValueError: If the value is not allowed; nothing is changed then.
         """
         parameter = self.find_parameter(name)
-        values = parameter.parse(value, self.envs)
+        self.assign(name, parameter.parse(value, self.envs))
+
+    def assign(self, name: str, values: Array) -> None:
+        """Sets parameter ``name`` from what ``Parameter.parse`` returned, (1 or envs, 1 or items, …).
+
+        Raises:
+            KeyError: If there is no such parameter.
+            ValueError: If the values do not fit into the precision of the device; nothing is changed then.
+        """
+        parameter = self.find_parameter(name)
         before = parameter.field.values.copy()
         try:
             parameter.field.assign(parameter.items, values, self.envs)
@@ -227,6 +261,7 @@ class Model:
 
     def prepare(self, needs: Set[str]) -> None:
         """Computes what readings of the current state need, by their ``needs``."""
+        self.make_measures(needs)
         if "contacts" in needs or "points" in needs:
             self.evaluate()
         if "bodies" in needs:
@@ -234,12 +269,38 @@ class Model:
         if "points" in needs:
             self._measure_points()
 
+    def make_measures(self, needs: Set[str]) -> None:
+        """Allocates what readings are measured into, by their ``needs``, if it is not there yet."""
+        for name, declare in _MEASURES.items():
+            if name in needs and getattr(self.arrays, name) is None:
+                setattr(self.arrays, name, declare(self.layout, self))
+        self.layout.allocate(self.envs)
+
+    def memory(self) -> Footprint:
+        """Returns what the environments take of memory as they are, and a simulation that steps them.
+
+        That is the arrays of the model with what was measured so far, and a ``Simulation`` with default options;
+        recordings come on top. ``print(model.memory())`` tells what for, where and how much.
+        """
+        return self.footprint().with_needs(stepping_needs(self, self.envs))
+
+    def footprint(self) -> Footprint:
+        """Returns what the model alone takes of memory."""
+        needs = self.layout.needs(self.envs) + needs_of(self.parameters, self._uploads, self.envs)
+        return Footprint(self.envs, str(self.device), tuple(needs))
+
+    def measures_needs(self, needs: Set[str], envs: int) -> list[Need]:
+        """Returns what ``make_measures`` would take for ``envs`` environments, were there nothing yet."""
+        layout = Layout(self.device)
+        for name, declare in _MEASURES.items():
+            if name in needs:
+                declare(layout, self)
+        return layout.needs(envs)
+
     def _measure_bodies(self) -> None:
         from warpcontact.kernels import measures
 
         a, shape = self.arrays, (self.envs, self.body_count)
-        if a.bodies is None:
-            a.bodies = allocate(measures.Bodies, shape, self.device)
         kernel = measures.bodies(self.types.real)
         wp.launch(kernel, dim=shape, inputs=[a.model, a.state], outputs=[a.bodies], device=self.device)
 
@@ -247,8 +308,6 @@ class Model:
         from warpcontact.kernels import measures
 
         a, shape = self.arrays, (self.envs, self.contact_count)
-        if a.points is None:
-            a.points = allocate(measures.Points, shape, self.device)
         kernel = measures.points(self.types.real)
         inputs = [a.model, a.state, a.contacts]
         wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.points], device=self.device)
@@ -268,7 +327,7 @@ class Model:
 
     def _send(self, uploads: list[Upload]) -> None:
         for upload in uploads:
-            if upload.send():
+            if upload.send(self.envs):
                 self.revision += 1
         # What was known of distances may not hold for other radii, poses or meshes.
         cache = self.arrays.cache
@@ -300,6 +359,22 @@ class Model:
             f"<Model of {self.envs} environments: {self.body_count} bodies, {self.contact_count} contacts, "
             f"{self.precision} on {self.device}>"
         )
+
+
+def _bodies(layout: Layout, model: Model) -> Any:
+    from warpcontact.kernels import measures
+
+    return layout.struct("measures", measures.Bodies, per_env(model.body_count))
+
+
+def _points(layout: Layout, model: Model) -> Any:
+    from warpcontact.kernels import measures
+
+    return layout.struct("measures", measures.Points, per_env(model.contact_count))
+
+
+# What readings are measured into, by what they need.
+_MEASURES = {"bodies": _bodies, "points": _points}
 
 
 def _look_up(kind: str, name: str, table: dict[str, Any]) -> Any:

@@ -7,7 +7,7 @@ the device, with stride 0 over the environments.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,8 +16,10 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import checks
-from warpcontact.arrays import broadcast
+from warpcontact.arrays import broadcast, row_bytes
+from warpcontact.available import HOST
 from warpcontact.checks import Array
+from warpcontact.footprint import Need
 from warpcontact.kernels.formula import check_values
 
 
@@ -133,7 +135,6 @@ class Upload:
         attribute: Its array attribute, ``[env, item]``.
         dtype: Warp type of the elements.
         compute: Returns the content as NumPy array (1 or envs, items, ...).
-        envs: Number of environments.
         device: Device of the array.
     """
 
@@ -143,25 +144,36 @@ class Upload:
         attribute: str,
         dtype: Any,
         compute: Callable[[], NDArray[Any]],
-        envs: int,
         device: wp.Device,
     ) -> None:
         self.struct = struct
         self.attribute = attribute
         self.dtype = dtype
         self.compute = compute
-        self.envs = envs
         self.device = device
         self._memory: wp.array | None = None
+        self._row_bytes: int | None = None
 
-    def send(self) -> bool:
+    def size(self, envs: int, varied: bool = False) -> tuple[int, int]:
+        """Returns what the array takes, and what of it is for each environment [bytes].
+
+        Args:
+            envs: Number of environments.
+            varied: Whether each is to have values of its own, as it may have already.
+        """
+        if self._row_bytes is None:
+            self._row_bytes = row_bytes(self.compute())
+        own = varied or (self._memory is not None and self._memory.shape[0] > 1)
+        return (envs if own else 1) * self._row_bytes, self._row_bytes if own else 0
+
+    def send(self, envs: int) -> bool:
         """Sends the content; returns whether the array moved, so that prepared launches are stale."""
         content = np.ascontiguousarray(self.compute())
         if self._memory is not None and self._memory.shape == content.shape[:2]:
             self._memory.assign(content)
             return False
         self._memory = wp.array(content, dtype=self.dtype, device=self.device)
-        setattr(self.struct, self.attribute, broadcast(self._memory, self.envs))
+        setattr(self.struct, self.attribute, broadcast(self._memory, envs))
         return True
 
 
@@ -169,13 +181,11 @@ class Parameters:
     """The parameters and uploads of a model in the making.
 
     Args:
-        envs: Number of environments.
         device: Device of the arrays.
         real: Warp type of a real number on the device.
     """
 
-    def __init__(self, envs: int, device: wp.Device, real: type) -> None:
-        self.envs = envs
+    def __init__(self, device: wp.Device, real: type) -> None:
         self.device = device
         self.real = wp.dtype_to_numpy(real)
         self.by_name: dict[str, Parameter] = {}
@@ -188,7 +198,7 @@ class Parameters:
             values = compute()
             return rounded(attribute, values, self.real) if values.dtype.kind == "f" else values
 
-        upload = Upload(struct, attribute, dtype, content, self.envs, self.device)
+        upload = Upload(struct, attribute, dtype, content, self.device)
         self.uploads.append(upload)
         return upload
 
@@ -203,6 +213,29 @@ class Parameters:
     ) -> None:
         """Adds a parameter; ``options`` are those of ``Parameter``."""
         self.by_name[name] = Parameter(name, field, items, allowed, uploads=uploads, **options)
+
+
+def needs_of(
+    parameters: Mapping[str, Parameter], uploads: list[Upload], envs: int, varied: Collection[str] = ()
+) -> list[Need]:
+    """Returns what parameters take: their values on the host, and what follows from them on the device.
+
+    Args:
+        parameters: The parameters by name.
+        uploads: All arrays.
+        envs: Number of environments.
+        varied: Names of the parameters that are to have values of their own in each environment.
+    """
+    fields = {id(parameter.field): parameter.field for parameter in parameters.values()}
+    wide_fields = {id(parameters[name].field) for name in varied}
+    wide_uploads = {id(upload) for name in varied for upload in parameters[name].uploads}
+    needs = []
+    for key, field in fields.items():
+        row, own = row_bytes(field.values), key in wide_fields or len(field.values) > 1
+        needs.append(Need("parameters", HOST, (envs if own else 1) * row, row if own else 0))
+    for upload in uploads:
+        needs.append(Need("parameters", str(upload.device), *upload.size(envs, id(upload) in wide_uploads)))
+    return needs
 
 
 def pack(struct: Any, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:

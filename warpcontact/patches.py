@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.arrays import Layout
 from warpcontact.checks import Array
 from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_COUNT
 from warpcontact.meshes import Mesh
@@ -91,18 +92,23 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
 
 
 def upload_patches(
-    contacts: list[Contact], model: Any, t: SimpleNamespace, device: wp.Device
+    contacts: list[Contact], model: Any, layout: Layout, t: SimpleNamespace
 ) -> tuple[dict[Contact, int], list[wp.Mesh]]:
-    """Fills the patches of ``model``; contacts that search the same faces share one.
+    """Declares the patches of ``model``; contacts that search the same faces share one.
 
     Returns:
-        The patch of each contact, and the meshes: a kernel holds only their ids, so somebody has to keep them.
+        The patch of each contact, and the meshes, a list that is filled when they are made: a kernel holds only
+        their ids, so somebody has to keep them.
+
+    Raises:
+        ValueError: If a face has no area left in float32.
     """
     rows: dict[tuple[int, bool], int] = {}
     patches: list[Patch] = []
     surfaces: list[int] = []
-    searched: dict[tuple[Any, ...], wp.Mesh] = {}
-    meshes: list[wp.Mesh] = []
+    searched: dict[tuple[Any, ...], int] = {}
+    corners: list[NDArray[np.float32]] = []  # of the meshes to search
+    mesh_of: list[int] = []  # of each patch
     patch_of = {}
     for contact in contacts:
         surface = contact.surface
@@ -117,44 +123,55 @@ def upload_patches(
                 faces = (id(mesh), active.tobytes() if only_active else b"", surface.centre.tobytes())
                 if faces not in searched:
                     given = np.flatnonzero(active) if only_active else np.arange(len(active))
-                    searched[faces] = _search_mesh(surface.name, patches[-1], given, device)
-                meshes.append(searched[faces])
+                    searched[faces] = len(corners)
+                    corners.append(_search_corners(surface.name, patches[-1], given))
+                mesh_of.append(searched[faces])
         patch_of[contact] = rows[key]
+    meshes: list[wp.Mesh] = []
+
+    def make_meshes(_: int) -> None:
+        meshes.extend(_search_mesh(own, layout.device) for own in corners)
+        ids = np.array([meshes[mesh].id for mesh in mesh_of], dtype=np.uint64)
+        model.patch_mesh = wp.array(ids, dtype=wp.uint64, device=layout.device)
+
+    mesh_bytes = sum(_mesh_bytes(len(own), layout.device) for own in corners)
+    layout.other("surfaces", mesh_bytes + 8 * len(mesh_of), make_meshes)
     starts = np.cumsum([0] + [len(patch.flags) for patch in patches])
-    real = wp.dtype_to_numpy(t.real)
 
-    def send(values: Any, dtype: Any, kind: Any) -> wp.array:
-        return wp.array(np.asarray(values, dtype=kind), dtype=dtype, device=device)
+    def send(name: str, values: Any, dtype: Any) -> None:
+        layout.content("surfaces", model, name, values, dtype)
 
-    model.patch_mesh = send([mesh.id for mesh in meshes], wp.uint64, np.uint64)
-    model.patch_surface = send(surfaces, wp.int32, np.int32)
-    model.patch_face_start = send(starts, wp.int32, np.int32)
+    send("patch_surface", surfaces, wp.int32)
+    send("patch_face_start", starts, wp.int32)
     errors = [_query_error(patch) for patch in patches]
-    model.patch_slack = send([slack for slack, _ in errors], t.real, real)
-    model.patch_doubtful = send([doubtful for _, doubtful in errors], wp.bool, bool)
-    model.patch_skin = send([patch.skin for patch in patches], t.real, real)
-    model.patch_sides = send([patch.sides.kind for patch in patches], wp.int32, np.int32)
+    send("patch_slack", [slack for slack, _ in errors], t.real)
+    send("patch_doubtful", [doubtful for _, doubtful in errors], wp.bool)
+    send("patch_skin", [patch.skin for patch in patches], t.real)
+    send("patch_sides", [patch.sides.kind for patch in patches], wp.int32)
     walls = [patch.sides for patch in patches]
-    model.patch_wall_start = send(np.cumsum([0] + [len(own.offset) for own in walls]), wp.int32, np.int32)
+    send("patch_wall_start", np.cumsum([0] + [len(own.offset) for own in walls]), wp.int32)
     none = np.zeros((0, 3))
-    model.wall_normal = send(np.concatenate([none, *(own.normal for own in walls)]), t.vec3, real)
-    model.wall_offset = send(np.concatenate([none[:, 0], *(own.offset for own in walls)]), t.real, real)
+    send("wall_normal", np.concatenate([none, *(own.normal for own in walls)]), t.vec3)
+    send("wall_offset", np.concatenate([none[:, 0], *(own.offset for own in walls)]), t.real)
     if patches:
         # With its normal a face is in one place of the memory, which is what a search waits for.
         shapes = [np.concatenate([patch.corner, patch.normal[:, :1]], axis=1) for patch in patches]
-        model.face_corner = send(np.concatenate(shapes), t.vec3, real)
-        model.face_normal = send(np.concatenate([patch.normal for patch in patches]), t.vec3, real)
-        model.face_flags = send(np.concatenate([patch.flags for patch in patches]), wp.uint8, np.uint8)
+        send("face_corner", np.concatenate(shapes), t.vec3)
+        send("face_normal", np.concatenate([patch.normal for patch in patches]), t.vec3)
+        send("face_flags", np.concatenate([patch.flags for patch in patches]), wp.uint8)
         shifted = [
             np.where(patch.neighbor < 0, -1, patch.neighbor + 3 * start)
             for patch, start in zip(patches, starts, strict=False)
         ]
-        model.face_neighbor = send(np.concatenate(shifted), wp.int32, np.int32)
+        send("face_neighbor", np.concatenate(shifted), wp.int32)
     return patch_of, meshes
 
 
-def _search_mesh(name: str, patch: Patch, given: NDArray[np.integer[Any]], device: wp.Device) -> wp.Mesh:
-    """Returns the mesh that queries search; ``given`` are the numbers of its faces in the mesh they are from."""
+def _search_corners(name: str, patch: Patch, given: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
+    """Returns the corners (F, 3, 3) of the mesh that queries search.
+
+    ``given`` are the numbers of its faces in the mesh they are from.
+    """
     # The mesh is sound in float64; only float32 can still spoil it.
     corner = patch.corner.astype(np.float32)
     lost = np.flatnonzero(slenderness(corner.astype(np.float64)) < SLIVER)
@@ -165,11 +182,24 @@ def _search_mesh(name: str, patch: Patch, given: NDArray[np.integer[Any]], devic
             f"({len(lost)} such faces): it is too slim, or too small for coordinates of up to {far:g} m. Remove "
             "it, or make parts that lie far apart surfaces of their own"
         )
+    return corner
+
+
+def _search_mesh(corner: NDArray[np.float32], device: wp.Device) -> wp.Mesh:
+    """Returns the mesh that queries search."""
     return wp.Mesh(
         points=wp.array(corner.reshape(-1, 3), dtype=wp.vec3f, device=device),
         indices=wp.array(np.arange(3 * len(corner), dtype=np.int32), dtype=wp.int32, device=device),
         bvh_constructor="sah",  # the same tree on every device
     )
+
+
+def _mesh_bytes(faces: int, device: wp.Device) -> int:
+    """Returns what such a mesh takes: corners and their numbers, then what Warp adds, boxes and tree."""
+    corners, boxes = 3 * (12 + 4) * faces, 2 * 12 * faces
+    # Of each node two corners with a number, its parent and, on a GPU, how many were visited; numbers of faces.
+    nodes = max(0, 2 * faces - 1)
+    return corners + boxes + nodes * (2 * 16 + 4 + 4 * device.is_cuda) + 4 * faces
 
 
 def _sum_over(index: NDArray[np.integer[Any]], values: NDArray[np.float64], count: int) -> NDArray[np.float64]:

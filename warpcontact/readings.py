@@ -119,7 +119,6 @@ def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[
             for key, memory in formula.memories.items():
                 offset = start - group.first
                 own = offset if single else slice(offset, offset + contact.count)
-                view = group.of_memory(part, key)[:, own]
                 frame = ", axes of the surface" if memory.tangent else ""
                 meaning = f"{memory.meaning}, as of the last step{frame}"
                 name = f"{contact.name}.{part}.{key}"
@@ -127,7 +126,7 @@ def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[
                     name,
                     memory.unit,
                     meaning,
-                    lambda arrays, view=view: view,
+                    lambda arrays, of=group.of_memory, part=part, key=key, own=own: of(part, key)[:, own],
                     items=count,
                 )
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():

@@ -10,22 +10,19 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
-from warpcontact.arrays import allocate, broadcast
+from warpcontact.arrays import Layout, broadcast
 from warpcontact.crew import Crew, available_threads
+from warpcontact.footprint import Footprint
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.model import Model
 from warpcontact.parameters import rounded
 from warpcontact.recorder import Recorder, Recording
 from warpcontact.schedule import Span
 from warpcontact.slices import Slice, Times
+from warpcontact.stepping import declare_buffers, slice_size, stepping_needs
 
 # Steps between two looks at the progress bar, whole graphs; a step of a large model takes milliseconds.
 STEPS_PER_UPDATE = 64
-# Of the cache of a core that a slice may fill, and what a contact and a body take of it; measured.
-CACHE_BYTES = 512 * 1024
-CONTACT_BYTES = 300
-BODY_BYTES = 400
-LARGEST_SLICE = 128
 
 
 class Simulation:
@@ -80,13 +77,11 @@ class Simulation:
         self.graphs = bool(graphs)
         self._advised = False
         part = self.dt / self.crossing_steps
-        self._time_memory = [
-            wp.full((1, 1), value, dtype=model.types.real, device=model.device)
-            for value in (self.dt, part, part - self.dt, self.dt - part)
-        ]
-        self.times = Times(*(broadcast(memory, model.envs) for memory in self._time_memory))
         # Steps go from one buffer to the other and back; between calls the state is always in the model's.
-        self._other = allocate(model.types.State, (model.envs, model.body_count), model.device)
+        self.layout = Layout(model.device)
+        self._buffers = declare_buffers(self.layout, model, (self.dt, part, part - self.dt, self.dt - part))
+        self.layout.allocate(model.envs)
+        self.times = Times(*(broadcast(memory, model.envs) for memory in self._buffers.times.values()))
         self._prepared: tuple[int, Crew | None] = (-1, None)
 
     @property
@@ -103,6 +98,19 @@ class Simulation:
     def steps(self) -> int:
         """That time in steps of this simulation."""
         return round(self.model.time / self.dt)
+
+    def memory(self) -> Footprint:
+        """Returns what the model and this simulation take of memory; recordings come on top."""
+        needs = stepping_needs(
+            self.model,
+            self.model.envs,
+            self.integrator,
+            crossing_steps=self.crossing_steps,
+            threads=self.threads,
+            distance_cache=self.distance_cache,
+            graphs=self.graphs,
+        )
+        return self.model.footprint().with_needs(needs)
 
     def reset(self, env_mask: ArrayLike | None = None) -> None:
         """Puts environments back to their initial state, with empty history.
@@ -136,13 +144,13 @@ class Simulation:
         model = self.model
         # On the CPU a slice is stepped by one thread, so the order is the same in any case.
         ordered = self.deterministic or not model.device.is_cuda
-        size = _slice_size(model, self.threads)
+        size = slice_size(model, model.envs, self.threads)
         return [
             Slice(
                 Span(model, first, min(size, model.envs - first), self.distance_cache, ordered),
                 self.integrator,
                 self.times,
-                self._other,
+                self._buffers.other,
                 parts=self.crossing_steps,
                 captured=self.graphs,
             )
@@ -222,14 +230,6 @@ def _at_least_one(name: str, value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
         raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
     return int(value)
-
-
-def _slice_size(model: Model, threads: int) -> int:
-    """Returns how many environments a slice has: as many as fit into the cache of a core, and enough slices."""
-    if model.device.is_cuda:
-        return model.envs
-    per_env = CONTACT_BYTES * model.contact_count + BODY_BYTES * model.body_count
-    return max(1, min(CACHE_BYTES // per_env, LARGEST_SLICE, -(-model.envs // threads)))
 
 
 def whole_steps(name: str, time: float, dt: float, *, exact: bool) -> int:

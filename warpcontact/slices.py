@@ -95,6 +95,18 @@ class Slice:
             back=adopt_stage(span, state_out, state_in),
         )
 
+    def launches(self) -> list[list[wp.Launch]]:
+        """Returns everything that is prepared."""
+        steps = [part for step in self._steps for part in vars(step).values()]
+        return [*steps, self._wait, self._wake]
+
+    def graph(self, steps: int) -> list[wp.Launch]:
+        """Returns the launches of the graph of ``steps`` steps, none if nothing is captured."""
+        if not self._captured:
+            return []
+        found = [launch for number in range(steps) for launch in self._steps[number % 2].whole]
+        return found + (self._steps[0].back if steps % 2 else [])
+
     def capture(self, count: int) -> None:
         """Captures what ``step(count)`` will replay. Not while other threads step."""
         if not self._captured:
@@ -102,10 +114,7 @@ class Slice:
         for steps in GRAPH_STEPS:
             if count >= steps and steps not in self._graphs:
                 with _capturing, wp.ScopedCapture(device=self._device) as capture:
-                    for number in range(steps):
-                        _launch(self._steps[number % 2].whole)
-                    if steps % 2:
-                        _launch(self._steps[0].back)
+                    _launch(self.graph(steps))
                 self._graphs[steps] = capture.graph
             count %= steps
 

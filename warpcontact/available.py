@@ -1,0 +1,106 @@
+"""How much memory there is to have: on a device, and on this machine within the limits set to the process."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+HOST = "host"
+
+# Where Linux tells.
+_MEMINFO = Path("/proc/meminfo")
+_CGROUP = Path("/proc/self/cgroup")
+_CGROUPS = Path("/sys/fs/cgroup")
+
+
+@dataclass(frozen=True)
+class Room:
+    """Memory that is available now.
+
+    Attributes:
+        place: ``"host"``, or the name of a device.
+        size: How much [bytes].
+    """
+
+    place: str
+    size: int
+
+    @property
+    def name(self) -> str:
+        """What to call it."""
+        return "the memory of this machine" if self.place == HOST else f"the memory of {self.place}"
+
+
+def find_room(place: str) -> Room | None:
+    """Returns what is available in a place, ``None`` if nobody knows."""
+    size = _host() if place == HOST else _device(place)
+    return None if size is None else Room(place, size)
+
+
+def _device(name: str) -> int | None:
+    """Returns the free memory of a CUDA device, with what Warp holds of it for arrays to come."""
+    import warp as wp
+
+    device = wp.get_device(name)
+    free = int(device.free_memory)
+    return free if free > 0 else None
+
+
+def _host() -> int | None:
+    """Returns what this process may still take of the memory of the machine."""
+    known = [size for size in (_free(), *_left_of_groups()) if size is not None]
+    return max(0, min(known)) if known else None
+
+
+def _free() -> int | None:
+    """Returns the memory that is free or can be freed; where a system tells no more, all that it has."""
+    try:
+        for line in _MEMINFO.read_text().splitlines():
+            key, _, value = line.partition(":")
+            if key == "MemAvailable":
+                return 1024 * int(value.split()[0])
+    except (OSError, ValueError, IndexError):
+        pass
+    for name in ("SC_AVPHYS_PAGES", "SC_PHYS_PAGES"):
+        try:
+            pages, size = os.sysconf(name), os.sysconf("SC_PAGE_SIZE")
+        except (AttributeError, ValueError, OSError):
+            continue
+        if pages > 0 and size > 0:
+            return pages * size
+    return None
+
+
+def _left_of_groups() -> Iterator[int]:
+    """Iterates over what is left of the limits of the control groups of this process, of either version."""
+    try:
+        lines = _CGROUP.read_text().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        number, _, rest = line.partition(":")
+        controllers, _, path = rest.partition(":")
+        if number == "0" and not controllers:
+            top, files = _CGROUPS, ("memory.max", "memory.current", "inactive_file")
+        elif "memory" in controllers.split(","):
+            names = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file")
+            top, files = _CGROUPS / "memory", names
+        else:
+            continue
+        # In a container the path may be that of the host outside, and its own group the top.
+        group = top / path.strip("/")
+        for folder in (group, *(parent for parent in group.parents if parent.is_relative_to(top))):
+            left = _left(folder, *files)
+            if left is not None:
+                yield left
+
+
+def _left(folder: Path, limit: str, usage: str, reclaimable: str) -> int | None:
+    """Returns what is left of the limit of one group, ``None`` if it has none."""
+    try:
+        allowed = int((folder / limit).read_text())  # "max": no limit
+        used = int((folder / usage).read_text())
+        stat = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+        return allowed - used + int(stat.get(reclaimable, 0))
+    except (OSError, ValueError):
+        return None
