@@ -121,7 +121,7 @@ def test_picture_shows_what_differs_from_the_side_that_tells(tmp_path):
     values, label = picture._color_values(recording, list(varied))
     np.testing.assert_allclose(values, [1, 2, 3, 4])
     assert label.startswith("touch.law.stiffness [N/m")
-    assert picture._plane([recording["ball.position"].values]) == [0, 2]
+    assert picture._extent(recording)[0] == [0, 2]
     recording["touch.law.stiffness"][0, 1] = 7.0  # items that differ are no colour
     assert picture._color_values(recording, list(varied))[1] == "environment"
 

@@ -48,13 +48,13 @@ def advice(model: "Model", dt: float) -> list[str]:
             continue
         stiffness, exponent = (np.broadcast_to(part, (envs, contact.count)) for part in elastic)
         together = _together(contact, stiffness, exponent, mass, speed)
-        sentences += _about_steps(contact.name, contact_time(together, exponent, mass, speed), dt)
+        sentences += _about_steps(model, contact.name, contact_time(together, exponent, mass, speed), dt)
         depth = np.where(
             _reading(model, contact, "status") == CONTACT, _reading(model, contact, "penetration"), 0.0
         )[:envs]
         # The energy of all overlaps, as speed.
         energy = (stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)).sum(axis=1, keepdims=True)
-        sentences += _about_overlap(contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
+        sentences += _about_overlap(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
     return sentences
 
 
@@ -99,30 +99,32 @@ def _about_depth(model: "Model", contact: "Contact", speed: Array, dt: float) ->
     return [
         f"{contact.name}: swept, but what crosses may be let through: max_depth = {deepest[worst, item]:.3g} m is "
         f"less than the {speed[worst, 0] * dt:.2g} m of a step at {speed[worst, 0]:.3g} m/s in environment "
-        f"{worst}; take a larger max_depth, or none, or a shorter dt"
+        f"{model.first_env + worst}; take a larger max_depth, or none, or a shorter dt"
     ]
 
 
-def _about_steps(name: str, duration: Array, dt: float) -> list[str]:
+def _about_steps(model: "Model", name: str, duration: Array, dt: float) -> list[str]:
     shortest = np.min(duration, axis=1)
     worst = int(np.argmin(shortest))
     if shortest[worst] >= ENOUGH_STEPS * dt:
         return []
     return [
-        f"{name}: dt = {dt:g} s is too long: a contact takes {shortest[worst]:.2g} s in environment {worst}, "
-        f"{shortest[worst] / dt:.1f} steps; take dt ≤ {shortest[worst] / ENOUGH_STEPS:.2g} s for {ENOUGH_STEPS:g}"
+        f"{name}: dt = {dt:g} s is too long: a contact takes {shortest[worst]:.2g} s in environment "
+        f"{model.first_env + worst}, {shortest[worst] / dt:.1f} steps; take dt ≤ "
+        f"{shortest[worst] / ENOUGH_STEPS:.2g} s for {ENOUGH_STEPS:g}"
     ]
 
 
-def _about_overlap(name: str, depth: Array, thrown: Array, speed: Array) -> list[str]:
+def _about_overlap(model: "Model", name: str, depth: Array, thrown: Array, speed: Array) -> list[str]:
     excess = np.max(thrown - 2.0 * speed, axis=1)
     worst = int(np.argmax(excess))
     if excess[worst] <= 0.0:
         return []
     item = int(np.argmax(depth[worst]))
     return [
-        f"{name}: starts {depth[worst, item]:.3g} m deep in the surface in environment {worst} and will be thrown "
-        f"out at about {thrown[worst, 0]:.3g} m/s; start outside, or set max_depth or entry='latched'"
+        f"{name}: starts {depth[worst, item]:.3g} m deep in the surface in environment {model.first_env + worst} "
+        f"and will be thrown out at about {thrown[worst, 0]:.3g} m/s; start outside, or set max_depth or "
+        "entry='latched'"
     ]
 
 

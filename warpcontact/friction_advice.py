@@ -55,7 +55,8 @@ def friction_advice(model: "Model", contact: "Contact", group: Group, first: int
         if dt > shortest[worst]:
             sentences.append(
                 f"{contact.name}: dt = {dt:g} s is too long for its {part}, {kind.__name__}, which overshoots in "
-                f"steps of more than {shortest[worst]:.2g} s in environment {worst} under its weight"
+                f"steps of more than {shortest[worst]:.2g} s in environment {model.first_env + worst} under its "
+                "weight"
             )
     return sentences
 

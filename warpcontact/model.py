@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from warpcontact.arrays import Layout, broadcast, per_env
 from warpcontact.blocks import Blocks
 from warpcontact.checks import Array
-from warpcontact.footprint import Footprint, Need
+from warpcontact.footprint import Footprint, Need, require
 from warpcontact.groups import Group
 from warpcontact.health import Health
 from warpcontact.parameters import Parameter, Upload, needs_of
@@ -71,6 +71,14 @@ class OfScene:
         """Whether any contact stays with what it touched."""
         return self.sweeps or any(contact.entry == "latched" for contact in self.scene.contacts)
 
+    def measures(self, device: wp.Device, needs: Set[str], envs: int) -> list[Need]:
+        """Returns what ``envs`` environments take that readings with these ``needs`` are measured into."""
+        layout = Layout(device)
+        for name, declare in _MEASURES.items():
+            if name in needs:
+                declare(layout, self)
+        return layout.needs(envs)
+
 
 class Model(OfScene):
     """Many environments of one scene on a device. Made by ``Scene.build``.
@@ -81,6 +89,7 @@ class Model(OfScene):
     Attributes:
         scene: The scene it was built from.
         envs: Number of environments.
+        first_env: Number of the first, 0 unless they are a batch of more.
         device: Warp device.
         precision: ``"float32"`` or ``"float64"``.
         state: The current state, arrays to share with NumPy, PyTorch or JAX without a copy.
@@ -113,6 +122,7 @@ class Model(OfScene):
         self.groups = groups
         self.blocks = blocks
         self.parameters = parameters
+        self.first_env = 0
         # Goes up when a device array moves: whoever prepared launches prepares them again.
         self.revision = 0
         # Simulated time since the last complete reset [s].
@@ -270,10 +280,21 @@ class Model(OfScene):
             self._measure_points()
 
     def make_measures(self, needs: Set[str]) -> None:
-        """Allocates what readings are measured into, by their ``needs``, if it is not there yet."""
-        for name, declare in _MEASURES.items():
-            if name in needs and getattr(self.arrays, name) is None:
-                setattr(self.arrays, name, declare(self.layout, self))
+        """Allocates what readings are measured into, by their ``needs``, if it is not there yet.
+
+        Raises:
+            MemoryError: If that is more than there is.
+        """
+        missing = {name for name in needs & _MEASURES.keys() if getattr(self.arrays, name) is None}
+        if not missing:
+            return
+
+        def footprint(envs: int) -> Footprint:
+            return Footprint(envs, str(self.device), tuple(self.measures(self.device, missing, envs)))
+
+        require(footprint, self.envs)
+        for name in missing:
+            setattr(self.arrays, name, _MEASURES[name](self.layout, self))
         self.layout.allocate(self.envs)
 
     def memory(self) -> Footprint:
@@ -288,14 +309,6 @@ class Model(OfScene):
         """Returns what the model alone takes of memory."""
         needs = self.layout.needs(self.envs) + needs_of(self.parameters, self._uploads, self.envs)
         return Footprint(self.envs, str(self.device), tuple(needs))
-
-    def measures_needs(self, needs: Set[str], envs: int) -> list[Need]:
-        """Returns what ``make_measures`` would take for ``envs`` environments, were there nothing yet."""
-        layout = Layout(self.device)
-        for name, declare in _MEASURES.items():
-            if name in needs:
-                declare(layout, self)
-        return layout.needs(envs)
 
     def _measure_bodies(self) -> None:
         from warpcontact.kernels import measures
@@ -361,13 +374,13 @@ class Model(OfScene):
         )
 
 
-def _bodies(layout: Layout, model: Model) -> Any:
+def _bodies(layout: Layout, model: OfScene) -> Any:
     from warpcontact.kernels import measures
 
     return layout.struct("measures", measures.Bodies, per_env(model.body_count))
 
 
-def _points(layout: Layout, model: Model) -> Any:
+def _points(layout: Layout, model: OfScene) -> Any:
     from warpcontact.kernels import measures
 
     return layout.struct("measures", measures.Points, per_env(model.contact_count))

@@ -1,6 +1,8 @@
 """Recording: chosen readings, gathered on the device and drained into one labelled data set."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,9 @@ import warp as wp
 import xarray as xr
 
 from warpcontact._version import __version__
+from warpcontact.arrays import row_bytes
+from warpcontact.available import HOST, Room
+from warpcontact.footprint import Footprint, MemoryShortage, Need, readable, said, shortage, usable
 from warpcontact.model import Model
 from warpcontact.parameters import Parameter
 from warpcontact.readings import AXES, Reading, status_attributes
@@ -25,25 +30,83 @@ class Recording(xr.Dataset):
     scene: Scene
 
 
-class _Channel:
-    """The frames of one reading: a buffer on the device and the result on the host."""
+@dataclass(frozen=True)
+class Frame:
+    """What one frame of a reading takes for one environment.
 
-    def __init__(self, model: Model, reading: Reading, frames: int) -> None:
+    Attributes:
+        name: Name of the reading.
+        device: On the device, as it is read [bytes].
+        host: On the host, as it is reported [bytes].
+    """
+
+    name: str
+    device: int
+    host: int
+
+    def slots(self, envs: int, frames: int) -> int:
+        """Returns how many frames wait on the device."""
+        return min(frames, max(1, RING_BYTES // max(1, envs * self.device)))
+
+    def needs(self, device: str, envs: int, frames: int) -> list[Need]:
+        """Returns what a buffer on ``device`` and the result on the host take."""
+        slots, result = self.slots(envs, frames), frames * self.host
+        # A buffer of some frames is of about the same size however many environments there are.
+        grows = slots in (1, frames)
+        return [
+            Need("buffers", device, slots * envs * self.device, slots * self.device if grows else 0),
+            Need("recording", HOST, envs * result, result),
+        ]
+
+
+@dataclass(frozen=True)
+class RecordingSize:
+    """What a recording takes.
+
+    Attributes:
+        frames: One frame of each reading.
+        parameters: Parameters that are kept with it, for one environment [bytes].
+        measured: What the readings are measured into, see ``Reading.needs``.
+    """
+
+    frames: tuple[Frame, ...]
+    parameters: int
+    measured: frozenset[str]
+
+    def needs(self, device: str, envs: int, count: int) -> list[Need]:
+        """Returns what ``count`` frames of ``envs`` environments take."""
+        needs = [need for frame in self.frames for need in frame.needs(device, envs, count)]
+        return [*needs, Need("recording", HOST, envs * self.parameters, self.parameters)]
+
+    def on_host(self, envs: int, count: int) -> int:
+        """Returns the size of the data set [bytes]."""
+        return envs * (self.parameters + count * sum(frame.host for frame in self.frames))
+
+
+class _Channel:
+    """The frames of one reading: a buffer on the device and the result on the host, once they are allocated."""
+
+    def __init__(self, model: Model, reading: Reading) -> None:
         self.reading = reading
+        self.device = model.device
         self.source = reading.array(model.arrays)
-        shape = self.source.shape
-        frame_bytes = max(1, int(np.prod(shape)) * wp.types.type_size_in_bytes(self.source.dtype))
-        self.slots = int(min(frames, max(1, RING_BYTES // frame_bytes)))
-        self.ring = wp.zeros((self.slots, *shape), dtype=self.source.dtype, device=model.device)
-        first = reading.finish(self.ring[:1].numpy(), axis=2)
-        self.result = np.zeros((frames, *first.shape[1:]), dtype=first.dtype)
         self.taken = 0
         self.drained = 0
+        row = prod(self.source.shape[1:]) * wp.types.type_size_in_bytes(self.source.dtype)
+        # Of one environment, as it is reported.
+        self._sample = reading.finish(self.source[:1].numpy()[None], axis=2)[0, 0]
+        self.frame = Frame(reading.name, row, self._sample.nbytes)
+
+    def allocate(self, frames: int) -> None:
+        envs = self.source.shape[0]
+        shape = (self.frame.slots(envs, frames), *self.source.shape)
+        self.ring = wp.zeros(shape, dtype=self.source.dtype, device=self.device)
+        self.result = np.zeros((frames, envs, *self._sample.shape), dtype=self._sample.dtype)
 
     def take(self) -> None:
         wp.copy(self.ring[self.taken - self.drained], self.source)
         self.taken += 1
-        if self.taken - self.drained == self.slots:
+        if self.taken - self.drained == len(self.ring):
             self.drain()
 
     def drain(self) -> None:
@@ -73,7 +136,7 @@ def moved_parts(model: Model) -> list[str]:
 
 
 class Recorder:
-    """Takes frames of readings from a model.
+    """Takes frames of readings from a model, once it is started.
 
     Args:
         model: The model.
@@ -103,10 +166,42 @@ class Recorder:
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
         readings = [model.find_reading(name) for name in dict.fromkeys(wanted)]
         self.needs = {need for reading in readings for need in reading.needs}
-        model.prepare(self.needs)
-        self.channels = [_Channel(model, reading, frames) for reading in readings]
+        model.make_measures(self.needs)
+        self.channels = [_Channel(model, reading) for reading in readings]
         self.times = np.zeros(frames)
         self.taken = 0
+
+    def size(self) -> RecordingSize:
+        """Returns what it takes."""
+        parameters = {parameter.name: row_bytes(parameter.read(self.model.envs)) for parameter in self.kept}
+        frames = tuple(channel.frame for channel in self.channels)
+        return RecordingSize(frames, sum(parameters.values()), frozenset(self.needs))
+
+    def start(self) -> None:
+        """Allocates what the frames are put into.
+
+        Raises:
+            MemoryError: If that is more than there is; says how many frames would fit.
+        """
+        envs, frames, device = self.model.envs, len(self.times), str(self.model.device)
+        footprint = Footprint(envs, device, tuple(self.size().needs(device, envs, frames)))
+        room = shortage(footprint)
+        if room is not None:
+            raise MemoryShortage(self._too_much(footprint, room), footprint.on(room.place), usable(room))
+        for channel in self.channels:
+            channel.allocate(frames)
+
+    def _too_much(self, footprint: Footprint, room: Room) -> str:
+        envs, frames = self.model.envs, len(self.times)
+        sizes = {channel.frame.name: envs * frames * channel.frame.host for channel in self.channels}
+        largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
+        most = int(frames * usable(room) / footprint.on(room.place))
+        if most:
+            advice = f"at most {most} frames fit: make every {-(-frames // most)} times as long, or record less"
+        else:
+            advice = "not even one frame fits: record less, or of fewer environments"
+        named = ", ".join(f"{name} {readable(sizes[name])}" for name in largest)
+        return f"the recording of {frames} frames: {said(footprint, room)}; {advice} (largest: {named})"
 
     def take(self, time: float) -> None:
         """Takes one frame of the current state at ``time`` [s]."""
@@ -154,7 +249,7 @@ class Recorder:
         used = {dim for dims, _, _ in variables.values() for dim in dims}
         coordinates: dict[str, Any] = {
             "time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"}),
-            "env": ("env", np.arange(model.envs), {"long_name": "environment"}),
+            "env": ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"}),
         }
         # As objects: texts of fixed length have no place in some files, the Zarr v3 specification among them.
         coordinates |= {dim: (dim, np.array(labels, object)) for dim, labels in AXES.values() if dim in used}

@@ -1,5 +1,6 @@
 """Time stepping: takes a model forward and records what is asked for."""
 
+import contextlib
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -165,7 +166,7 @@ class Simulation:
         *,
         poses: bool = True,
         parameters: Sequence[str] = (),
-        progress: bool | None = None,
+        progress: Any = None,
     ) -> Recording:
         """Simulates for ``duration`` and returns what was recorded, the state at the start included.
 
@@ -176,7 +177,8 @@ class Simulation:
             poses: Whether to record the position and orientation of every body as well, and the parameters
                 that differ between environments, so that the recording can be replayed and exported.
             parameters: Names of further parameters to keep with the recording, whether or not they differ.
-            progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
+            progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal. A bar of
+                tqdm is moved on by the steps of this run, and left open.
 
         Returns:
             A data set with dimensions (time, env), then ``item`` for sets of points and ``axis`` or
@@ -185,6 +187,7 @@ class Simulation:
         Raises:
             ValueError: If a time is not allowed.
             KeyError: If there is no such reading.
+            MemoryError: If the recording takes more memory than there is, before anything runs.
         """
         from tqdm import tqdm
 
@@ -193,17 +196,23 @@ class Simulation:
         if isinstance(record, str):
             raise TypeError(f"record must be a list of readings, got the string {record!r}")
         recorder = Recorder(self.model, record, frames=steps // stride + 1, poses=poses, parameters=parameters)
+        recorder.start()
         start = self.time
         recorder.take(start)
         frozen = len(self.model.health().frozen)
         done = 0
-        with tqdm(
-            total=steps,
-            unit="step",
-            desc=f"{self.model.envs} environments",
-            delay=1.0,
-            disable=None if progress is None else not progress,
-        ) as bar:
+        bar_of_run = (
+            contextlib.nullcontext(progress)
+            if isinstance(progress, tqdm)
+            else tqdm(
+                total=steps,
+                unit="step",
+                desc=f"{self.model.envs} environments",
+                delay=1.0,
+                disable=None if progress is None else not progress,
+            )
+        )
+        with bar_of_run as bar:
             while done < steps:
                 ahead = min(stride - done % stride, STEPS_PER_UPDATE, steps - done)
                 self.step(ahead)

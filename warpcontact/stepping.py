@@ -91,8 +91,11 @@ def stepping_needs(
     )
     size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
     size += int(CAPTURED * sum(sum(map(_argument_bytes, one.graph(steps))) for steps in GRAPH_STEPS))
-    slices = -(-envs // slice_size(model, envs, available_threads() if threads is None else threads))
-    return [*layout.needs(envs), Need("launches", HOST, slices * size, 0 if slices == 1 else slices * size / envs)]
+    threads = available_threads() if threads is None else threads
+    slices = -(-envs // slice_size(model, envs, threads))
+    # The first environments of each thread make its slice longer.
+    grows = size / slice_size(model, LARGEST_SLICE * threads, threads) if slices > threads else 0.0
+    return [*layout.needs(envs), Need("launches", HOST, slices * size, grows)]
 
 
 def _argument_bytes(kernel: wp.Kernel) -> int:

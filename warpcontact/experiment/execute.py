@@ -6,6 +6,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,47 +16,68 @@ import warp as wp
 from warpcontact._version import __version__
 from warpcontact.checks import Array
 from warpcontact.experiment import result
+from warpcontact.experiment.batches import Batches, opened
 from warpcontact.experiment.notices import Notices
+from warpcontact.experiment.plan import Plan
 from warpcontact.experiment.result import Copy, Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.toml import to_toml
+from warpcontact.health import Health
 from warpcontact.model import Model
+from warpcontact.recorder import Recording
 from warpcontact.simulation import Simulation
 
 
-def execute(
-    model: Model,
-    settings: Settings,
-    varied: Mapping[str, Array],
-    copy: Copy,
-    folder: Path,
-    progress: bool | None,
-    say: Callable[[str], None],
-    notices: Notices,
-) -> Run:
-    """Runs ``model`` and writes the results; if interrupted, only ``run.json`` is left, which says so.
+@dataclass(frozen=True)
+class Job:
+    """What is to be done with the environments of an experiment.
 
-    Args:
-        model: The environments, built.
-        settings: What to do with them, with all defaults.
-        varied: Values of the parameters that vary.
+    Attributes:
+        settings: The experiment, with all defaults.
+        varied: Values of the parameters that vary, of all environments.
+        plan: How many environments are in a batch, and how many batches there are.
         copy: What repeats the run.
         folder: Where the results go.
         progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
         say: Called when a stage that may take long begins.
         notices: Receives warnings.
     """
-    result.clear_folder(folder)
-    summary = _first_summary(model, settings, copy)
+
+    settings: Settings
+    varied: Mapping[str, Array]
+    plan: Plan
+    copy: Copy
+    folder: Path
+    progress: bool | None
+    say: Callable[[str], None]
+    notices: Notices
+
+
+def execute(model: Model, job: Job) -> Run:
+    """Runs ``job`` and writes the results; if interrupted, only ``run.json`` is left, which says so.
+
+    Args:
+        model: The environments of a batch, built, with values that do not vary.
+        job: What to do.
+
+    Raises:
+        ValueError: If a value does not fit into the precision of the device, before anything is removed.
+    """
+    simulation = Simulation(model, dt=job.settings.dt, crossing_steps=job.settings.crossing_steps)
+    run: _AtOnce | _InBatches = (_AtOnce if job.plan.batches == 1 else _InBatches)(simulation, job)
+    result.clear_folder(job.folder)
+    summary = _first_summary(model, job)
     try:
-        return _execute(model, settings, varied, copy, folder, progress, say, notices, summary)
+        return _execute(simulation, run, job, summary)
     except KeyboardInterrupt:
-        result.write_summary(folder / result.SUMMARY, summary | {"state": result.INTERRUPTED})
-        result.clear_folder(folder, keep=result.SUMMARY)
+        result.write_summary(job.folder / result.SUMMARY, summary | {"state": result.INTERRUPTED})
+        result.clear_folder(job.folder, keep=result.SUMMARY)
         raise
 
 
-def _first_summary(model: Model, settings: Settings, copy: Copy) -> dict[str, Any]:
+def _first_summary(model: Model, job: Job) -> dict[str, Any]:
+    settings = job.settings
+    laws = {name: hashlib.sha256(content).hexdigest() for name, content in job.copy.files.items()}
     return {
         "state": result.UNFINISHED,
         "process": os.getpid(),
@@ -73,49 +95,29 @@ def _first_summary(model: Model, settings: Settings, copy: Copy) -> dict[str, An
         "precision": settings.precision,
         "seed": settings.seed,
         "envs": settings.envs,
+        "batches": job.plan.batches,
+        "batch": job.plan.batch,
         "dt": settings.dt,
-        result.LAW_FILES: {name: hashlib.sha256(content).hexdigest() for name, content in copy.files.items()},
+        result.LAW_FILES: laws,
     }
 
 
-def _execute(
-    model: Model,
-    settings: Settings,
-    varied: Mapping[str, Array],
-    copy: Copy,
-    folder: Path,
-    progress: bool | None,
-    say: Callable[[str], None],
-    notices: Notices,
-    summary: dict[str, Any],
-) -> Run:
+def _execute(simulation: Simulation, run: "_AtOnce | _InBatches", job: Job, summary: dict[str, Any]) -> Run:
+    settings, folder = job.settings, job.folder
     files = {"experiment": folder / result.EXPERIMENT, "summary": folder / result.SUMMARY}
     result.write_summary(files["summary"], summary)
     comment = f"The experiment as warpcontact {__version__} ran it, with all defaults."
-    files["experiment"].write_text(to_toml(copy.settings, comment), encoding="utf-8")
-    for name, content in copy.files.items():
+    files["experiment"].write_text(to_toml(job.copy.settings, comment), encoding="utf-8")
+    for name, content in job.copy.files.items():
         files[name] = folder / name
         files[name].write_bytes(content)
 
-    simulation = Simulation(model, dt=settings.dt, crossing_steps=settings.crossing_steps)
-    say(f"compiling for {model.device}")
+    job.say(f"compiling for {simulation.model.device}")
     simulation.step()  # compiles what is not in the cache; the time of the run is then that of stepping
     simulation.reset()
-    say("running")
-    start = time.perf_counter()
-    recording = simulation.run(
-        settings.duration,
-        settings.record.readings or (),
-        settings.record.every,
-        parameters=list(varied),
-        progress=progress,
-    )
-    wall_time = time.perf_counter() - start
-    recording.attrs |= {"name": settings.name, "seed": settings.seed}
-
-    say("writing")
-    _write(recording, settings, list(varied), folder, files)
-    health = model.health()
+    files["recording"] = folder / result.RECORDING
+    recording, health, wall_time = run(files["recording"])
+    _show(recording, settings, list(job.varied), folder, files)
     summary = summary | {
         "state": result.FINISHED,
         "duration": float(f"{simulation.time:.12g}"),  # a sum of steps
@@ -123,20 +125,63 @@ def _execute(
         "wall_time": wall_time,
         "env_steps_per_second": settings.envs * simulation.steps / wall_time,
         "frozen_environments": health.frozen.tolist(),
-        "warnings": notices.lines,
+        "warnings": job.notices.lines,
     }
     result.write_summary(files["summary"], summary)
     return Run(folder=folder, files=files, recording=recording, health=health, summary=summary)
 
 
-def _write(
-    recording: result.Recording, settings: Settings, varied: list[str], folder: Path, files: dict[str, Path]
+class _AtOnce:
+    """Runs all environments together; called, returns the recording, their health, and the time it took [s]."""
+
+    def __init__(self, simulation: Simulation, job: Job) -> None:
+        self.simulation, self.job = simulation, job
+        for name, values in job.varied.items():
+            simulation.model[name] = values
+
+    def __call__(self, path: Path) -> tuple[Recording, Health, float]:
+        job, settings = self.job, self.job.settings
+        job.say("running")
+        start = time.perf_counter()
+        recording = self.simulation.run(
+            settings.duration,
+            settings.record.readings or (),
+            settings.record.every,
+            parameters=list(job.varied),
+            progress=job.progress,
+        )
+        wall_time = time.perf_counter() - start
+        recording.attrs |= {"name": settings.name, "seed": settings.seed}
+        job.say("writing")
+        result.write_recording(recording, path)
+        return recording, self.simulation.model.health(), wall_time
+
+
+class _InBatches:
+    """The same, one batch after the other."""
+
+    def __init__(self, simulation: Simulation, job: Job) -> None:
+        self.simulation, self.job = simulation, job
+        self.batches = Batches(simulation, job.plan, job.settings, job.varied)
+        # All of them, so that values that do not fit are found now; the first one last.
+        for number in reversed(range(job.plan.batches)):
+            self.batches.take(number)
+
+    def __call__(self, path: Path) -> tuple[Recording, Health, float]:
+        plan = self.job.plan
+        self.job.say(f"running {plan.batches} batches of {plan.batch} environments")
+        self.batches.run(path, self.job.progress)
+        self.job.say("writing")
+        return opened(path, self.simulation.model.scene), self.batches.health, self.batches.wall_time
+
+
+def _show(
+    recording: Recording, settings: Settings, varied: list[str], folder: Path, files: dict[str, Path]
 ) -> None:
+    """Writes what shows the recording."""
     from warpcontact.experiment.picture import write_picture
     from warpcontact.usd import export_usd
 
-    files["recording"] = folder / result.RECORDING
-    result.write_recording(recording, files["recording"])
     usd_envs = min(settings.output.usd_envs, settings.envs)
     if usd_envs:
         files["animation"] = folder / result.ANIMATION

@@ -5,18 +5,21 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from warpcontact.build import Draft, draw_up
 from warpcontact.experiment import result
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
-from warpcontact.experiment.execute import execute
+from warpcontact.experiment.execute import Job, execute
 from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.own import OwnFiles
+from warpcontact.experiment.plan import Plan, make_plan, recording_size
 from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.result import Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
 from warpcontact.experiment.variation import Draw, truncated
+from warpcontact.footprint import require
 from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import whole_steps
@@ -139,6 +142,7 @@ class Experiment:
         duration: float | None = None,
         overwrite: bool = False,
         progress: bool | None = None,
+        batch: int | None = None,
         on_stage: Callable[[str], None] | None = None,
         on_warning: Callable[[str], None] | None = None,
     ) -> Run:
@@ -155,6 +159,8 @@ class Experiment:
             duration: Simulated time [s]; ``None``: that of the experiment.
             overwrite: Whether the files of an earlier run in the folder may be replaced.
             progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
+            batch: How many environments to run at once at most; ``None``: as many as fit into memory. Where they
+                are fewer than there are, batches run one after another, with the same results.
             on_stage: Called with a few words when a stage that may take long begins.
             on_warning: Called with the text of each warning of a mesh file or of the simulation, in place of
                 Python's way; they are in ``run.json`` in any case.
@@ -162,13 +168,15 @@ class Experiment:
         Raises:
             ExperimentError: If the folder holds a finished run or something else, there is no such device, or a
                 value is out of range.
+            MemoryError: If not even one environment fits, or ``batch`` of them do not.
         """
+        _check_batch(batch, self.source)
         folder, experiment = Path(out), self.changed(envs=envs, duration=duration)
         copy = result.copied(experiment.settings, experiment.folder, folder, experiment._own)
         result.check_folder(folder, overwrite, copy.files)
         notices = Notices(on_warning)
         with notices.listening(), experiment._own.blamed():
-            return experiment._run(folder, copy, device, progress, on_stage or _say_nothing, notices)
+            return experiment._run(folder, copy, device, progress, batch, on_stage or _say_nothing, notices)
 
     def _run(
         self,
@@ -176,6 +184,7 @@ class Experiment:
         copy: result.Copy,
         device: str,
         progress: bool | None,
+        batch: int | None,
         say: Callable[[str], None],
         notices: Notices,
     ) -> Run:
@@ -184,15 +193,40 @@ class Experiment:
                 if isinstance(mesh, FileMesh):
                     notices.add_mesh(mesh.file, self._loaded[f"surface[{i}]", mesh].report)
         say(f"building {self.settings.envs} environments")
-        model = self._build(device)
-        return execute(model, self.settings, self._values, copy, folder, progress, say, notices)
+        draft = self._draft(device)
+        plan = make_plan(draft, self._size, self.settings, self._values, batch)
+        if not plan.batch:
+            require(lambda _: plan.footprint, 1)
+        model = draft.build(plan.batch)
+        return execute(model, Job(self.settings, self._values, plan, copy, folder, progress, say, notices))
 
-    def _build(self, device: str) -> Model:
-        """Builds the environments on ``device``."""
+    def plan(
+        self,
+        *,
+        envs: int | None = None,
+        device: str = "auto",
+        duration: float | None = None,
+        batch: int | None = None,
+    ) -> Plan:
+        """Returns what a run would take of memory and disk, and the batches it would run in; runs nothing.
+
+        Arguments and errors are those of ``run``; where not even one environment fits, ``batch`` is 0.
+        """
+        _check_batch(batch, self.source)
+        with self._own.blamed():
+            changed = self.changed(envs=envs, duration=duration)
+            return make_plan(changed._draft(device), changed._size, changed.settings, changed._values, batch)
+
+    def _draft(self, device: str) -> Draft:
+        """Prepares the environments on ``device``."""
         try:
-            model = self.scene().build(self.settings.envs, device, self.settings.precision)
+            return draw_up(self.scene(), device, self.settings.precision)
         except ValueError as error:
             raise ExperimentError(self.source, [str(error)]) from None
+
+    def _build(self, device: str) -> Model:
+        """Builds all environments on ``device``."""
+        model = self._draft(device).build(self.settings.envs)
         for name, values in self._values.items():
             model[name] = values
         return model
@@ -232,6 +266,8 @@ class Experiment:
         readings = settings.record.readings or default_readings(model)
         record = settings.record.model_copy(update={"every": every, "readings": tuple(readings)})
         self.settings: Settings = settings.model_copy(update={"record": record})
+        if not problems:
+            self._size = recording_size(model, readings, self._values, settings.envs)
 
     @staticmethod
     def _interval(model: Model, settings: Settings, problems: Problems) -> float:
@@ -247,6 +283,13 @@ class Experiment:
         except ValueError as error:
             problems.add("record.every", str(error).removeprefix("record.every "))
         return every
+
+
+def _check_batch(batch: object, source: str) -> None:
+    """Raises ``ExperimentError`` unless ``batch`` is a number of environments, or ``None``."""
+    whole = isinstance(batch, int) and not isinstance(batch, bool)
+    if batch is not None and not (whole and batch >= 1):  # type: ignore[operator]
+        raise ExperimentError(source, [f"batch must be a whole number of at least 1, got {batch!r}"])
 
 
 def _say_nothing(stage: str) -> None:

@@ -26,6 +26,8 @@ from warpcontact.scene import Scene
 TRACKS = 200
 # Quantiles of more environments than this look the same and take longer.
 SAMPLE = 4096
+# What is read at once of the tracks of all [bytes].
+PIECE = 64 * 2**20
 COLORS = "plasma"
 # Values that span more than this factor are coloured on a logarithmic scale.
 LOGARITHMIC = 30.0
@@ -47,10 +49,9 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
         varied: Names of the parameters that varied; the first that is one number colours the tracks.
     """
     envs, times = recording.sizes["env"], recording["time"].values
-    tracks = [recording[f"{body.name}.position"].values for body in recording.scene.bodies]
-    plane = _plane(tracks)
+    plane, lower, upper = _extent(recording)
     grounds = grounds_of(recording)
-    window = _window(recording.scene, grounds, [track[..., plane] for track in tracks], plane)
+    window = _window(recording.scene, grounds, lower, upper, plane)
     width, height = window[1] - window[0]
     wide = bool(width > WIDE * height)
     size = (13.0, 4.0 + 10.8 * height / width) if wide else (13.0, 6.8)
@@ -76,11 +77,35 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
     figure.savefig(path)
 
 
-def _plane(tracks: list[NDArray[Any]]) -> list[int]:
-    """Returns the two axes of the plane in which the tracks are shown."""
-    points = np.concatenate([track.reshape(-1, 3) for track in tracks])
-    extent = np.ptp(points, axis=0)
-    return [0, 2] if extent[1] < FLAT * extent.max() else [0, 1]
+def _extent(recording: Recording) -> tuple[list[int], NDArray[Any], NDArray[Any]]:
+    """Returns the two axes of the plane in which the tracks are shown, and the corners of where they are.
+
+    Some environments at a time: of a recording in a file, there may be more than fit into memory.
+    """
+    planes = [0, 2], [0, 1]
+    lows, highs, ends = [], [], []
+    for body in recording.scene.bodies:
+        track = recording[f"{body.name}.position"]
+        some = max(1, PIECE // max(1, track.nbytes // track.sizes["env"]))
+        for first in range(0, track.sizes["env"], some):
+            points = track.isel(env=slice(first, first + some)).values.reshape(-1, 3)
+            lows.append(points.min(axis=0))
+            highs.append(points.max(axis=0))
+            ends.append([_ends(points[:, plane]) for plane in planes])
+    extent = np.max(highs, axis=0) - np.min(lows, axis=0)
+    chosen = 0 if extent[1] < FLAT * extent.max() else 1
+    lower = np.min([each[chosen][0] for each in ends], axis=0)
+    upper = np.max([each[chosen][1] for each in ends], axis=0)
+    return planes[chosen], lower, upper
+
+
+def _ends(points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Returns the smallest and largest coordinates of those points (n, 2) that are finite."""
+    finite = np.isfinite(points).all(axis=1)[:, None]
+    return (
+        points.min(axis=0, where=finite, initial=np.inf),
+        points.max(axis=0, where=finite, initial=-np.inf),
+    )
 
 
 def _draw_tracks(
@@ -95,7 +120,7 @@ def _draw_tracks(
 ) -> None:
     scene = recording.scene
     envs = recording.sizes["env"]
-    chosen = np.unique(np.linspace(0, envs - 1, min(envs, TRACKS)).astype(int))
+    chosen = _evenly(envs, TRACKS)
     tracks = [recording[f"{body.name}.position"].isel(env=chosen).values for body in scene.bodies]
     lower, upper = window
     from_above = plane == [0, 1]
@@ -135,12 +160,9 @@ def _draw_tracks(
 
 
 def _window(
-    scene: Scene, grounds: list[Ground], tracks: list[NDArray[Any]], plane: list[int]
+    scene: Scene, grounds: list[Ground], lower: NDArray[Any], upper: NDArray[Any], plane: list[int]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Returns the lower left and upper right corner of what is shown: the tracks with some room around them."""
-    points = np.concatenate([track.reshape(-1, 2) for track in tracks])
-    points = points[np.isfinite(points).all(axis=1)]
-    lower, upper = points.min(axis=0), points.max(axis=0)
     radius = max((float(contact.radius) for contact in scene.contacts), default=0.0)
     spans = [np.ptp(ground.corners[..., plane].reshape(-1, 2), axis=0).max() for ground in grounds]
     # A drop straight down still needs some ground to be seen on.
@@ -149,6 +171,11 @@ def _window(
     half = np.maximum(half, NARROWEST * half.max())
     centre = 0.5 * (lower + upper)
     return centre - half, centre + half
+
+
+def _evenly(envs: int, most: int) -> NDArray[np.int_]:
+    """Returns at most so many of the environments, evenly spread."""
+    return np.unique(np.linspace(0, envs - 1, min(envs, most)).astype(int))
 
 
 def _color_values(recording: Recording, varied: list[str]) -> tuple[NDArray[Any], str]:
@@ -175,22 +202,23 @@ def _label(name: str, array: xr.DataArray) -> str:
 
 
 def _chosen_readings(recording: Recording) -> list[tuple[NDArray[Any], str]]:
-    """Returns two readings (time, env) that tell most, with their labels."""
+    """Returns two readings (time, env) that tell most, of a sample of the environments, with their labels."""
+    sample = _evenly(recording.sizes["env"], SAMPLE)
     scene, bodies = recording.scene, [body.name for body in recording.scene.bodies]
     contacts = [contact.name for contact in scene.contacts]
     found = []
     for name in (*(f"{c}.gap" for c in contacts), f"{bodies[0]}.position"):
         if name in recording:
-            found.append(_per_environment(name, recording[name], smallest=True))
+            found.append(_per_environment(name, recording[name].isel(env=sample), smallest=True))
             break
     forces = [f"{c}.normal_force" for c in contacts]
     energies = ["scene.kinetic_energy", *(f"{body}.kinetic_energy" for body in bodies)]
     for name in (*energies, *forces):
         if name in recording:
-            found.append(_per_environment(name, recording[name], smallest=False))
+            found.append(_per_environment(name, recording[name].isel(env=sample), smallest=False))
             break
     if len(found) < 2:
-        position = recording[f"{bodies[0]}.position"].values
+        position = recording[f"{bodies[0]}.position"].isel(env=sample).values
         way = np.linalg.norm(position - position[0], axis=-1)
         found.append((way, f"distance of {bodies[0]} from its start [m]"))
     return found
@@ -211,8 +239,7 @@ def _draw_quantiles(axes: Any, times: NDArray[Any], values: NDArray[Any], label:
     if envs == 1:
         axes.plot(times, values[:, 0], color="C0", label="the environment")
     else:
-        sample = values[:, np.unique(np.linspace(0, envs - 1, min(envs, SAMPLE)).astype(int))]
-        q05, q25, q50, q75, q95 = np.quantile(sample, (0.05, 0.25, 0.5, 0.75, 0.95), axis=1)
+        q05, q25, q50, q75, q95 = np.quantile(values, (0.05, 0.25, 0.5, 0.75, 0.95), axis=1)
         axes.fill_between(times, q05, q95, color="C0", alpha=0.2, lw=0, label="5 % to 95 % of the environments")
         axes.fill_between(times, q25, q75, color="C0", alpha=0.35, lw=0, label="25 % to 75 %")
         axes.plot(times, q50, color="C0", label="median")

@@ -6,10 +6,13 @@ import os
 import platform
 import shutil
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import xarray as xr
+import zarr
 
 from warpcontact._version import __version__
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, ShapeMesh, own_class
@@ -45,7 +48,8 @@ class Run:
         folder: Where the files are.
         files: Path of each file by what it is: experiment, recording, animation, picture, summary; copies of
             files with laws by their names.
-        recording: The readings (time, env, …), and the parameters that varied (env, …).
+        recording: The readings (time, env, …), and the parameters that varied (env, …). After batches they are
+            read from the folder where they are asked for.
         health: Which environments turned non-finite.
         summary: Content of ``run.json``: versions, device, seed, times.
     """
@@ -209,16 +213,49 @@ def _mesh_from(mesh: FileMesh | ShapeMesh, old: Path, new: Path) -> FileMesh | S
 
 def write_recording(recording: Recording, path: Path) -> None:
     """Writes ``recording`` as a Zarr v3 group, which ``xarray.open_zarr`` reads."""
+    _create_store(recording, path, lambda envs, most: most)
+    complete_recording(path, {})
+
+
+def add_to_recording(recording: xr.Dataset, path: Path, *, new: bool) -> None:
+    """Writes a batch of environments: the first into a ``new`` store, others behind those that are there.
+
+    Args:
+        recording: Of the batch; none has more environments than the first.
+        path: The store.
+        new: Whether it is the first.
+    """
+    if new:
+        # Pieces are parts of a batch, so that none is written twice.
+        _create_store(recording, path, _largest_part)
+    else:
+        recording.to_zarr(path, mode="a-", append_dim="env", zarr_format=3, consolidated=False)
+
+
+def complete_recording(path: Path, attributes: Mapping[str, Any]) -> None:
+    """Adds attributes to a store, and all metadata in one place, where xarray looks for it first."""
+    zarr.open_group(path, mode="r+").attrs.update(attributes)
+    with warnings.catch_warnings():
+        # Others may pass over it.
+        warnings.filterwarnings("ignore", message="Consolidated metadata", category=UserWarning)
+        zarr.consolidate_metadata(path, zarr_format=3)
+
+
+def _create_store(recording: xr.Dataset, path: Path, part: Callable[[int, int], int]) -> None:
+    """Writes a new store in pieces of ``part(envs, most)`` environments."""
     encoding = {}
     for name, variable in recording.data_vars.items():
-        row = variable.nbytes // max(1, variable.sizes["env"])
-        envs = max(1, min(variable.sizes["env"], CHUNK // max(1, row)))
+        all_envs = variable.sizes["env"]
+        row = variable.nbytes // max(1, all_envs)
+        envs = part(all_envs, max(1, min(all_envs, CHUNK // max(1, row))))
         chunks = tuple(envs if dim == "env" else size for dim, size in variable.sizes.items())
         encoding[name] = {"chunks": chunks}
-    with warnings.catch_warnings():
-        # All metadata in one place as well, where xarray looks for it first; others may pass over it.
-        warnings.filterwarnings("ignore", message="Consolidated metadata", category=UserWarning)
-        recording.to_zarr(path, mode="w-", zarr_format=3, consolidated=True, encoding=encoding)
+    recording.to_zarr(path, mode="w-", zarr_format=3, consolidated=False, encoding=encoding)
+
+
+def _largest_part(envs: int, most: int) -> int:
+    """Returns the largest divisor of ``envs`` that is at most ``most``."""
+    return next(part for part in range(most, 0, -1) if envs % part == 0)
 
 
 def write_summary(path: Path, summary: Mapping[str, Any]) -> None:

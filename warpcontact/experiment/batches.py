@@ -1,0 +1,132 @@
+"""Runs of more environments than fit at once: batch after batch on one model, into one data set."""
+
+import contextlib
+import re
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from warpcontact.advice import ContactWarning, advice
+from warpcontact.checks import Array
+from warpcontact.experiment import result
+from warpcontact.experiment.plan import Plan, kept
+from warpcontact.experiment.schema import Settings
+from warpcontact.health import Health
+from warpcontact.recorder import Recording
+from warpcontact.scene import Scene
+from warpcontact.simulation import Simulation, whole_steps
+
+
+class Batches:
+    """The batches of an experiment, on one model that takes the values of one after the other.
+
+    Environments have the same values as if all ran at once. The last batch is filled up with copies of the last
+    environment, whose results are dropped.
+
+    Args:
+        simulation: Steps a model of ``plan.batch`` environments.
+        plan: How many there are.
+        settings: The experiment, with all defaults.
+        varied: Values of the parameters that vary, of all environments.
+    """
+
+    def __init__(
+        self, simulation: Simulation, plan: Plan, settings: Settings, varied: Mapping[str, Array]
+    ) -> None:
+        self.simulation = simulation
+        self.plan = plan
+        self.settings = settings
+        parameters = simulation.model.parameters
+        # As all environments take them: for a few, a shape may mean something else.
+        self.values = {name: parameters[name].parse(values, plan.envs) for name, values in varied.items()}
+        self.frozen: list[int] = []
+        self.wall_time = 0.0
+        self._said: set[str] = set()
+
+    @property
+    def health(self) -> Health:
+        """Which environments turned non-finite, of those that ran so far, by their numbers among all."""
+        return Health(self.plan.envs, np.array(self.frozen, dtype=np.intp))
+
+    def take(self, number: int) -> None:
+        """Gives the model the values of batch ``number``, and puts it at the start."""
+        model, first = self.simulation.model, number * self.plan.batch
+        rows = np.minimum(np.arange(first, first + self.plan.batch), self.plan.envs - 1)
+        for name, values in self.values.items():
+            model.assign(name, values[rows])
+        model.first_env = first
+        self.simulation.reset()
+
+    def run(self, path: Path, progress: bool | None) -> None:
+        """Runs all batches and writes their recordings into the store ``path``, environment by environment.
+
+        Args:
+            path: The Zarr group to make.
+            progress: Whether to show a progress bar, over all; ``None``: on runs of over a second, in a terminal.
+        """
+        from tqdm import tqdm
+
+        steps = whole_steps("duration", self.settings.duration, self.settings.dt, exact=False)
+        with tqdm(
+            total=steps * self.plan.batches,
+            unit="step",
+            desc=f"{self.plan.envs} environments in {self.plan.batches} batches",
+            delay=1.0,
+            disable=None if progress is None else not progress,
+        ) as bar:
+            for number in range(self.plan.batches):
+                self.take(number)
+                if number:
+                    self._advise()
+                result.add_to_recording(self._record(bar), path, new=number == 0)
+        result.complete_recording(path, {"frozen_environments": self.frozen})
+        if self.frozen:
+            warnings.warn(str(self.health), RuntimeWarning, stacklevel=2)
+
+    def _record(self, bar: object) -> Recording:
+        """Runs the batch that was taken; returns the recording of its own environments."""
+        model, settings = self.simulation.model, self.settings
+        own = min(self.plan.batch, self.plan.envs - model.first_env)
+        start = time.perf_counter()
+        with _without_local_numbers():
+            recording = self.simulation.run(
+                settings.duration,
+                settings.record.readings or (),
+                settings.record.every,
+                parameters=kept(model, list(self.values), self.plan.envs),
+                progress=bar,
+            )
+        self.wall_time += time.perf_counter() - start
+        frozen = model.health().frozen
+        self.frozen += (model.first_env + frozen[frozen < own]).tolist()
+        recording.attrs |= {"name": settings.name, "seed": settings.seed}
+        return recording.isel(env=slice(0, own))
+
+    def _advise(self) -> None:
+        """Warns as the first step of the first batch does, once of each kind."""
+        for sentence in advice(self.simulation.model, self.simulation.dt):
+            kind = re.sub(r"[\d.,+-]+(e[+-]?\d+)?", "", sentence)
+            if kind not in self._said:
+                self._said.add(kind)
+                warnings.warn(sentence, ContactWarning, stacklevel=3)
+
+
+@contextlib.contextmanager
+def _without_local_numbers() -> Iterator[None]:
+    """Keeps a run from reporting frozen environments by their numbers within the batch."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".* non-finite and are frozen", category=RuntimeWarning)
+        yield
+
+
+def opened(path: Path, scene: Scene) -> Recording:
+    """Returns the recording in a store; values are read where they are asked for."""
+    data = xr.open_zarr(path, consolidated=False, chunks=None)
+    variables = {name: array.variable for name, array in data.data_vars.items()}
+    recording = Recording(variables, coords=data.coords, attrs=data.attrs)
+    recording.scene = scene
+    return recording

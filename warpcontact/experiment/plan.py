@@ -1,0 +1,141 @@
+"""What an experiment takes of memory and disk, and how many of its environments run at once."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from warpcontact.available import HOST, Room, find_room
+from warpcontact.build import Draft
+from warpcontact.experiment.result import CHUNK
+from warpcontact.experiment.schema import Settings
+from warpcontact.footprint import (
+    Footprint,
+    MemoryShortage,
+    Need,
+    environments,
+    most_that_fit,
+    readable,
+    said,
+    shortage,
+    usable,
+)
+from warpcontact.model import Model
+from warpcontact.recorder import Recorder, RecordingSize
+from warpcontact.simulation import whole_steps
+
+# Pieces of a recording that are compressed at once, each with its result.
+WRITTEN_AT_ONCE = 16
+# A batch is rounded to this many significant bits, so that the pieces of a recording are parts of it.
+BITS = 6
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How an experiment runs. ``print(plan)`` tells what it takes.
+
+    Attributes:
+        envs: Number of environments.
+        batch: How many run at once; 0: not even one fits.
+        footprint: What these take of memory, or what one would that does not fit.
+        recording: Size of the whole recording, before it is compressed [bytes].
+        rooms: What there is of memory, where it is known.
+    """
+
+    envs: int
+    batch: int
+    footprint: Footprint
+    recording: int
+    rooms: tuple[Room, ...]
+
+    @property
+    def batches(self) -> int:
+        """How many batches follow each other."""
+        return -(-self.envs // self.batch) if self.batch else 0
+
+    def __str__(self) -> str:
+        lines = [str(self.footprint)]
+        for room in self.rooms:
+            lines.append(f"available: {readable(room.size)} of {room.name}; {readable(usable(room))} can be used")
+        lines.append(f"on disk: up to {readable(self.recording)}, before compression")
+        if not self.batch:
+            lines.append("does not fit: not even one environment")
+        elif self.batches == 1:
+            lines.append(f"{environments(self.envs)}: all at once")
+        else:
+            lines.append(f"{environments(self.envs)}: {self.batches} batches of {self.batch}, one after another")
+        return "\n".join(lines)
+
+
+def make_plan(
+    draft: Draft, size: RecordingSize, settings: Settings, varied: Collection[str], batch: int | None
+) -> Plan:
+    """Returns how the experiment runs on the device of ``draft``.
+
+    Args:
+        draft: Its scene, ready to be built.
+        size: What its recording takes.
+        settings: The experiment, with all defaults.
+        varied: Names of the parameters that vary.
+        batch: How many environments are to run at once at most; ``None``: as many as fit.
+
+    Raises:
+        MemoryError: If ``batch`` environments do not fit; says how many do.
+    """
+    frames = frame_count(settings)
+    device = str(draft.device)
+
+    def footprint(envs: int) -> Footprint:
+        writing = min(2 * WRITTEN_AT_ONCE * CHUNK, 2 * size.on_host(envs, frames))
+        return draft.memory(envs, varied).with_needs(
+            [
+                *draft.measures(draft.device, size.measured, envs),
+                *size.needs(device, envs, frames),
+                Need("writing", HOST, writing),
+            ]
+        )
+
+    wanted = settings.envs if batch is None else min(batch, settings.envs)
+    most = most_that_fit(footprint, wanted)
+    if batch is not None and most < wanted:
+        takes = footprint(wanted)
+        room = shortage(takes)
+        assert room is not None
+        advice = f"at most {most}" if most else "not even one environment"
+        message = f"batch {batch}: {said(takes, room)}; {advice} at once fits on {device}"
+        raise MemoryShortage(message, takes.on(room.place), usable(room), most)
+    chosen = batch_size(most, settings.envs) if most else 0
+    takes = footprint(chosen or 1)
+    rooms = tuple(room for place in takes.places if (room := find_room(place)) is not None)
+    return Plan(settings.envs, chosen, takes, size.on_host(settings.envs, frames), rooms)
+
+
+def frame_count(settings: Settings) -> int:
+    """Returns the number of frames that are recorded."""
+    steps = whole_steps("duration", settings.duration, settings.dt, exact=False)
+    every = settings.record.every
+    return steps // (1 if every is None else whole_steps("every", every, settings.dt, exact=True)) + 1
+
+
+def batch_size(most: int, envs: int) -> int:
+    """Returns the size of batches of about equal size, no more than ``most``, that make up ``envs``."""
+    if most >= envs:
+        return envs
+    grain = 1 << max(0, most.bit_length() - BITS)
+    largest = most // grain * grain
+    equal = -(-envs // -(-envs // largest))
+    return -(-equal // grain) * grain
+
+
+def recording_size(model: Model, readings: Collection[str], varied: Collection[str], envs: int) -> RecordingSize:
+    """Returns what the recording of ``envs`` environments takes, from a model of any number of them."""
+    return Recorder(model, readings, 1, poses=True, parameters=kept(model, varied, envs)).size()
+
+
+def kept(model: Model, varied: Collection[str], envs: int) -> list[str]:
+    """Returns the parameters that a recording of ``envs`` environments keeps because some vary.
+
+    These and all that are stored with them, as they have a value per environment then, too.
+    """
+    if envs == 1:
+        return list(varied)
+    fields = {id(model.parameters[name].field) for name in varied}
+    return [*varied, *(name for name, one in model.parameters.items() if id(one.field) in fields)]
