@@ -38,7 +38,7 @@ def find_room(place: str) -> Room | None:
 
 
 def _device(name: str) -> int | None:
-    """Returns the free memory of a CUDA device, with what Warp holds of it for arrays to come."""
+    """Returns the free memory of a CUDA device."""
     import warp as wp
 
     device = wp.get_device(name)

@@ -5,12 +5,16 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from warpcontact import __version__, laws_command
 
-FAILED = 1  # the answer is no: an unusable mesh
+if TYPE_CHECKING:
+    from warpcontact.experiment import Experiment
+
+FAILED = 1  # the answer is no: an unusable mesh, a plan that does not fit
 WRONG_USE = 2  # the command could not be carried out, as argparse has it
 INTERRUPTED = 130  # the shell's number for Ctrl-C
 
@@ -22,7 +26,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Its words; ``None``: those of the process.
 
     Returns:
-        The exit code: 0, or 1 for an unusable mesh, 2 for an error, 130 if interrupted.
+        The exit code: 0, or 1 for an unusable mesh or a plan that does not fit, 2 for an error, 130 if
+        interrupted.
     """
     arguments = _parser().parse_args(argv)
     try:
@@ -55,15 +60,36 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     run = commands.add_parser("run", help="run an experiment file", description="Run an experiment file.")
-    run.add_argument("file", metavar="FILE", help="the experiment, a TOML file")
     run.add_argument(
         "--out", metavar="DIR", help="folder for the results (default: results/<name of the experiment>)"
     )
-    run.add_argument("--envs", type=int, metavar="N", help="number of environments instead of that in the file")
-    run.add_argument("--duration", type=float, metavar="S", help="simulated seconds instead of those in the file")
-    run.add_argument("--device", default="auto", metavar="D", help="cpu, cuda:0, … (default: auto, a GPU if any)")
     run.add_argument("--overwrite", action="store_true", help="replace an earlier run in the folder")
     run.set_defaults(command=_run)
+
+    plan = commands.add_parser(
+        "plan",
+        help="memory and disk that an experiment takes, and its batches",
+        description="Tell what running an experiment file would take of memory and disk, and in which batches of "
+        "environments it would run. Nothing is run. Exit code 1: it does not fit.",
+    )
+    plan.set_defaults(command=_plan)
+    for command in (run, plan):
+        command.add_argument("file", metavar="FILE", help="the experiment, a TOML file")
+        command.add_argument(
+            "--envs", type=int, metavar="N", help="number of environments instead of that in the file"
+        )
+        command.add_argument(
+            "--duration", type=float, metavar="S", help="simulated seconds instead of those in the file"
+        )
+        command.add_argument(
+            "--device", default="auto", metavar="D", help="cpu, cuda:0, … (default: auto, a GPU if any)"
+        )
+        command.add_argument(
+            "--batch",
+            type=int,
+            metavar="N",
+            help="at most so many environments at once, the others after them (default: as many as fit)",
+        )
 
     inspect = commands.add_parser(
         "inspect", help="report on a mesh file", description="Report on a mesh file. Exit code 1: unusable."
@@ -116,31 +142,28 @@ def _run(arguments: argparse.Namespace) -> int:
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
-    from warpcontact.experiment import Experiment, ExperimentError
+    from warpcontact.experiment import ExperimentError
     from warpcontact.experiment.result import INTERRUPTED as INTERRUPTED_RUN
     from warpcontact.experiment.result import read_summary
-
-    def say(stage: str) -> None:
-        print(f"{stage} …", file=sys.stderr, flush=True)
 
     def warn(text: str) -> None:
         print(f"warning: {text}", file=sys.stderr, flush=True)
 
     folder: Path | None = None
     try:
-        say(f"reading {arguments.file}")
-        experiment = Experiment.from_toml(arguments.file, on_stage=say)
-        for option in ("envs", "duration"):
-            value = getattr(arguments, option)
-            with _blaming(f"--{option} {value}", experiment.source):
-                experiment = experiment.changed(**{option: value})
+        experiment = _experiment(arguments)
         name = re.sub(r"[^\w.-]+", "_", experiment.settings.name).strip("._") or "experiment"
         folder = Path(arguments.out or f"results/{name}")
-        with warnings.catch_warnings(), _blaming(f"--device {arguments.device}", experiment.source):
+        with warnings.catch_warnings(), _blaming_option(arguments, experiment):
             # The summary says it.
             warnings.filterwarnings("ignore", message=".* non-finite and are frozen", category=RuntimeWarning)
             result = experiment.run(
-                folder, device=arguments.device, overwrite=arguments.overwrite, on_stage=say, on_warning=warn
+                folder,
+                device=arguments.device,
+                overwrite=arguments.overwrite,
+                batch=arguments.batch,
+                on_stage=_say,
+                on_warning=warn,
             )
     except ExperimentError as error:
         return _fail(str(error))
@@ -151,6 +174,50 @@ def _run(arguments: argparse.Namespace) -> int:
         return INTERRUPTED
     print(result)
     return 0
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    from warpcontact.experiment import ExperimentError
+    from warpcontact.footprint import MemoryShortage
+
+    try:
+        experiment = _experiment(arguments)
+        with _blaming_option(arguments, experiment):
+            plan = experiment.plan(device=arguments.device, batch=arguments.batch)
+    except ExperimentError as error:
+        return _fail(str(error))
+    except MemoryShortage as error:
+        print(error)
+        return FAILED
+    print(plan)
+    return 0 if plan.batch else FAILED
+
+
+def _experiment(arguments: argparse.Namespace) -> "Experiment":
+    """Reads the experiment of a command, with what its options change."""
+    from warpcontact.experiment import Experiment
+
+    _say(f"reading {arguments.file}")
+    experiment = Experiment.from_toml(arguments.file, on_stage=_say)
+    for option in ("envs", "duration"):
+        value = getattr(arguments, option)
+        with _blaming(f"--{option} {value}", experiment.source):
+            experiment = experiment.changed(**{option: value})
+    return experiment
+
+
+def _say(stage: str) -> None:
+    print(f"{stage} …", file=sys.stderr, flush=True)
+
+
+def _blaming_option(arguments: argparse.Namespace, experiment: "Experiment") -> AbstractContextManager[None]:
+    """Names the option that is left to be wrong: the number of a batch, or the device."""
+    batch = arguments.batch
+    option = f"--batch {batch}" if batch is not None and batch < 1 else f"--device {arguments.device}"
+    return _blaming(option, experiment.source)
 
 
 @contextmanager

@@ -7,6 +7,8 @@ from warpcontact.available import HOST, Room, find_room
 
 # Of what is available, what is planned with: estimates are good to 15 %, and others need some, too.
 USABLE = 0.85
+# The same where one may choose how much to take: more would be no faster, and others may come.
+COMFORTABLE = 0.7
 
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB", "PiB")
 
@@ -133,18 +135,19 @@ def usable(room: Room) -> int:
     return int(USABLE * room.size)
 
 
-def most_that_fit(footprint: Callable[[int], Footprint], envs: int) -> int:
+def most_that_fit(footprint: Callable[[int], Footprint], envs: int, part: float = USABLE) -> int:
     """Returns how many of ``envs`` environments fit at once, 0 if none does.
 
     Args:
         footprint: Returns what a number of environments take; grows with it.
         envs: How many are wanted.
+        part: What may be taken of the available memory.
     """
     rooms = {place: find_room(place) for place in footprint(envs).places}
 
     def fits(count: int) -> bool:
         takes = footprint(count)
-        return all(room is None or takes.on(place) <= usable(room) for place, room in rooms.items())
+        return all(room is None or takes.on(place) <= part * room.size for place, room in rooms.items())
 
     if fits(envs):
         return envs
@@ -177,7 +180,8 @@ def require(footprint: Callable[[int], Footprint], envs: int) -> None:
 def said(footprint: Footprint, room: Room) -> str:
     """Returns that ``footprint`` is too much for ``room``, in words."""
     return (
-        f"{environments(footprint.envs)} need {readable(footprint.on(room.place))} of {room.name}, of which "
+        f"{environments(footprint.envs)} need{'s' if footprint.envs == 1 else ''} "
+        f"{readable(footprint.on(room.place))} of {room.name}, of which "
         f"{readable(usable(room))} can be used ({USABLE:.0%} of the {readable(room.size)} available)"
     )
 

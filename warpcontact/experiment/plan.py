@@ -8,6 +8,7 @@ from warpcontact.build import Draft
 from warpcontact.experiment.result import CHUNK
 from warpcontact.experiment.schema import Settings
 from warpcontact.footprint import (
+    COMFORTABLE,
     Footprint,
     MemoryShortage,
     Need,
@@ -95,6 +96,8 @@ def make_plan(
 
     wanted = settings.envs if batch is None else min(batch, settings.envs)
     most = most_that_fit(footprint, wanted)
+    if batch is None and 0 < most < wanted:
+        most = max(1, most_that_fit(footprint, wanted, COMFORTABLE))
     if batch is not None and most < wanted:
         takes = footprint(wanted)
         room = shortage(takes)
