@@ -205,8 +205,9 @@ def test_too_many_environments_are_refused_before_anything_is_allocated(device, 
     assert caught.value.needed > caught.value.available == int(0.85 * 400 * MIB)
     # So many do fit, and one more does not.
     draft = draw_up(ball_scene(), device)
-    assert footprint.shortage(draft.memory(most)) is None
-    assert footprint.shortage(draft.memory(most + 1)) is not None
+    rooms = footprint.rooms_of(draft.memory(1))
+    assert footprint.shortage(draft.memory(most), rooms) is None
+    assert footprint.shortage(draft.memory(most + 1), rooms) is not None
     with_room(monkeypatch, 100_000)
     with pytest.raises(MemoryError, match="not even one environment fits"):
         ball_scene().build(1, device)
@@ -216,7 +217,7 @@ def test_nothing_is_refused_where_nobody_knows_what_there_is(device, monkeypatch
     with_room(monkeypatch, None)
     assert ball_scene().build(2, device).envs == 2
     draft = draw_up(ball_scene(), device)
-    assert footprint.most_that_fit(draft.memory, 10**12) == 10**12
+    assert footprint.rooms_of(draft.memory(10**12)) == ()
 
 
 def test_recordings_that_do_not_fit_are_refused_before_anything_runs(device, monkeypatch):

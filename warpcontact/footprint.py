@@ -121,60 +121,59 @@ class MemoryShortage(MemoryError):
         self.most = most
 
 
-def shortage(footprint: Footprint) -> Room | None:
-    """Returns the memory that is too small for ``footprint``; ``None``: it fits, or nobody knows."""
-    for place in footprint.places:
-        room = find_room(place)
-        if room is not None and footprint.on(place) > usable(room):
-            return room
-    return None
+def rooms_of(footprint: Footprint) -> tuple[Room, ...]:
+    """Returns what there is of the memory that ``footprint`` needs, where it is known."""
+    return tuple(room for place in footprint.places if (room := find_room(place)) is not None)
 
 
 def usable(room: Room) -> int:
-    """Returns how much of ``room`` is planned with [bytes]."""
+    """Returns how much of ``room`` may be taken [bytes]."""
     return int(USABLE * room.size)
 
 
-def most_that_fit(footprint: Callable[[int], Footprint], envs: int, part: float = USABLE) -> int:
+def shortage(footprint: Footprint, rooms: Iterable[Room], part: float = USABLE) -> Room | None:
+    """Returns the memory of ``rooms`` a ``part`` of which is too little for ``footprint``; ``None``: it fits."""
+    return next((room for room in rooms if footprint.on(room.place) > int(part * room.size)), None)
+
+
+def most_that_fit(
+    footprint: Callable[[int], Footprint], envs: int, rooms: Iterable[Room], part: float = USABLE
+) -> int:
     """Returns how many of ``envs`` environments fit at once, 0 if none does.
 
     Args:
         footprint: Returns what a number of environments take; grows with it.
         envs: How many are wanted.
-        part: What may be taken of the available memory.
+        rooms: What there is.
+        part: How much of it may be taken.
     """
-    rooms = {place: find_room(place) for place in footprint(envs).places}
-
-    def fits(count: int) -> bool:
-        takes = footprint(count)
-        return all(room is None or takes.on(place) <= part * room.size for place, room in rooms.items())
-
-    if fits(envs):
+    if shortage(footprint(envs), rooms, part) is None:
         return envs
     low, high = 0, envs
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if fits(middle) else (low, middle)
+        fits = shortage(footprint(middle), rooms, part) is None
+        low, high = (middle, high) if fits else (low, middle)
     return low
 
 
 def require(footprint: Callable[[int], Footprint], envs: int) -> None:
     """Raises ``MemoryShortage`` unless ``envs`` environments fit, with how many would."""
     takes = footprint(envs)
-    room = shortage(takes)
+    rooms = rooms_of(takes)
+    room = shortage(takes, rooms)
     if room is None:
         return
-    needed, most = takes.on(room.place), most_that_fit(footprint, envs)
-    message = said(takes, room)
+    most = most_that_fit(footprint, envs, rooms)
     if most:
         batches = -(-envs // most)
-        message += (
-            f"; at most {environments(most)} at once fit on {takes.device}: "
+        advice = (
+            f"at most {environments(most)} at once fit{'s' if most == 1 else ''} on {takes.device}: "
             f"run them in {batches} batches of {-(-envs // batches)}"
         )
     else:
-        message += "; not even one environment fits"
-    raise MemoryShortage(message, needed, usable(room), most)
+        advice = "not even one environment fits"
+    raise MemoryShortage(f"{said(takes, room)}; {advice}", takes.on(room.place), usable(room), most)
 
 
 def said(footprint: Footprint, room: Room) -> str:

@@ -12,7 +12,7 @@ import xarray as xr
 from warpcontact._version import __version__
 from warpcontact.arrays import row_bytes
 from warpcontact.available import HOST, Room
-from warpcontact.footprint import Footprint, MemoryShortage, Need, readable, said, shortage, usable
+from warpcontact.footprint import Footprint, MemoryShortage, Need, readable, rooms_of, said, shortage, usable
 from warpcontact.model import Model
 from warpcontact.parameters import Parameter
 from warpcontact.readings import AXES, Reading, status_attributes
@@ -185,7 +185,7 @@ class Recorder:
         """
         envs, frames, device = self.model.envs, len(self.times), str(self.model.device)
         footprint = Footprint(envs, device, tuple(self.size().needs(device, envs, frames)))
-        room = shortage(footprint)
+        room = shortage(footprint, rooms_of(footprint))
         if room is not None:
             raise MemoryShortage(self._too_much(footprint, room), footprint.on(room.place), usable(room))
         for channel in self.channels:

@@ -19,7 +19,6 @@ from warpcontact.experiment.result import Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
 from warpcontact.experiment.variation import Draw, truncated
-from warpcontact.footprint import require
 from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import whole_steps
@@ -195,8 +194,7 @@ class Experiment:
         say(f"building {self.settings.envs} environments")
         draft = self._draft(device)
         plan = make_plan(draft, self._size, self.settings, self._values, batch)
-        if not plan.batch:
-            require(lambda _: plan.footprint, 1)
+        plan.require()
         model = draft.build(plan.batch)
         return execute(model, Job(self.settings, self._values, plan, copy, folder, progress, say, notices))
 

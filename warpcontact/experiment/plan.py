@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from warpcontact.available import HOST, Room, find_room
+from warpcontact.available import HOST, Room
 from warpcontact.build import Draft
 from warpcontact.experiment.result import CHUNK
 from warpcontact.experiment.schema import Settings
@@ -15,6 +15,7 @@ from warpcontact.footprint import (
     environments,
     most_that_fit,
     readable,
+    rooms_of,
     said,
     shortage,
     usable,
@@ -51,6 +52,13 @@ class Plan:
     def batches(self) -> int:
         """How many batches follow each other."""
         return -(-self.envs // self.batch) if self.batch else 0
+
+    def require(self) -> None:
+        """Raises ``MemoryError`` if not even one environment fits."""
+        room = None if self.batch else shortage(self.footprint, self.rooms)
+        if room is not None:
+            message = f"{said(self.footprint, room)}; not even one environment fits"
+            raise MemoryShortage(message, self.footprint.on(room.place), usable(room), 0)
 
     def __str__(self) -> str:
         lines = [str(self.footprint)]
@@ -95,20 +103,17 @@ def make_plan(
         )
 
     wanted = settings.envs if batch is None else min(batch, settings.envs)
-    most = most_that_fit(footprint, wanted)
+    rooms = rooms_of(footprint(1))
+    most = most_that_fit(footprint, wanted, rooms)
     if batch is None and 0 < most < wanted:
-        most = max(1, most_that_fit(footprint, wanted, COMFORTABLE))
-    if batch is not None and most < wanted:
+        most = max(1, most_that_fit(footprint, wanted, rooms, COMFORTABLE))
+    elif batch is not None and most < wanted and (room := shortage(footprint(wanted), rooms)) is not None:
         takes = footprint(wanted)
-        room = shortage(takes)
-        assert room is not None
-        advice = f"at most {most}" if most else "not even one environment"
-        message = f"batch {batch}: {said(takes, room)}; {advice} at once fits on {device}"
+        advice = f"at most {most} at once" if most else "not even one environment"
+        message = f"batch {batch}: {said(takes, room)}; {advice} fits on {device}"
         raise MemoryShortage(message, takes.on(room.place), usable(room), most)
     chosen = batch_size(most, settings.envs) if most else 0
-    takes = footprint(chosen or 1)
-    rooms = tuple(room for place in takes.places if (room := find_room(place)) is not None)
-    return Plan(settings.envs, chosen, takes, size.on_host(settings.envs, frames), rooms)
+    return Plan(settings.envs, chosen, footprint(chosen or 1), size.on_host(settings.envs, frames), rooms)
 
 
 def frame_count(settings: Settings) -> int:

@@ -1,0 +1,240 @@
+"""An experiment that does not fit at once runs in batches, and leaves the same results."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from test_experiment import content
+from test_memory_plan import with_room
+
+import warpcontact as wc
+from warpcontact.experiment.plan import batch_size
+
+VARIED = {
+    "ball.mass": {"uniform": [0.5, 2.0]},
+    "ball.position": {"uniform": [[-1, -1, 0.09], [1, 1, 0.2]]},
+    "touch.law.stiffness": {"linspace": [1e4, 2e4]},
+    "ball.inertia": {"solid_sphere": {"mass": "ball.mass", "radius": "touch.radius"}},
+}
+
+
+def varied(**changes):
+    """Environments that differ in what is stored alone and what is stored with that of other bodies."""
+    bodies = [*content()["body"], {"name": "rock", "mass": 2.0, "inertia": [1, 1, 1], "position": [0, 0, 5]}]
+    readings = ["touch.gap", "touch.status", "scene.kinetic_energy", "touch.normal"]
+    return wc.Experiment(content(envs=11, body=bodies, variation=VARIED, record={"readings": readings}, **changes))
+
+
+def stored(run):
+    """Returns the recording in the folder of a run, by the metadata in one place and by those of each array."""
+    whole = xr.open_zarr(run.files["recording"], chunks=None).load()
+    assert whole.identical(xr.open_zarr(run.files["recording"], consolidated=False, chunks=None).load())
+    return whole
+
+
+@pytest.fixture(scope="module")
+def at_once(device, tmp_path_factory):
+    return varied().run(tmp_path_factory.mktemp("once") / "out", device=device)
+
+
+@pytest.mark.parametrize(("batch", "batches"), [(1, 11), (2, 6), (4, 3), (10, 2), (11, 1), (1000, 1)])
+def test_batches_leave_the_same_results(batch, batches, at_once, device, tmp_path):
+    run = varied().run(tmp_path / "out", device=device, batch=batch)
+    assert stored(run).identical(stored(at_once))
+    assert list(stored(run)) == list(stored(at_once))
+    assert run.recording.identical(stored(run)) or batches == 1
+    assert run.recording["env"].values.tolist() == list(range(11))
+    assert run.recording.scene is not None
+    assert (run.summary["batches"], run.summary["envs"]) == (batches, 11)
+    assert run.summary["batch"] <= batch
+    assert run.summary["steps"] == at_once.summary["steps"]
+    assert set(run.files) == set(at_once.files)
+    # Pictures of the same values, whatever has to be read for them; animations of environments of many batches.
+    assert run.files["picture"].read_bytes() == at_once.files["picture"].read_bytes()
+    assert animation(run) == animation(at_once)
+
+
+def animation(run):
+    from pxr import Usd
+
+    return Usd.Stage.Open(str(run.files["animation"])).GetRootLayer().ExportToString()
+
+
+def test_the_plan_decides_on_batches(at_once, device, tmp_path, monkeypatch):
+    from warpcontact import footprint
+
+    plan = varied().plan(device=device)
+    assert (plan.envs, plan.batch, plan.batches) == (11, 11, 1)
+    assert "11 environments: all at once" in str(plan)
+    # Room for some of them, in steps in which one environment counts.
+    monkeypatch.setattr(footprint, "COMFORTABLE", 0.85)
+    monkeypatch.setattr("warpcontact.experiment.plan.COMFORTABLE", 0.85)
+    place = plan.footprint.places[-1]
+    with_room(monkeypatch, int(varied().plan(device=device, batch=5).footprint.on(place) / 0.85) + 64)
+    plan = varied().plan(device=device)
+    assert 1 <= plan.batch <= 5
+    assert f"11 environments: {plan.batches} batches of {plan.batch}, one after another" in str(plan)
+    run = varied().run(tmp_path / "out", device=device)
+    assert run.summary["batches"] == plan.batches > 1
+    assert stored(run).identical(stored(at_once))
+    with pytest.raises(MemoryError, match=r"batch 11: 11 environments need .*; at most \d+ at once fits on"):
+        varied().run(tmp_path / "more", device=device, batch=11)
+    assert not (tmp_path / "more").exists()
+
+
+def test_frozen_environments_keep_their_numbers(device, tmp_path):
+    # A force beyond float32 in some environments, of several batches.
+    stiffness = {"values": [1e4, 1e4, 1e38, 1e4, 1e38, 1e4, 1e38]}
+    body = content()["body"][0] | {"position": [0, 0, 0.05]}
+    experiment = wc.Experiment(content(envs=7, body=[body], variation={"touch.law.stiffness": stiffness}))
+    with pytest.warns(RuntimeWarning, match="3 of 7 environments turned non-finite") as warned:
+        run = experiment.run(tmp_path / "out", device=device, batch=3)
+    assert sum("non-finite" in str(warning.message) for warning in warned) == 1
+    assert run.health.frozen.tolist() == [2, 4, 6]
+    assert (run.health.envs, run.health.good) == (7, False)
+    assert json.loads(run.files["summary"].read_text())["frozen_environments"] == [2, 4, 6]
+    assert stored(run).attrs["frozen_environments"] == [2, 4, 6]
+    assert "3 of 7 environments turned non-finite" in str(run)
+
+
+def test_an_environment_that_fills_up_the_last_batch_is_not_reported(device, tmp_path):
+    body = content()["body"][0] | {"position": [0, 0, 0.05]}
+    stiffness = {"values": [1e4, 1e4, 1e4, 1e4, 1e38]}
+    experiment = wc.Experiment(content(envs=5, body=[body], variation={"touch.law.stiffness": stiffness}))
+    with pytest.warns(RuntimeWarning, match="1 of 5 environments turned non-finite"):
+        run = experiment.run(tmp_path / "out", device=device, batch=3)
+    assert run.health.frozen.tolist() == [4]
+    assert run.recording.sizes["env"] == 5
+
+
+def test_sets_of_as_many_points_as_a_batch_has_environments(device, tmp_path):
+    """Of three environments, a value for each is no value for each of three points."""
+    points = [{"name": "centre", "body": "ball", "positions": np.eye(3).tolist()}]
+    values = {"touch.law.stiffness": {"linspace": [1e4, 2e4]}, "centre.position": {"uniform": [[0] * 3, [1] * 3]}}
+    raw = content(envs=6, point=[], points=points, variation=values)
+    once = wc.Experiment(raw).run(tmp_path / "once", device=device)
+    batches = wc.Experiment(raw).run(tmp_path / "batches", device=device, batch=3)
+    assert stored(batches).identical(stored(once))
+    assert stored(once)["touch.law.stiffness"].dims == ("env", "item")
+
+
+def test_warnings_name_environments_by_their_numbers_among_all(device, tmp_path):
+    stiffness = {"values": [1e3, 1e3, 1e3, 1e3, 1e7, 1e3]}
+    experiment = wc.Experiment(content(envs=6, variation={"touch.law.stiffness": stiffness}))
+    with pytest.warns(wc.ContactWarning, match="in environment 4, "):
+        run = experiment.run(tmp_path / "out", device=device, batch=2)
+    assert sum("is too long" in line for line in run.summary["warnings"]) == 1
+
+
+def test_the_bar_counts_the_steps_of_all_batches(device, tmp_path, monkeypatch):
+    import tqdm
+
+    bars = []
+
+    class Bar(tqdm.tqdm):
+        def __init__(self, *args, **options):
+            super().__init__(*args, **options)
+            bars.append(self)
+
+    monkeypatch.setattr(tqdm, "tqdm", Bar)
+    wc.Experiment(content(envs=5)).run(tmp_path / "out", device=device, batch=2, progress=True)
+    assert [(bar.total, bar.n) for bar in bars] == [(3 * 20, 3 * 20)]
+    assert bars[0].desc.startswith("5 environments in 3 batches")
+
+
+def test_an_interrupted_batch_leaves_nothing_behind(device, tmp_path, monkeypatch):
+    taken = []
+    run = wc.Simulation.run
+
+    def interrupted(self, *args, **options):
+        taken.append(self.model.first_env)
+        if len(taken) == 2:
+            assert (tmp_path / "recording.zarr").exists()  # of the first batch
+            raise KeyboardInterrupt
+        return run(self, *args, **options)
+
+    monkeypatch.setattr(wc.Simulation, "run", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        wc.Experiment(content(envs=6)).run(tmp_path, device=device, batch=2)
+    assert taken == [0, 2]
+    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+    assert json.loads((tmp_path / "run.json").read_text())["state"] == "interrupted"
+    monkeypatch.undo()
+    assert wc.Experiment(content(envs=6)).run(tmp_path, device=device, batch=2).health.good
+
+
+def test_values_that_do_not_fit_are_found_before_anything_is_removed(device, tmp_path):
+    wc.Experiment(content()).run(tmp_path, device=device)
+    scale = {"values": [1.0, 1.0, 1.0, 1e-60]}  # positive, and zero in float32
+    experiment = wc.Experiment(content(variation={"touch.radius": {"value": 0.1}, "ground.scale": scale}))
+    with pytest.raises(ValueError, match="does not fit into float32"):
+        experiment.run(tmp_path, device=device, overwrite=True, batch=2)
+    assert (tmp_path / "recording.zarr").exists()
+
+
+@pytest.mark.parametrize("batch", [0, -3, 1.5, "many", True])
+def test_wrong_batches_are_refused_by_name(batch, tmp_path):
+    with pytest.raises(wc.ExperimentError, match=r"batch must be a whole number of at least 1, got"):
+        wc.Experiment(content()).run(tmp_path / "out", batch=batch)
+    with pytest.raises(wc.ExperimentError, match=r"batch must be a whole number of at least 1, got"):
+        wc.Experiment(content()).plan(batch=batch)
+    assert not (tmp_path / "out").exists()
+
+
+def test_batches_are_even_and_of_round_size():
+    rng = np.random.default_rng(0)
+    for _ in range(2000):
+        envs = int(np.exp(rng.uniform(0, 16)))
+        most = int(np.exp(rng.uniform(0, 16)))
+        size = batch_size(most, envs)
+        assert 1 <= size <= max(1, min(most, envs))
+        if size < envs:
+            batches = -(-envs // size)
+            # Rounding costs a thirtieth, and hardly a batch.
+            assert size * batches < envs * 33 / 32 + size
+            assert batches <= -(-envs // most) * 33 / 32 + 1
+            assert size % (1 << max(0, most.bit_length() - 6)) == 0
+    assert batch_size(4, 10) == 4
+    assert batch_size(7, 10) == 5
+
+
+def test_pieces_on_disk_are_parts_of_a_batch(device, tmp_path, monkeypatch):
+    monkeypatch.setattr("warpcontact.experiment.result.CHUNK", 700)  # a few environments of 21 frames
+    run = wc.Experiment(content(envs=20)).run(tmp_path / "out", device=device, batch=8)
+    size = run.summary["batch"]
+    chunks = {name: array.chunks for name, array in zarr.open_group(run.files["recording"], mode="r").arrays()}
+    # 21 frames of 24 bytes: one environment; of 4 bytes: eight.
+    assert size == 7
+    assert chunks["ball.position"] == (21, 1, 3)
+    assert chunks["touch.gap"] == (21, 7)
+    once = wc.Experiment(content(envs=20)).run(tmp_path / "once", device=device)
+    assert stored(run).identical(stored(once))
+
+
+def test_a_recording_of_batches_is_read_where_it_is_asked_for(device, tmp_path):
+    run = wc.Experiment(content(envs=6)).run(tmp_path / "out", device=device, batch=2)
+    assert not run.recording["ball.position"].variable._in_memory
+    assert run.recording["touch.gap"].sel(env=5).values.shape == (21,)
+    assert isinstance(run.recording, wc.Recording)
+    wc.export_usd(run.recording, tmp_path / "two.usda", envs=[1, 5])
+    assert "env_5" in (tmp_path / "two.usda").read_text()
+
+
+def test_command_runs_in_batches(device, tmp_path, capsys):
+    from warpcontact.cli import main
+
+    (tmp_path / "study.toml").write_text(
+        "duration = 0.01\ndt = 1e-3\nenvs = 5\n"
+        '[[body]]\nname = "b"\nmass = 1\ninertia = [1, 1, 1]\n'
+        '[variation]\n"b.mass" = { linspace = [1, 2] }\n'
+    )
+    words = ["run", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"), "--device", device]
+    assert main([*words, "--batch", "2"]) == 0
+    out, err = capsys.readouterr()
+    assert "3 batches of 2" in err
+    assert "5 environments × 0.01 s in 10 steps of 0.001 s" in out
+    assert "all 5 environments are active" in out
+    assert main([*words, "--batch", "0"]) == 2
+    assert "--batch 0: batch must be" in capsys.readouterr().err
