@@ -107,6 +107,7 @@ class Experiment:
 
         Raises:
             ExperimentError: If there is no such device, or a value is out of range.
+            MemoryError: If they take more memory than there is; ``run`` takes one batch after another then.
         """
         with self._own.blamed():
             return self.changed(envs=envs)._build(device)

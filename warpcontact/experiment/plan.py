@@ -1,10 +1,11 @@
 """What an experiment takes of memory and disk, and how many of its environments run at once."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from warpcontact.available import HOST, Room
 from warpcontact.build import Draft
+from warpcontact.checks import Array
 from warpcontact.experiment.result import CHUNK
 from warpcontact.experiment.schema import Settings
 from warpcontact.footprint import (
@@ -24,7 +25,7 @@ from warpcontact.model import Model
 from warpcontact.recorder import Recorder, RecordingSize
 from warpcontact.simulation import whole_steps
 
-# Pieces of a recording that are compressed at once, each with its result.
+# Pieces of a recording that are compressed at once; measured.
 WRITTEN_AT_ONCE = 16
 # A batch is rounded to this many significant bits, so that the pieces of a recording are parts of it.
 BITS = 6
@@ -75,7 +76,7 @@ class Plan:
 
 
 def make_plan(
-    draft: Draft, size: RecordingSize, settings: Settings, varied: Collection[str], batch: int | None
+    draft: Draft, size: RecordingSize, settings: Settings, varied: Mapping[str, Array], batch: int | None
 ) -> Plan:
     """Returns how the experiment runs on the device of ``draft``.
 
@@ -83,7 +84,7 @@ def make_plan(
         draft: Its scene, ready to be built.
         size: What its recording takes.
         settings: The experiment, with all defaults.
-        varied: Names of the parameters that vary.
+        varied: Values of the parameters that vary, of all environments.
         batch: How many environments are to run at once at most; ``None``: as many as fit.
 
     Raises:
@@ -93,11 +94,12 @@ def make_plan(
     device = str(draft.device)
 
     def footprint(envs: int) -> Footprint:
-        writing = min(2 * WRITTEN_AT_ONCE * CHUNK, 2 * size.on_host(envs, frames))
+        writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, frames))
         return draft.memory(envs, varied).with_needs(
             [
                 *draft.measures(draft.device, size.measured, envs),
                 *size.needs(device, envs, frames),
+                Need("values", HOST, sum(values.nbytes for values in varied.values())),
                 Need("writing", HOST, writing),
             ]
         )

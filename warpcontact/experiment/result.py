@@ -63,9 +63,10 @@ class Run:
     def __str__(self) -> str:
         s = self.summary
         rate = f"{s['env_steps_per_second']:.3g} environment steps per second"
+        batches = f" in {s['batches']} batches" if s.get("batches", 1) > 1 else ""
         lines = [
             f"{s['name']}: {s['envs']} environments × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s",
-            f"{s['wall_time']:.1f} s on {s['device']}, {rate}",
+            f"{s['wall_time']:.1f} s on {s['device']}{batches}, {rate}",
             str(self.health),
             *(f"  {kind:<11} {path}" for kind, path in sorted(self.files.items())),
         ]
