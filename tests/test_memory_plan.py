@@ -134,7 +134,7 @@ def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
     planned = draw_up(scene, device, precision).memory(envs, varied)
     actual = model.memory()
     assert planned.of("parameters") == actual.of("parameters")
-    measured = model.measures(model.device, {"bodies", "points"}, envs)
+    measured = model.measures_needs(model.device, {"bodies", "points"}, envs)
     if name != "nothing to touch":
         assert actual.of("measures") == sum(need.size for need in measured)
 
@@ -206,11 +206,28 @@ def test_too_many_environments_are_refused_before_anything_is_allocated(device, 
     # So many do fit, and one more does not.
     draft = draw_up(ball_scene(), device)
     rooms = footprint.rooms_of(draft.memory(1))
-    assert footprint.shortage(draft.memory(most), rooms) is None
-    assert footprint.shortage(draft.memory(most + 1), rooms) is not None
+    assert footprint.shortage(draft.memory(most, graphs=False), rooms) is None
+    assert footprint.shortage(draft.memory(most + 1, graphs=False), rooms) is not None
     with_room(monkeypatch, 100_000)
     with pytest.raises(MemoryError, match="not even one environment fits"):
         ball_scene().build(1, device)
+
+
+def test_steps_that_do_not_fit_are_refused_before_they_are_captured(monkeypatch):
+    model = ball_scene().build(20_000, "cpu")
+    with_room(monkeypatch, 200 * MIB)
+    message = r"to step them, 20000 environments need .* at most \d+ environments at once .*, or take graphs=False"
+    with pytest.raises(MemoryError, match=message):
+        wc.Simulation(model, dt=1e-4)
+    assert wc.Simulation(model, dt=1e-4, graphs=False).memory().of("launches") < 10 * MIB
+
+
+def test_what_cannot_be_captured_takes_no_graphs(device):
+    draft = draw_up(busy_scene(), device)
+    assert draft.memory(9, crossing_steps=4).of("launches") < draft.memory(9).of("launches")
+    model = busy_scene().build(9, device)
+    sim = wc.Simulation(model, dt=1e-4, crossing_steps=4)
+    assert sim.memory().of("launches") == draft.memory(9, crossing_steps=4).of("launches")
 
 
 def test_nothing_is_refused_where_nobody_knows_what_there_is(device, monkeypatch):

@@ -1,7 +1,6 @@
-"""Scene × environments → Model: the arrays of bodies, points, surfaces and contacts."""
+"""Scene → Draft → Model: the arrays of bodies, points, surfaces and contacts."""
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,18 +11,17 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact import elements as limits_of
 from warpcontact.arrays import Layout, fixed, per_env
-from warpcontact.blocks import Blocks, make_blocks, upload_blocks
+from warpcontact.blocks import make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
-from warpcontact.footprint import Footprint, require
+from warpcontact.draft import Draft
 from warpcontact.frames import placed
-from warpcontact.groups import Group, by_code, compile_group, make_group
+from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
-from warpcontact.model import Model, OfScene
-from warpcontact.parameters import Field, Parameter, Parameters, Upload, needs_of, pack, split
+from warpcontact.model import Model
+from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import upload_patches
-from warpcontact.readings import Reading, readings_of
+from warpcontact.readings import readings_of
 from warpcontact.scene import Contact, Points, Scene, Surface
-from warpcontact.stepping import stepping_needs
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
@@ -46,75 +44,6 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
     if isinstance(envs, bool) or not isinstance(envs, int | np.integer) or envs < 1:
         raise ValueError(f"envs must be a whole number of at least 1, got {envs!r}")
     return draw_up(scene, device, precision).build(int(envs))
-
-
-@dataclass(frozen=True)
-class Draft(OfScene):
-    """Everything of a model but the number of environments, and no memory on its device yet.
-
-    Attributes:
-        scene: The scene.
-        device: Warp device.
-        precision: ``"float32"`` or ``"float64"``.
-        types: Structs.
-        layout: What is to lie on the device.
-        arrays: The arrays, once they are built.
-        parameters: The parameters.
-        groups: The contacts by the code of their laws and frictions.
-        blocks: The contacts by what lies together.
-        readings: What can be measured.
-        meshes: What is searched, once it is built.
-    """
-
-    scene: Scene
-    device: wp.Device
-    precision: str
-    types: SimpleNamespace
-    layout: Layout
-    arrays: SimpleNamespace
-    parameters: Parameters
-    groups: list[Group]
-    blocks: Blocks
-    readings: dict[str, Reading]
-    meshes: list[wp.Mesh]
-
-    def memory(self, envs: int, varied: Collection[str] = ()) -> Footprint:
-        """Returns what ``envs`` environments would take, and a simulation that steps them.
-
-        Args:
-            envs: Number of environments.
-            varied: Names of the parameters that are to have a value per environment.
-        """
-        needs = self.layout.needs(envs)
-        needs += needs_of(self.parameters.by_name, self.parameters.uploads, envs, varied)
-        return Footprint(envs, str(self.device), tuple(needs + stepping_needs(self, envs)))
-
-    def build(self, envs: int) -> Model:
-        """Returns the model of ``envs`` environments; once.
-
-        Raises:
-            MemoryError: If it takes more memory than there is.
-            TypeError: If a law or friction does not compile.
-        """
-        require(self.memory, envs)
-        for group in self.groups:
-            compile_group(group, self.device, self.types.real)
-        self.layout.allocate(envs)
-        return Model(
-            scene=self.scene,
-            envs=envs,
-            device=self.device,
-            precision=self.precision,
-            types=self.types,
-            layout=self.layout,
-            arrays=self.arrays,
-            parameters=self.parameters.by_name,
-            uploads=self.parameters.uploads,
-            groups=self.groups,
-            blocks=self.blocks,
-            readings=self.readings,
-            meshes=self.meshes,
-        )
 
 
 def draw_up(scene: Scene, device: str = "auto", precision: str = "float32") -> Draft:

@@ -3,7 +3,6 @@
 import difflib
 from collections.abc import Iterator, Set
 from dataclasses import dataclass
-from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,12 +10,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from warpcontact.arrays import Layout, broadcast, per_env
+from warpcontact.arrays import Layout, broadcast
 from warpcontact.blocks import Blocks
 from warpcontact.checks import Array
-from warpcontact.footprint import Footprint, Need, require
+from warpcontact.footprint import Footprint, require
 from warpcontact.groups import Group
 from warpcontact.health import Health
+from warpcontact.of_scene import MEASURES, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
@@ -44,40 +44,6 @@ class State:
     body_orientation: wp.array
     body_linear_velocity: wp.array
     body_angular_velocity: wp.array
-
-
-class OfScene:
-    """What follows from a scene alone, whatever the number of its environments."""
-
-    scene: Scene
-
-    @cached_property
-    def body_count(self) -> int:
-        """Number of bodies of an environment."""
-        return len(self.scene.bodies)
-
-    @cached_property
-    def contact_count(self) -> int:
-        """Number of contacts of an environment."""
-        return sum(contact.count for contact in self.scene.contacts)
-
-    @cached_property
-    def sweeps(self) -> bool:
-        """Whether any contact looks for crossings."""
-        return any(contact.swept for contact in self.scene.contacts)
-
-    @cached_property
-    def follows(self) -> bool:
-        """Whether any contact stays with what it touched."""
-        return self.sweeps or any(contact.entry == "latched" for contact in self.scene.contacts)
-
-    def measures(self, device: wp.Device, needs: Set[str], envs: int) -> list[Need]:
-        """Returns what ``envs`` environments take that readings with these ``needs`` are measured into."""
-        layout = Layout(device)
-        for name, declare in _MEASURES.items():
-            if name in needs:
-                declare(layout, self)
-        return layout.needs(envs)
 
 
 class Model(OfScene):
@@ -285,16 +251,16 @@ class Model(OfScene):
         Raises:
             MemoryError: If that is more than there is.
         """
-        missing = {name for name in needs & _MEASURES.keys() if getattr(self.arrays, name) is None}
+        missing = [name for name in MEASURES if name in needs and getattr(self.arrays, name) is None]
         if not missing:
             return
 
         def footprint(envs: int) -> Footprint:
-            return Footprint(envs, str(self.device), tuple(self.measures(self.device, missing, envs)))
+            return Footprint(envs, str(self.device), tuple(self.measures_needs(self.device, missing, envs)))
 
         require(footprint, self.envs)
         for name in missing:
-            setattr(self.arrays, name, _MEASURES[name](self.layout, self))
+            setattr(self.arrays, name, MEASURES[name](self.layout, self))
         self.layout.allocate(self.envs)
 
     def memory(self) -> Footprint:
@@ -372,22 +338,6 @@ class Model(OfScene):
             f"<Model of {self.envs} environments: {self.body_count} bodies, {self.contact_count} contacts, "
             f"{self.precision} on {self.device}>"
         )
-
-
-def _bodies(layout: Layout, model: OfScene) -> Any:
-    from warpcontact.kernels import measures
-
-    return layout.struct("measures", measures.Bodies, per_env(model.body_count))
-
-
-def _points(layout: Layout, model: OfScene) -> Any:
-    from warpcontact.kernels import measures
-
-    return layout.struct("measures", measures.Points, per_env(model.contact_count))
-
-
-# What readings are measured into, by what they need.
-_MEASURES = {"bodies": _bodies, "points": _points}
 
 
 def _look_up(kind: str, name: str, table: dict[str, Any]) -> Any:

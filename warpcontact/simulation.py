@@ -13,7 +13,7 @@ from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
 from warpcontact.arrays import Layout, broadcast
 from warpcontact.crew import Crew, available_threads
-from warpcontact.footprint import Footprint
+from warpcontact.footprint import Footprint, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.model import Model
 from warpcontact.parameters import rounded
@@ -40,6 +40,9 @@ class Simulation:
             on the CPU it does in any case, whatever the number of threads.
         distance_cache: Whether what is known of distances from earlier steps saves work; results are the same.
         graphs: Whether steps are captured and replayed, without a word from Python; results are the same.
+
+    Raises:
+        MemoryError: If stepping takes more memory than there is.
     """
 
     def __init__(
@@ -78,6 +81,8 @@ class Simulation:
         self.graphs = bool(graphs)
         self._advised = False
         part = self.dt / self.crossing_steps
+        hint = ", or take graphs=False" if self.graphs and model.device.is_cpu else ""
+        require(self._stepping, model.envs, "to step them, ", hint)
         # Steps go from one buffer to the other and back; between calls the state is always in the model's.
         self.layout = Layout(model.device)
         self._buffers = declare_buffers(self.layout, model, (self.dt, part, part - self.dt, self.dt - part))
@@ -102,16 +107,20 @@ class Simulation:
 
     def memory(self) -> Footprint:
         """Returns what the model and this simulation take of memory; recordings come on top."""
+        return self.model.footprint().with_needs(self._stepping(self.model.envs).needs)
+
+    def _stepping(self, envs: int) -> Footprint:
+        """Returns what this simulation would take if it had ``envs`` environments, beside the model."""
         needs = stepping_needs(
             self.model,
-            self.model.envs,
+            envs,
             self.integrator,
             crossing_steps=self.crossing_steps,
             threads=self.threads,
             distance_cache=self.distance_cache,
             graphs=self.graphs,
         )
-        return self.model.footprint().with_needs(needs)
+        return Footprint(envs, str(self.model.device), tuple(needs))
 
     def reset(self, env_mask: ArrayLike | None = None) -> None:
         """Puts environments back to their initial state, with empty history.

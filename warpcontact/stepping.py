@@ -16,7 +16,7 @@ from warpcontact.schedule import Span
 from warpcontact.slices import GRAPH_STEPS, Slice, Times
 
 if TYPE_CHECKING:
-    from warpcontact.build import Draft
+    from warpcontact.draft import Draft
     from warpcontact.model import Model
 
 # Of the cache of a core that a slice may fill, and what a contact and a body take of it; measured.

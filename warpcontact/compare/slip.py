@@ -139,6 +139,7 @@ def swings(
     simulation = Simulation(model, dt)
     forces = [f"touch_{k}.friction_force" for k in range(len(chosen))]
     recorder = Recorder(model, [*forces, "ball_0.position"], frames=len(place), poses=False)
+    recorder.start()
     state = np.zeros((2, len(sizes), len(chosen), 3))
     state[0, ..., 2] = RADIUS - DEPTH
     for frame in range(len(place)):

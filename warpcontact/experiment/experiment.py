@@ -5,7 +5,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from warpcontact.build import Draft, draw_up
+from warpcontact.build import draw_up
+from warpcontact.draft import Draft
 from warpcontact.experiment import result
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FileMesh

@@ -27,7 +27,7 @@ TRACKS = 200
 # Quantiles of more environments than this look the same and take longer.
 SAMPLE = 4096
 # What is read at once of the tracks of all [bytes].
-PIECE = 64 * 2**20
+PIECE = 16 * 2**20
 COLORS = "plasma"
 # Values that span more than this factor are coloured on a logarithmic scale.
 LOGARITHMIC = 30.0

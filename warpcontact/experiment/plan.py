@@ -4,8 +4,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from warpcontact.available import HOST, Room
-from warpcontact.build import Draft
 from warpcontact.checks import Array
+from warpcontact.draft import Draft
 from warpcontact.experiment.result import CHUNK
 from warpcontact.experiment.schema import Settings
 from warpcontact.footprint import (
@@ -95,9 +95,9 @@ def make_plan(
 
     def footprint(envs: int) -> Footprint:
         writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, frames))
-        return draft.memory(envs, varied).with_needs(
+        return draft.memory(envs, varied, crossing_steps=settings.crossing_steps).with_needs(
             [
-                *draft.measures(draft.device, size.measured, envs),
+                *draft.measures_needs(draft.device, size.measured, envs),
                 *size.needs(device, envs, frames),
                 Need("values", HOST, sum(values.nbytes for values in varied.values())),
                 Need("writing", HOST, writing),
