@@ -155,10 +155,12 @@ def test_a_footprint_says_what_for_and_where(device):
         assert f"  {purpose}" in text
     assert text.startswith("4096 environments on ")
     assert "MiB" in repr(memory)
+    assert memory.of("surfaces") <= memory.fixed_bytes < memory.bytes_per_env * 4096
+    assert " in any case" in text
     if model.device.is_cpu:
         assert memory.device_bytes == 0  # there is one memory, the host's
         assert memory.places == (HOST,)
-        assert "which is that of the CPU as well" in text
+        assert "memory of this machine (the CPU has no other): " in text
     else:
         assert memory.places == (str(model.device), HOST)
         assert memory.device_bytes > memory.of("state")

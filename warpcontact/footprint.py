@@ -64,6 +64,11 @@ class Footprint:
         return sum(need.per_env for need in self.needs)
 
     @property
+    def fixed_bytes(self) -> int:
+        """What is taken whatever the number of environments, on device and host together."""
+        return _fixed(self.needs, self.envs)
+
+    @property
     def places(self) -> tuple[str, ...]:
         """Where it takes memory, devices first."""
         found = dict.fromkeys(need.place for need in self.needs)
@@ -92,8 +97,8 @@ class Footprint:
             own = [need for need in self.needs if need.place == place]
             name = "host" if place == HOST else place
             if place == HOST and self.device == "cpu":
-                name = "memory of this machine, which is that of the CPU as well"
-            lines.append(f"{name}: {_line(own)}")
+                name = "memory of this machine (the CPU has no other)"
+            lines.append(f"{name}: {_line(own)}, {readable(_fixed(own, self.envs))} in any case")
             for purpose in dict.fromkeys(need.purpose for need in own):
                 of_it = [need for need in own if need.purpose == purpose]
                 if sum(need.size for need in of_it):
@@ -203,6 +208,11 @@ def readable(size: float) -> str:
     while abs(size) >= 1024.0 and unit < len(_UNITS) - 1:
         size, unit = size / 1024.0, unit + 1
     return f"{size:.0f} {_UNITS[unit]}" if unit == 0 or size >= 999.5 else f"{size:.3g} {_UNITS[unit]}"
+
+
+def _fixed(needs: Iterable[Need], envs: int) -> int:
+    """Returns what of ``needs`` does not come with the environments."""
+    return max(0, round(sum(need.size - envs * need.per_env for need in needs)))
 
 
 def _line(needs: list[Need]) -> str:

@@ -200,11 +200,12 @@ class Simulation:
         """
         from tqdm import tqdm
 
-        steps = whole_steps("duration", duration, self.dt, exact=False)
-        stride = 1 if every is None else whole_steps("every", every, self.dt, exact=True)
+        steps, stride = recorded_steps(duration, every, self.dt)
         if isinstance(record, str):
             raise TypeError(f"record must be a list of readings, got the string {record!r}")
-        recorder = Recorder(self.model, record, frames=steps // stride + 1, poses=poses, parameters=parameters)
+        recorder = Recorder(
+            self.model, record, frames=frame_count(steps, stride), poses=poses, parameters=parameters
+        )
         recorder.start()
         start = self.time
         recorder.take(start)
@@ -248,6 +249,17 @@ def _at_least_one(name: str, value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
         raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
     return int(value)
+
+
+def recorded_steps(duration: float, every: float | None, dt: float) -> tuple[int, int]:
+    """Returns the number of steps of a run, and of those from frame to frame; arguments are those of ``run``."""
+    steps = whole_steps("duration", duration, dt, exact=False)
+    return steps, 1 if every is None else whole_steps("every", every, dt, exact=True)
+
+
+def frame_count(steps: int, stride: int) -> int:
+    """Returns the number of frames of a run, that of the start included."""
+    return steps // stride + 1
 
 
 def whole_steps(name: str, time: float, dt: float, *, exact: bool) -> int:

@@ -18,7 +18,7 @@ from warpcontact.experiment.schema import Settings
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
 from warpcontact.scene import Scene
-from warpcontact.simulation import Simulation, whole_steps
+from warpcontact.simulation import Simulation, recorded_steps
 
 
 class Batches:
@@ -70,7 +70,7 @@ class Batches:
         """
         from tqdm import tqdm
 
-        steps = whole_steps("duration", self.settings.duration, self.settings.dt, exact=False)
+        steps, _ = recorded_steps(self.settings.duration, self.settings.record.every, self.settings.dt)
         with tqdm(
             total=steps * self.plan.batches,
             unit="step",

@@ -23,7 +23,7 @@ from warpcontact.footprint import (
 )
 from warpcontact.model import Model
 from warpcontact.recorder import Recorder, RecordingSize
-from warpcontact.simulation import whole_steps
+from warpcontact.simulation import frame_count, recorded_steps
 
 # Pieces of a recording that are compressed at once; measured.
 WRITTEN_AT_ONCE = 16
@@ -90,7 +90,7 @@ def make_plan(
     Raises:
         MemoryError: If ``batch`` environments do not fit; says how many do.
     """
-    frames = frame_count(settings)
+    frames = frame_count(*recorded_steps(settings.duration, settings.record.every, settings.dt))
     device = str(draft.device)
 
     def footprint(envs: int) -> Footprint:
@@ -116,13 +116,6 @@ def make_plan(
         raise MemoryShortage(message, takes.on(room.place), usable(room), most)
     chosen = batch_size(most, settings.envs) if most else 0
     return Plan(settings.envs, chosen, footprint(chosen or 1), size.on_host(settings.envs, frames), rooms)
-
-
-def frame_count(settings: Settings) -> int:
-    """Returns the number of frames that are recorded."""
-    steps = whole_steps("duration", settings.duration, settings.dt, exact=False)
-    every = settings.record.every
-    return steps // (1 if every is None else whole_steps("every", every, settings.dt, exact=True)) + 1
 
 
 def batch_size(most: int, envs: int) -> int:
