@@ -1,12 +1,15 @@
 """An experiment that does not fit at once runs in batches, and leaves the same results."""
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 import zarr
-from test_experiment import content
+from test_experiment import EXAMPLE, content
 from test_memory_plan import with_room
 
 import warpcontact as wc
@@ -240,3 +243,33 @@ def test_command_runs_in_batches(device, tmp_path, capsys):
     assert "all 5 environments are active" in out
     assert main([*words, "--batch", "0"]) == 2
     assert "--batch 0: batch must be" in capsys.readouterr().err
+
+
+PEAK = """
+import gc, resource, sys
+import warp as wp
+wp.config.log_level = wp.LOG_ERROR
+import warpcontact as wc
+
+file, folder, envs, batch = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+experiment = wc.Experiment.from_toml(file).changed(envs=envs, duration=0.5)
+# Everything is loaded then, and the picture drawn once.
+experiment.run(folder + "/first", envs=4, device="cpu", progress=False)
+gc.collect()
+before = 1024 * int(next(line for line in open("/proc/self/status") if line.startswith("VmRSS")).split()[1])
+plan = experiment.plan(device="cpu", batch=batch)
+experiment.run(folder + "/second", device="cpu", batch=batch, progress=False)
+print(1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before, plan.footprint.host_bytes)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="asks Linux how much memory a process has")
+@pytest.mark.parametrize("batch", [6144, 12288], ids=["batches", "at once"])
+def test_the_plan_of_an_experiment_is_what_its_run_takes(batch, tmp_path):
+    """Within 15 %, from the start to the picture, of two batches as of one."""
+    words = [sys.executable, "-c", PEAK, str(EXAMPLE), str(tmp_path), "12288", str(batch)]
+    result = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    took, planned = map(int, result.stdout.split()[-2:])
+    assert planned == pytest.approx(took, rel=0.15)

@@ -19,6 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from warpcontact.experiment.ground import Ground, draw_from_above, draw_section, grounds_of, legend_entries
+from warpcontact.experiment.result import CHUNK
 from warpcontact.recorder import Recording
 from warpcontact.scene import Scene
 
@@ -26,8 +27,6 @@ from warpcontact.scene import Scene
 TRACKS = 200
 # Quantiles of more environments than this look the same and take longer.
 SAMPLE = 4096
-# What is read at once of the tracks of all [bytes].
-PIECE = 16 * 2**20
 COLORS = "plasma"
 # Values that span more than this factor are coloured on a logarithmic scale.
 LOGARITHMIC = 30.0
@@ -86,7 +85,7 @@ def _extent(recording: Recording) -> tuple[list[int], NDArray[Any], NDArray[Any]
     lows, highs, ends = [], [], []
     for body in recording.scene.bodies:
         track = recording[f"{body.name}.position"]
-        some = max(1, PIECE // max(1, track.nbytes // track.sizes["env"]))
+        some = max(1, CHUNK // max(1, track.nbytes // track.sizes["env"]))
         for first in range(0, track.sizes["env"], some):
             points = track.isel(env=slice(first, first + some)).values.reshape(-1, 3)
             lows.append(points.min(axis=0))

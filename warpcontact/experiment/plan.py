@@ -25,8 +25,9 @@ from warpcontact.model import Model
 from warpcontact.recorder import Recorder, RecordingSize
 from warpcontact.simulation import frame_count, recorded_steps
 
-# Pieces of a recording that are compressed at once; measured.
-WRITTEN_AT_ONCE = 16
+# Pieces of a recording that are in memory at once while it is compressed, and for its picture; measured.
+WRITTEN_AT_ONCE = 8
+DRAWN_AT_ONCE = 2
 # A batch is rounded to this many significant bits, so that the pieces of a recording are parts of it.
 BITS = 6
 
@@ -94,13 +95,14 @@ def make_plan(
     device = str(draft.device)
 
     def footprint(envs: int) -> Footprint:
-        writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, frames))
+        writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, frames) // 2)
+        drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames))
         return draft.memory(envs, varied, crossing_steps=settings.crossing_steps).with_needs(
             [
                 *draft.measures_needs(draft.device, size.measured, envs),
                 *size.needs(device, envs, frames),
                 Need("values", HOST, sum(values.nbytes for values in varied.values())),
-                Need("writing", HOST, writing),
+                Need("writing", HOST, max(writing, drawing)),
             ]
         )
 
