@@ -130,6 +130,12 @@ def test_warnings_name_environments_by_their_numbers_among_all(device, tmp_path)
     with pytest.warns(wc.ContactWarning, match="in environment 4, "):
         run = experiment.run(tmp_path / "out", device=device, batch=2)
     assert sum("is too long" in line for line in run.summary["warnings"]) == 1
+    # Of a kind that the first batch has warned of, one is enough.
+    stiffness = {"values": [1e3, 1e7, 1e3, 1e3, 2e7, 1e3]}
+    experiment = wc.Experiment(content(envs=6, variation={"touch.law.stiffness": stiffness}))
+    with pytest.warns(wc.ContactWarning, match="in environment 1, "):
+        run = experiment.run(tmp_path / "again", device=device, batch=2)
+    assert sum("is too long" in line for line in run.summary["warnings"]) == 1
 
 
 def test_the_bar_counts_the_steps_of_all_batches(device, tmp_path, monkeypatch):

@@ -80,8 +80,7 @@ class Batches:
         ) as bar:
             for number in range(self.plan.batches):
                 self.take(number)
-                if number:
-                    self._advise()
+                self._advise()
                 result.add_to_recording(self._record(bar), path, new=number == 0)
         result.complete_recording(path, {"frozen_environments": self.frozen})
         if self.frozen:
@@ -107,12 +106,13 @@ class Batches:
         return recording.isel(env=slice(0, own))
 
     def _advise(self) -> None:
-        """Warns as the first step of the first batch does, once of each kind."""
+        """Warns as the first step of a simulation does, of what is not known from earlier batches."""
         for sentence in advice(self.simulation.model, self.simulation.dt):
             kind = re.sub(r"[\d.,+-]+(e[+-]?\d+)?", "", sentence)
-            if kind not in self._said:
-                self._said.add(kind)
+            # The simulation itself has warned about the first batch.
+            if kind not in self._said and self.simulation.model.first_env:
                 warnings.warn(sentence, ContactWarning, stacklevel=3)
+            self._said.add(kind)
 
 
 @contextlib.contextmanager
