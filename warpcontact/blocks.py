@@ -106,6 +106,7 @@ def upload_blocks(
     sizes = np.diff(blocks.set_start)
     firsts = np.cumsum([0] + [contact.count for contact in contacts])
     model.set_contact = send(firsts[:-1])
+    model.contact_set = send(np.repeat(np.arange(len(contacts)), np.diff(firsts)))
     model.set_block_start = send(blocks.set_start)
     model.block_set = send(np.repeat(np.arange(len(contacts)), sizes))
     model.block_start = send(blocks.start)

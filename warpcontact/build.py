@@ -122,10 +122,12 @@ def _cache(t: SimpleNamespace, envs: int, sets: int, blocks: int, contacts: int,
         device,
         **shapes,
         block_wake=(envs, blocks),
-        waiting=(1,),
-        waiting_task=(envs * blocks if device.is_cuda else 1,),
+        waiting=(types.QUEUES,),
+        waiting_block=(envs * blocks if device.is_cuda else 1,),
+        waiting_contact=(types.QUEUES, envs * contacts if device.is_cuda else 1),
         face=faces,
         distance=faces,
+        direction=faces,
     )
 
 

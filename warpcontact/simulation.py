@@ -135,11 +135,12 @@ class Simulation:
     def _slices(self) -> list[Slice]:
         model = self.model
         # On the CPU a slice is stepped by one thread, so the order is the same in any case.
-        ordered = self.deterministic or not model.device.is_cuda
+        queued = model.device.is_cuda
+        ordered = self.deterministic or not queued
         size = _slice_size(model, self.threads)
         return [
             Slice(
-                Span(model, first, min(size, model.envs - first), self.distance_cache, ordered),
+                Span(model, first, min(size, model.envs - first), self.distance_cache, ordered, queued),
                 self.integrator,
                 self.times,
                 self._other,
