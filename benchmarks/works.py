@@ -27,7 +27,6 @@ from warpcontact.benchmark.works import (
     Array,
     Surface,
     box_points,
-    terrain,
 )
 
 __all__ = ["DAMPING", "DT", "FRICTION", "SLIP_SPEED", "STEPS", "STIFFNESS", "box_points"]  # for engines
