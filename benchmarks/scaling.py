@@ -11,7 +11,6 @@ picture is drawn where there is Matplotlib; ``scaling_picture.py`` draws it from
 """
 
 import argparse
-import importlib.util
 import statistics
 import warnings
 from pathlib import Path
@@ -57,13 +56,13 @@ def main() -> None:
     print("\n".join(lines(fits(measured))))
     print(f"written to {out}")
     picture = options.plot or out.with_suffix(".svg")
-    if importlib.util.find_spec("matplotlib"):
+    try:
         from scaling_picture import draw
-
+    except ModuleNotFoundError as error:
+        print(f"no picture, there is no {error.name}; elsewhere: python benchmarks/scaling_picture.py {out}")
+    else:
         draw(out, picture)
         print(f"picture: {picture}")
-    else:
-        print(f"there is no Matplotlib here; draw it elsewhere: python benchmarks/scaling_picture.py {out}")
 
 
 def measure(some: list[Case], options: argparse.Namespace, bar: Any) -> list[dict[str, Any]]:

@@ -39,7 +39,8 @@ def draw(figures: Path, picture: Path) -> None:
     for axes in panels[len(names) :]:
         axes.set_visible(False)
     for axes, name in zip(panels, names, strict=False):
-        panel(axes, name, [entry for entry in measured if entry["series"] == name])
+        fits = {fit["line"]: fit for fit in report["fits"] if fit["series"] == name}
+        panel(axes, name, [entry for entry in measured if entry["series"] == name], fits)
     have = report["versions"]
     cores = "" if "processor" in about else f", {about['cores']} cores"
     figure.suptitle(
@@ -54,8 +55,8 @@ def draw(figures: Path, picture: Path) -> None:
     save(figure, picture)
 
 
-def panel(axes: Any, series: str, entries: list[dict[str, Any]]) -> None:
-    """Draws one series, its limit, and a line to compare its growth with."""
+def panel(axes: Any, series: str, entries: list[dict[str, Any]], fits: dict[str, dict[str, Any]]) -> None:
+    """Draws one series, its limit, and a line to compare its growth with; ``fits`` by the names of its lines."""
     curves = {}
     for entry in entries:
         curves.setdefault(entry["line"], []).append(entry)
@@ -63,13 +64,14 @@ def panel(axes: Any, series: str, entries: list[dict[str, Any]]) -> None:
         values = [entry["value"] for entry in own]
         middle, lowest, highest = (ordinates(series, own, key) for key in ("ns_per_env_step", "lowest", "highest"))
         axes.fill_between(values, lowest, highest, color=f"C{index}", alpha=0.25, linewidth=0)
-        axes.plot(values, middle, color=f"C{index}", marker="o", markersize=4, label=LABELS.get(line, line))
+        axes.plot(values, middle, color=f"C{index}", marker="o", markersize=4, label=label(line, fits.get(line)))
         if series != "threads":
             limit = ordinates(series, own, "ns_bare_query")
-            label = "bare query of every point" if index == 0 else None
-            axes.plot(values, limit, color=f"C{index}", linestyle="--", linewidth=0.9, alpha=0.7, label=label)
+            axes.plot(values, limit, color=f"C{index}", linestyle="--", linewidth=0.9, alpha=0.7)
     values = sorted({entry["value"] for entry in entries})
     reference(axes, series, values, [ordinates(series, own, "ns_per_env_step") for own in curves.values()])
+    if series != "threads":
+        axes.plot([], [], color="0.4", linestyle="--", linewidth=0.9, label="bare query of every point")
     title, across = TITLES[series]
     axes.set_title(title, fontsize="medium")
     axes.set_xlabel(across)
@@ -86,6 +88,19 @@ def panel(axes: Any, series: str, entries: list[dict[str, Any]]) -> None:
         axes.set_yticks(values, [str(value) for value in values])
     axes.grid(alpha=0.3)
     axes.legend(frameon=False, fontsize="small")
+
+
+def label(line: str, fit: dict[str, Any] | None) -> str:
+    """Returns the name of a line in the legend, and what was fitted."""
+    name = LABELS.get(line, line)
+    if fit is None:
+        return name
+    if "times_one_thread" in fit:
+        most, times = list(fit["times_one_thread"].items())[-1]
+        return f"{name}: {times:.2f} × with {most}"
+    if "ns_per_decade" in fit:
+        return f"{name}: {fit['ns_per_decade']:+.3g} ns a decade, R² = {fit['explained_by_logarithm']:.2f}"
+    return f"{name}: n^{fit['upper_exponent']:.2f} in the upper half"
 
 
 def ordinates(series: str, own: list[dict[str, Any]], key: str) -> list[float]:

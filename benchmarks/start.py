@@ -3,9 +3,9 @@
     python benchmarks/start.py
     python benchmarks/start.py --device cuda:0
 
-Everything is timed in fresh interpreters, in rounds. *Cold* is a first step with an empty cache of compiled kernels,
-*warm* the next one with the same cache; both are the terrain example, from the start of the process. A warm-up that
-is not counted reads the files of Python and Warp once, so that none of it waits for a disk.
+Everything is timed in fresh interpreters, in rounds. *Cold* is a first step with an empty cache of compiled
+kernels, *warm* the next one with the same cache; both are the terrain example, from the start of the process. A
+warm-up that is not counted reads the files of Python and Warp once, so that none of it waits for a disk.
 """
 
 import argparse
