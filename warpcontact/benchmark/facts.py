@@ -52,10 +52,10 @@ def _gpu(device: str) -> dict[str, str]:
     import warp as wp
 
     gpu = wp.get_device(device)
-    # By its place in the machine: Warp may see fewer devices, in another order.
-    query = f"nvidia-smi --query-gpu=driver_version --format=csv,noheader --id={gpu.pci_bus_id}"
+    query = "nvidia-smi --query-gpu=driver_version --format=csv,noheader"
     try:
         answer = subprocess.run(query.split(), capture_output=True, text=True, check=True, timeout=30).stdout
-    except (OSError, subprocess.SubprocessError):
+    except (OSError, subprocess.SubprocessError):  # no such tool, as on some boards
         return {"device": gpu.name}
-    return {"device": gpu.name, "driver": answer.strip()}
+    # One line for each GPU, and one driver for all.
+    return {"device": gpu.name, "driver": answer.split()[0]}

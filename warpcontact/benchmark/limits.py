@@ -13,9 +13,10 @@ from warpcontact.benchmark.works import Array, Work
 from warpcontact.kernels.bare_query import bare_query
 from warpcontact.model import Model
 
-#: Times that a limit is measured, each of at least ``SECONDS``; the median counts.
+#: Times that a limit is measured, each of at least ``SECONDS``; the median counts. Fewer where they take long.
 ROUNDS = 7
 SECONDS = 0.01
+LONG = 1.0
 # Of what is timed, in one graph of a GPU.
 IN_GRAPH = 16
 
@@ -42,7 +43,9 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
     """
     device = model.device
     bare_query.module.load(device)  # before threads start
-    envs = np.array_split(np.arange(model.envs), min(threads, model.envs) if device.is_cpu else 1)
+    # Kernels in Warp's debug mode share a pointer.
+    parts = 1 if device.is_cuda or wp.config.mode == "debug" else min(threads, model.envs)
+    envs = np.array_split(np.arange(model.envs), parts)
     surface = work.surface
     mesh = wp.Mesh(
         points=wp.array(surface.vertices, dtype=wp.vec3f, device=device),
@@ -50,7 +53,7 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
         bvh_constructor="sah",
     )
     places = _places(model, work)
-    queries, copies = [], []
+    queries, copies, kept = [], [], []
     for part in envs:
         points = wp.array(places[part].reshape(-1, 3), dtype=wp.vec3f, device=device)
         found = wp.zeros(len(points), dtype=wp.int32, device=device)
@@ -58,6 +61,7 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
             bare_query, dim=len(points), inputs=[mesh.id, points, found], device=device, record_cmd=True
         )
         queries.append(launch.launch)
+        kept.append((points, found))  # a recorded launch only points to them
         source = wp.zeros(len(part) * _state_bytes(model), dtype=wp.uint8, device=device)
         copies.append(_copy(wp.zeros_like(source), source))
     with ThreadPoolExecutor(len(envs)) as pool:
@@ -117,7 +121,7 @@ def _median(works: Callable[[int], None], device: wp.Device) -> float:
     works(1)
     times: list[float] = []
     count = 1
-    while len(times) < ROUNDS:
+    while len(times) < ROUNDS and count * sum(times) < LONG:
         wp.synchronize_device(device)
         start = time.perf_counter()
         works(count)

@@ -99,6 +99,7 @@ class BenchReport:
                 "",
                 "× query: times as fast as a bare closest-point query of every point in every step",
                 "copies: copies of the state that take as long as a step",
-                "one alone: steps of a single environment; first step: to build, compile and take it",
+                "one alone: steps of a single environment",
+                "first step: to build, compile and take it; the first work compiles most of what all share",
             ]
         )
