@@ -4,6 +4,7 @@ python benchmarks/fresh.py first_step --device cpu
 """
 
 import argparse
+import contextlib
 import json
 import statistics
 import sys
@@ -26,14 +27,13 @@ def imports(options: argparse.Namespace) -> dict[str, float]:
     imported = time.perf_counter()
     for name in TO_SIMULATE:
         getattr(warpcontact, name)
-    ready = time.perf_counter()
-    for name in warpcontact.__all__:
-        getattr(warpcontact, name)
-    return {
-        "package": imported - BEGIN,
-        "to_simulate": ready - BEGIN,
-        "every_name": time.perf_counter() - BEGIN,
-    }
+    found = {"package": imported - BEGIN, "to_simulate": time.perf_counter() - BEGIN}
+    # Some names draw or store, and what they need may not be there.
+    with contextlib.suppress(ModuleNotFoundError):
+        for name in warpcontact.__all__:
+            getattr(warpcontact, name)
+        found["every_name"] = time.perf_counter() - BEGIN
+    return found
 
 
 def first_step(options: argparse.Namespace) -> dict[str, float]:

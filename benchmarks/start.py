@@ -57,15 +57,11 @@ def main() -> None:
         "facts": about,
         "versions": versions(),
         "rounds": options.rounds,
-        "import_s": summary(rounds["imports"], ("package", "to_simulate", "every_name")),
+        "import_s": summary(rounds["imports"]),
         "first_step_s": {
-            name: summary(rounds[name], ("import", "read", "build", "step", "process"))
-            | {"modules": rounds[name][0]["modules"]}
-            for name in ("cold", "warm")
+            name: summary(rounds[name]) | {"modules": rounds[name][0]["modules"]} for name in ("cold", "warm")
         },
-        "steps_per_s_alone": summary(
-            rounds["alone"], tuple(key for key in rounds["alone"][0] if key != "process")
-        ),
+        "steps_per_s_alone": summary(rounds["alone"]),
         "promises": PROMISES,
     }
     write(out, report)
@@ -75,7 +71,7 @@ def main() -> None:
 
 
 def ask(what: str, options: argparse.Namespace, variables: dict[str, str]) -> dict[str, Any]:
-    """Returns the answer of a fresh interpreter, and as ``process`` how long it took from its start [s]."""
+    """Returns the answer of a fresh interpreter; of a first step also how long its ``process`` took [s]."""
     words = [what, "--device", options.device, "--at-least", str(options.at_least)]
     if options.envs:
         words += ["--envs", str(options.envs)]
@@ -90,13 +86,14 @@ def ask(what: str, options: argparse.Namespace, variables: dict[str, str]) -> di
     took = time.perf_counter() - start
     if done.returncode:
         sys.exit(f"{what} failed:\n{done.stderr}")
-    return json.loads(done.stdout) | {"process": took}
+    answer = json.loads(done.stdout)
+    return answer | {"process": took} if what == "first_step" else answer
 
 
-def summary(answers: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Returns median and extremes over the rounds."""
+def summary(answers: list[dict[str, Any]]) -> dict[str, Any]:
+    """Returns median and extremes over the rounds, of every entry."""
     found = {}
-    for name in names:
+    for name in answers[0]:
         values = [answer[name] for answer in answers]
         found[name] = {"median": statistics.median(values), "lowest": min(values), "highest": max(values)}
     return found
@@ -113,8 +110,9 @@ def lines(report: dict[str, Any]) -> list[str]:
     text = [
         line("import warpcontact", imported["package"], "s", f"promised: under {PROMISES['import']:g} s"),
         line("  and what a simulation needs", imported["to_simulate"], "s"),
-        line("  and all of its names", imported["every_name"], "s"),
     ]
+    if "every_name" in imported:
+        text.append(line("  and all of its names", imported["every_name"], "s"))
     for name, part in report["first_step_s"].items():
         promised = f"promised: under {PROMISES[name]:g} s"
         text.append(line(f"terrain example, {name}: process", part["process"], "s", promised))
