@@ -69,9 +69,7 @@ class BenchReport:
         about, have = self.facts, self.versions
         driver = f", driver {about['driver']}" if "driver" in about else ""
         host = f" on {about['processor']}" if "processor" in about else ""
-        made = (
-            f"{self.compiled_modules} modules compiled" if self.compiled_modules else "kernels from Warp's cache"
-        )
+        made = f"kernel modules compiled: {self.compiled_modules or 'none'}"
         lines = [
             f"{about['device']}{driver}{host}: {about['cores']} cores, {about['threads']} threads, "
             f"{about['system']}",
