@@ -8,33 +8,25 @@ memory of distances cannot do without), and a copy of the state on the device.
 """
 
 import argparse
-import json
 import statistics
 import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import warp as wp
 from engines.warpcontact import WORKS as KNOWN
-from engines.warpcontact import simulation
-from facts import facts
+from result_file import write
 from works import WORKS
 
 import warpcontact as wc
 from warpcontact.arrays import allocate
+from warpcontact.benchmark.facts import facts
+from warpcontact.benchmark.limits import limits
+from warpcontact.benchmark.simulation import simulation
 from warpcontact.crew import available_threads
 from warpcontact.schedule import Span, accept_stages, step_stages
 
 LAUNCHES = 20
-
-
-@wp.kernel(enable_backward=False)
-def bare_query(mesh: wp.uint64, points: wp.array(dtype=wp.vec3f), found: wp.array(dtype=wp.int32)):
-    """Nearest face of every point, and nothing else."""
-    i = wp.tid()
-    query = wp.mesh_query_point_no_sign(mesh, points[i], 1.0e6)
-    found[i] = query.face
 
 
 def nanoseconds(launches: list[wp.Launch], envs: int, device: str) -> float:
@@ -73,33 +65,6 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
     return costs
 
 
-def limits(sim: wc.Simulation, work: Any, envs: int) -> dict[str, float]:
-    """Returns the cost of a bare query of all points, and of a copy of the state [ns per environment]."""
-    model = sim.model
-    device = str(model.device)
-    points = np.zeros((1, 3)) if work.points is None else work.points
-    positions = (model.reading("body.position")[:, None] + points).reshape(-1, 3)
-    given = wp.array(positions, dtype=wp.vec3f, device=device)
-    found = wp.zeros(len(given), dtype=wp.int32, device=device)
-    surface = work.surface
-    mesh = wp.Mesh(
-        points=wp.array(surface.vertices, dtype=wp.vec3f, device=device),
-        indices=wp.array(surface.faces.ravel(), dtype=wp.int32, device=device),
-        bvh_constructor="sah",
-    )
-    query = wp.launch(bare_query, dim=len(given), inputs=[mesh.id, given, found], device=device, record_cmd=True)
-    state = wp.zeros((envs, 13), dtype=wp.float32, device=device)
-    other = wp.zeros_like(state)
-    times = []
-    for _ in range(20):
-        wp.synchronize_device(device)
-        start = time.perf_counter()
-        wp.copy(other, state)
-        wp.synchronize_device(device)
-        times.append(time.perf_counter() - start)
-    return {"bare query": nanoseconds([query], envs, device), "copy of state": 1e9 * min(times) / envs}
-
-
 def measure(name: str, envs: int, device: str, at: list[int], repeats: int) -> dict[str, Any]:
     """Returns the rate of a work, and the cost of its stages after some numbers of steps."""
     work = WORKS[name]
@@ -118,7 +83,11 @@ def measure(name: str, envs: int, device: str, at: list[int], repeats: int) -> d
     for steps in at:
         sim.step(steps - done)
         done = steps
-        costs[str(steps)] = stages(sim, envs) | limits(sim, work, envs)
+        least = limits(sim.model, work, threads=1)
+        costs[str(steps)] = stages(sim, envs) | {
+            "bare query": 1e9 * least.query,
+            "copy of state": 1e9 * least.copy,
+        }
     return {"env_steps_per_s": statistics.median(rates), "ns_per_env_after_steps": costs}
 
 
@@ -138,7 +107,6 @@ def main() -> None:
     for name in options.works:
         for envs in options.envs:
             result = measure(name, envs, options.device, options.at, options.repeats)
-            result = json.loads(json.dumps(result), parse_float=lambda text: float(f"{float(text):.4g}"))
             found.setdefault(name, {})[str(envs)] = result
             print(f"{name}, {envs} environments: {result['env_steps_per_s']:.3g} env-steps/s")
             for steps, costs in result["ns_per_env_after_steps"].items():
@@ -146,7 +114,7 @@ def main() -> None:
                 print(f"  after {steps} steps, ns per environment: {row}", flush=True)
             if options.out:
                 report = {"facts": facts(options.device, available_threads()), "stages": found}
-                options.out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+                write(options.out, report)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from warpcontact import __version__, laws_command
+from warpcontact import __version__, bench_command, laws_command
 
 FAILED = 1  # the answer is no: an unusable mesh
 WRONG_USE = 2  # the command could not be carried out, as argparse has it
@@ -102,6 +102,8 @@ def _parser() -> argparse.ArgumentParser:
 
     laws_command.add_to(commands)
     commands.choices["laws"].set_defaults(command=_laws)
+    bench_command.add_to(commands)
+    commands.choices["bench"].set_defaults(command=_bench)
     return parser
 
 
@@ -198,6 +200,14 @@ def _inspect(arguments: argparse.Namespace) -> int:
 def _laws(arguments: argparse.Namespace) -> int:
     try:
         laws_command.run(arguments)
+    except ValueError as error:
+        return _fail(str(error))
+    return 0
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    try:
+        bench_command.run(arguments)
     except ValueError as error:
         return _fail(str(error))
     return 0
