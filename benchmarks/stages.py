@@ -2,12 +2,13 @@
 
     python benchmarks/stages.py --device cuda:0 --envs 65536 --works W1 W2p64 --out stages.json
 
-Each stage is repeated alone on the state that a run has at several times, so the figures tell what a stage costs
-there. Beside them: one closest-point query of Warp for every point and no more (the query that a step without
-memory of distances cannot do without), and a copy of the state on the device.
+Each stage is timed in some steps of a run, at several times. A launch is in it: 3 µs on a CPU, and on a GPU more,
+so few environments tell little. Beside them: one closest-point query of Warp for every point and no more (the query
+that a step without memory of distances cannot do without), and a copy of the state on the device.
 """
 
 import argparse
+import itertools
 import statistics
 import time
 from pathlib import Path
@@ -26,43 +27,56 @@ from warpcontact.benchmark.simulation import simulation
 from warpcontact.crew import available_threads
 from warpcontact.schedule import Span, accept_stages, step_stages
 
-LAUNCHES = 20
+# Steps over which a stage is timed, an even number.
+STEPS = 20
 
 
-def nanoseconds(launches: list[wp.Launch], envs: int, device: str) -> float:
-    """Returns what the launches cost per environment [ns]: the least of several times, captured."""
-    with wp.ScopedCapture(device=device) as capture:
-        for _ in range(LAUNCHES):
-            for launch in launches:
-                launch.launch()
-    times = []
-    for _ in range(15):
-        wp.synchronize_device(device)
-        start = time.perf_counter()
-        wp.capture_launch(capture.graph)
-        wp.synchronize_device(device)
-        times.append(time.perf_counter() - start)
-    return 1e9 * min(times) / LAUNCHES / envs
+class Clock:
+    """Instants of a device, in its own time: events on a GPU."""
+
+    def __init__(self, device: str) -> None:
+        self._device = wp.get_device(device)
+
+    def now(self) -> Any:
+        """Returns the instant at which the device has come here."""
+        if self._device.is_cpu:
+            return time.perf_counter()
+        return wp.get_stream(self._device).record_event(wp.Event(self._device, enable_timing=True))
+
+    def between(self, start: Any, stop: Any) -> float:
+        """Returns the time from one instant to another [ns]."""
+        if self._device.is_cpu:
+            return 1e9 * (stop - start)
+        return 1e6 * wp.get_event_elapsed_time(start, stop)
 
 
 def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
-    """Returns the cost of every stage at the present state [ns per environment]."""
+    """Takes steps and returns what every stage of them cost [ns per environment]."""
     model = sim.model
     device = str(model.device)
-    span = Span(model, 0, envs, cached=sim.distance_cache, ordered=sim.deterministic or device == "cpu")
+    gpu = model.device.is_cuda
+    span = Span(model, 0, envs, sim.distance_cache, ordered=sim.deterministic or not gpu, queued=gpu)
     own, other = model.arrays.state, allocate(model.types.State, (envs, model.body_count), model.device)
-    launches = step_stages(span, sim.integrator, sim.times.whole, own, other, None)
-    launches += accept_stages(span, sim.times.whole, own, other)
-    by_name: dict[str, list[wp.Launch]] = {}
-    for launch in launches:
-        by_name.setdefault(launch.kernel.key.split("__")[-1], []).append(launch)
-    travel = by_name.get("add_travel", [])
-    costs = {}
-    for name, own in by_name.items():
-        # On a GPU the travel begins the list of searches, and has to go before them.
-        ahead = travel if name == "closest_point" else []
-        costs[name] = nanoseconds(ahead + own, envs, device) - (nanoseconds(ahead, envs, device) if ahead else 0.0)
-    return costs
+    ways = [
+        step_stages(span, sim.integrator, sim.times.whole, *states, None)
+        + accept_stages(span, sim.times.whole, *states)
+        for states in ((own, other), (other, own))
+    ]
+    names: list[str] = []
+    for launch in ways[0]:
+        name = launch.kernel.key.split("__")[-1]
+        again = sum(known.split(" ")[0] == name for known in names)
+        names.append(f"{name} {again + 1}" if again else name)
+    clock = Clock(device)
+    instants = []
+    for step in range(STEPS + 2):
+        for launch in ways[step % 2]:
+            instants.append(clock.now())
+            launch.launch()
+    instants.append(clock.now())
+    wp.synchronize_device(device)
+    spans = [clock.between(*pair) for pair in itertools.pairwise(instants)][2 * len(names) :]
+    return {name: sum(spans[i :: len(names)]) / STEPS / envs for i, name in enumerate(names)}
 
 
 def measure(name: str, envs: int, device: str, at: list[int], repeats: int) -> dict[str, Any]:
@@ -82,7 +96,7 @@ def measure(name: str, envs: int, device: str, at: list[int], repeats: int) -> d
     done, costs = 0, {}
     for steps in at:
         sim.step(steps - done)
-        done = steps
+        done = steps + STEPS + 2
         least = limits(sim.model, work, threads=1)
         costs[str(steps)] = stages(sim, envs) | {
             "bare query": 1e9 * least.query,

@@ -161,11 +161,11 @@ def functions(real: type) -> SimpleNamespace:
         return answer
 
     @wp.func
-    def box_about(model: Model, patch: int, p: vec3, reach: real):
-        """Faces whose boxes come within ``reach``, none too few: nothing but their boxes is trusted to float32."""
+    def faces_about(model: Model, patch: int, p: vec3, reach: real):
+        """Faces within ``reach`` as float32 tells, which has to be wide enough for that; on fine meshes those in a
+        box would be many more."""
         centre = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-        around = wp.vec3f(wp.float32(reach), wp.float32(reach), wp.float32(reach))
-        return wp.mesh_query_aabb(model.patch_mesh[patch], centre - around, centre + around)
+        return wp.mesh_query_sphere(model.patch_mesh[patch], centre, wp.float32(reach))
 
     @wp.func
     def nearest_of_all(model: Model, patch: int, p: vec3, first: Foot, margin: real):
@@ -175,9 +175,9 @@ def functions(real: type) -> SimpleNamespace:
         """
         start = model.patch_face_start[patch]
         best = first
-        boxes = box_about(model, patch, p, first.distance + margin)
+        found = faces_about(model, patch, p, first.distance + margin)
         face = wp.int32(0)
-        while wp.mesh_query_aabb_next(boxes, face):
+        while wp.mesh_query_next(found, face):
             best = nearer(model, best, foot_on(model, start + face, p))
         best.distance = wp.length(best.to_point)
         return best
@@ -191,11 +191,11 @@ def functions(real: type) -> SimpleNamespace:
         best = first
         # All others are farther than this.
         beyond = first.distance + model.patch_skin[patch]
-        boxes = box_about(model, patch, p, beyond + margin)
+        found = faces_about(model, patch, p, beyond + margin)
         face = wp.int32(0)
         slot = contact * room
         count = wp.int32(0)
-        while wp.mesh_query_aabb_next(boxes, face):
+        while wp.mesh_query_next(found, face):
             other = foot_on(model, start + face, p)
             best = nearer(model, best, other)
             if other.distance < beyond:
