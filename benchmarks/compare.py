@@ -10,7 +10,6 @@ machine does hits all alike. Each engine is then taken at its best number of env
 """
 
 import argparse
-import json
 import os
 import shutil
 import sys
@@ -20,24 +19,24 @@ from typing import Any
 
 from engines import ENGINES
 from environments import CACHE, interpreter
-from facts import facts, file_name
+from progress import Bar
+from result_file import default_path, write
 from side_by_side import SideBySide
 from table import lines, summarise
-from tqdm import tqdm
 from works import STEPS, WORKS
 
-RESULTS = Path(__file__).parent / "results"
+from warpcontact.benchmark.facts import facts
 
 
 def main() -> None:
     """Prints a table and writes the figures."""
     options = arguments()
     about = facts(options.device, options.threads)
-    out = options.out or RESULTS / file_name(options.device, str(about["device"]))
+    out = options.out or default_path("", options.device, about)
     pythons = {name: python_of(name, options) for name in options.engines}
     entries: list[dict[str, Any]] = []
     runs = len(options.engines) * (options.rounds + 2)
-    with tqdm(total=len(options.works) * len(options.envs) * runs, unit="run", disable=None) as bar:
+    with Bar(total=len(options.works) * len(options.envs) * runs, unit="run", disable=None) as bar:
         for work in options.works:
             able = dict(pythons)
             for envs in options.envs:
@@ -48,14 +47,14 @@ def main() -> None:
                     if not quick(entry, options):
                         able.pop(entry["engine"])
                 entries += found
-                write(out, about, options, entries)
+                write(out, report(about, options, entries))
     print(f"{about['device']}, {about['cores']} cores, {about['date']}")
     print("\n".join(lines(summarise(entries))))
     print(f"written to {out}")
 
 
 def compare(
-    work: str, envs: int, pythons: dict[str, Path], options: argparse.Namespace, bar: tqdm
+    work: str, envs: int, pythons: dict[str, Path], options: argparse.Namespace, bar: Bar
 ) -> list[dict[str, Any]]:
     """Returns the results of engines at a work."""
 
@@ -96,12 +95,12 @@ def python_of(name: str, options: argparse.Namespace) -> Path:
     return Path(sys.executable) if options.here else interpreter(file, options.cache)
 
 
-def write(out: Path, about: dict[str, Any], options: argparse.Namespace, entries: list[dict[str, Any]]) -> None:
-    """Writes what there is so far."""
+def report(about: dict[str, Any], options: argparse.Namespace, entries: list[dict[str, Any]]) -> dict[str, Any]:
+    """Returns what there is so far, as it is written."""
     versions = {entry["engine"]: entry["versions"] for entry in entries if "versions" in entry}
     told = ("versions", "steps", "device")  # of all entries at once
     measured = [{key: value for key, value in entry.items() if key not in told} for entry in entries]
-    report = {
+    return {
         "facts": about,
         "steps": options.steps,
         "rounds": options.rounds,
@@ -110,8 +109,6 @@ def write(out: Path, about: dict[str, Any], options: argparse.Namespace, entries
         "best": summarise(entries),
         "measured": measured,
     }
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(report, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def arguments() -> argparse.Namespace:

@@ -15,11 +15,11 @@ import time
 from pathlib import Path
 
 import warp as wp
-from engines.warpcontact import simulation
-from facts import facts
 from works import WORKS
 
 import warpcontact as wc
+from warpcontact.benchmark.facts import facts
+from warpcontact.benchmark.simulation import simulation
 
 #: What is compared: name, options of the reference, options of the other.
 COMPARISONS = {

@@ -40,7 +40,9 @@ BORDER_TOLERANCE = 1.0e-4
 ROUNDING = 16.0
 # The same of a point alone, in units of epsilon times its coordinates: on fine meshes this is more.
 POINT_ROUNDING = 4.0
-# Result of a look that needs a search, and is put off.
+# Parts of a look.
+WHOLE, KNOWN, LISTED, SEARCH = "whole", "known", "listed", "search"
+# Result of one that is left to the next part.
 LATER = -2.0
 # Contacts that stay with the part of the surface that they touched.
 FOLLOWS = LATCHED | SWEPT
@@ -52,15 +54,24 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
 
     With ``follows``, latched and swept contacts stay with the part of the surface that they touched: on the inner
     side their nearest point is the one reached by walking from the last, so that neither the middle of a plate
-    nor its far side turns the force over. ``part``: see ``near.kernel``.
+    nor its far side turns the force over.
+
+    ``part`` is ``WHOLE``, or one of three that do it in turn, each putting off what it does not know: ``KNOWN``
+    takes the face that is sure to be nearest, ``LISTED`` looks through the remembered ones, ``SEARCH`` searches.
     """
     t = structs(real)
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
     Contacts, Cache = t.Contacts, t.Cache
     of_face, of_search = feet.functions(real), search.functions(real)
     Foot, foot_on, inner, walk = of_face.Foot, of_face.foot_on, of_face.inner, of_face.walk
-    recall, nearest_of_all = of_search.recall, of_search.nearest_of_all
-    nearest_to_remember = of_search.nearest_to_remember
+    Recalled = of_search.Recalled
+    recall = {
+        WHOLE: of_search.recall,
+        KNOWN: of_search.recall_sure,
+        LISTED: of_search.recall_listed,
+        SEARCH: of_search.recall_nothing,
+    }[part]
+    nearest_of_all, nearest_to_remember = of_search.nearest_of_all, of_search.nearest_to_remember
     frame = frames.functions(real)
     apart, turned = frame.apart, frame.turned
     orientation_to_world, rotation_to_world = frame.orientation_to_world, frame.rotation_to_world
@@ -94,21 +105,23 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
 
     @wp.struct
     class View:
-        """Where the points of a block are, and what they see of their surface."""
+        """Where the points of a set are, and what they see of their surface."""
 
         apart_W: vec3  # from the origin of the surface to where the points are given from
         R_WB: mat33
         R_WS: mat33
         scale: real
         per_scale: real
+        number: wp.int32  # of their set
         patch: wp.int32
         start: wp.int32  # first row of its faces
         stop: wp.int32
 
     @wp.func
-    def view_of(model: Model, state: State, env: int, block: int):
+    def view_of(model: Model, state: State, env: int, number: int):
         view = View()
-        contact = model.block_contact[model.block_start[block]]
+        contact = model.set_contact[number]
+        view.number = number
         point = model.contact_point[contact]
         view.R_WB = rotation_to_world(state, env, model.point_body[point])
         base = model.contact_patch[contact]
@@ -141,6 +154,17 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         return room
 
     @wp.func
+    def lost(contacts: Contacts, env: int, contact: int, gap: real, status: int, armed: int, arm_W: vec3):
+        """Fills ``contacts`` for one that has no nearest point."""
+        contacts.gap[env, contact] = gap
+        contacts.status[env, contact] = status
+        contacts.armed[env, contact] = armed
+        contacts.arm[env, contact] = arm_W
+        contacts.penetration[env, contact] = real(0.0)
+        contacts.normal[env, contact] = vec3()
+        contacts.face[env, contact] = -1
+
+    @wp.func
     def look(
         model: Model,
         view: View,
@@ -154,17 +178,14 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         """Fills ``contacts`` for one; returns how far its point can move and not touch [m], < 0: not at all."""
         geometry = model.contact_geometry[env, contact]
         radius = geometry.radius
-        contacts.penetration[env, contact] = real(0.0)
-        contacts.normal[env, contact] = vec3()
-        contacts.face[env, contact] = -1
-        contacts.crossed_face[env, contact] = -1
+        armed = history.armed[env, contact]
         arm_W = view.R_WB * model.point_position[env, model.contact_point[contact]]
-        contacts.arm[env, contact] = arm_W
+        if wp.static(follows):
+            contacts.crossed_face[env, contact] = -1
         if geometry.enabled == 0:
-            contacts.gap[env, contact] = real(wp.nan)
-            contacts.status[env, contact] = DISABLED
-            contacts.armed[env, contact] = history.armed[env, contact]
+            lost(contacts, env, contact, real(wp.nan), DISABLED, armed, arm_W)
             return real(wp.inf)
+        out_of_sight = wp.max(geometry.search_radius - radius, real(0.0))
 
         # Into the mesh's own frame and unit, where float32 is as good as the mesh.
         patch, scale = view.patch, view.scale
@@ -186,15 +207,15 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         if not held:
             # A sphere sees at least what it overlaps.
             seen = wp.max(geometry.search_radius * view.per_scale, reach)
-            known = wp.bool(False)
+            recalled = Recalled()
             if cached:
-                recalled = recall(model, cache, env, contact, p_S)
-                known = recalled.known
-                foot = recalled.foot
-            if wp.static(part == "known"):
-                if not known:
+                step = view.per_scale * cache.set_step[env, view.number]
+                recalled = recall(model, cache, env, contact, p_S, step)
+            foot = recalled.foot
+            if wp.static(part in (KNOWN, LISTED)):
+                if not recalled.known:
                     return real(LATER)
-            elif not known:
+            elif not recalled.known:
                 # With a cache it looks farther, to know how long it need not look again, yet not beyond the face
                 # that was nearest last.
                 ahead = wp.where(cached, real(2.0) * seen, seen)
@@ -203,7 +224,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 if cached:
                     hint = cache.nearest[env, contact]
                     if hint >= view.start and hint < view.stop:
-                        if cache.faces[env, contact] == 0:
+                        if wp.static(part == SEARCH) or cache.faces[env, contact] == 0:
                             foot = foot_on(model, hint, p_S)
                         hinted = foot.distance < ahead
                         limit = wp.min(limit, foot.distance)
@@ -218,9 +239,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     if query.result:
                         foot = foot_on(model, view.start + query.face, p_S)
                     elif not hinted:
-                        contacts.gap[env, contact] = wp.max(geometry.search_radius - radius, real(0.0))
-                        contacts.status[env, contact] = FAR
-                        contacts.armed[env, contact] = history.armed[env, contact]
+                        lost(contacts, env, contact, out_of_sight, FAR, armed, arm_W)
                         return scale * (ahead - seen)
                 # Wherever rounding matters, the choice is looked at again.
                 unsure = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
@@ -239,13 +258,10 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 if cached:
                     cache.nearest[env, contact] = foot.row
             if foot.distance >= seen:
-                contacts.gap[env, contact] = wp.max(geometry.search_radius - radius, real(0.0))
-                contacts.status[env, contact] = FAR
-                contacts.armed[env, contact] = history.armed[env, contact]
+                lost(contacts, env, contact, out_of_sight, FAR, armed, arm_W)
                 return scale * (foot.distance - unsure - seen)
         n_S = model.face_normal[foot.row, foot.feature]
         flags = wp.int32(model.face_flags[foot.row, foot.feature])
-        contacts.face[env, contact] = foot.row
 
         # Signed distance s [m], direction n, and whether P lies beside an open border.
         side = wp.dot(foot.to_point, n_S)
@@ -270,24 +286,21 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         missed = beside and (s < real(0.0) or radius == real(0.0) or (option & RIM_OUTER) == 0)
 
         latch = LATCH_KEEP
+        gap = s - radius
         if hidden or missed:
-            contacts.gap[env, contact] = wp.max(distance - radius, real(0.0))
+            gap = wp.max(distance - radius, real(0.0))
             if s < real(0.0):
                 latch = LATCH_DISARM
             elif s >= radius:
                 latch = LATCH_ARM
-        else:
-            contacts.gap[env, contact] = s - radius
-            if s >= radius:
-                latch = LATCH_ARM
-            elif radius - s > geometry.max_depth:
-                latch = LATCH_DISARM
-        armed = history.armed[env, contact]
+        elif s >= radius:
+            latch = LATCH_ARM
+        elif radius - s > geometry.max_depth:
+            latch = LATCH_DISARM
         if latch == LATCH_ARM:
             armed = 1
         elif latch == LATCH_DISARM:
             armed = 0
-        contacts.armed[env, contact] = armed
 
         touching = OPEN
         if hidden:
@@ -296,9 +309,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
             touching = CONTACT
             if radius - s > geometry.max_depth or ((option & LATCHED) != 0 and armed == 0):
                 touching = WRONG_SIDE
-        contacts.status[env, contact] = touching
+        penetration = real(0.0)
         if touching == CONTACT:
-            contacts.penetration[env, contact] = radius - s
+            penetration = radius - s
 
         # How far the point is from touching. On the side that it is on it stays, where that is known; one that is
         # deeper than counts as contact, or farther than that outside, does not touch whatever its side.
@@ -316,6 +329,11 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
             to_surface = -s * n_S
         to_deepest = -radius * n_S
         to_contact = to_surface + geometry.kappa * (to_deepest - to_surface)
+        contacts.gap[env, contact] = gap
+        contacts.status[env, contact] = touching
+        contacts.armed[env, contact] = armed
+        contacts.penetration[env, contact] = penetration
+        contacts.face[env, contact] = foot.row
         contacts.normal[env, contact] = view.R_WS * n_S
         contacts.arm[env, contact] = arm_W + view.R_WS * to_contact
         return free

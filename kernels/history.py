@@ -38,7 +38,10 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
             if status[env] != ENV_ACTIVE:
                 continue
             start = model.block_start[block]
-            for place in range(start, start + near.count[env, block]):
+            count = near.count[env, block]
+            if wp.static(follows):
+                count += near.crossed[env, block]
+            for place in range(start, start + count):
                 contact = near.contact[env, place]
                 history.armed[env, contact] = contacts.armed[env, contact]
                 touching = contacts.status[env, contact] == CONTACT

@@ -1,44 +1,31 @@
 """Which contacts a step has to do with: blocks and points that cannot touch yet are left alone.
 
 A point can only touch after it moved as far as it was from touching when it was looked at; ``travel.py`` says how
-far it can have moved. What is near is looked at by ``closest_point.py``.
+far it can have moved. What is near is looked at by ``closest_point.py``: here by one thread for a whole block, on
+a GPU contact by contact, by ``queues.py``.
 """
 
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import warp as wp
 from warpcontact.kernels import closest_point as closest
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels.closest_point import LATER, ROUNDING
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, INLINED, OPEN, SWEPT, Work, structs
+from warpcontact.kernels.closest_point import ROUNDING, WHOLE
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, INLINED, OPEN, Work, structs
 
 # Of what a block is free by: a contact with less left would soon be looked at again.
 FEW = 0.25
 
 
 @functools.cache
-def kernel(real: type, follows: bool, part: str = "whole") -> wp.Kernel:
-    """Returns the kernel that fills ``contacts`` and ``near`` from ``state``; items: blocks.
-
-    With ``cached`` it looks only at points that may touch, and remembers what it finds: contacts that it leaves
-    out do not touch and did not in the last step, and ``near`` lists the others. The outcome is the same.
-
-    Args:
-        real: Type of a real number.
-        follows: Whether any contact stays with the part of the surface that it touched.
-        part: ``"whole"``; or ``"known"``, which puts off the blocks that need a search, and then ``"rest"``.
-    """
+def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
+    """Returns the device functions for ``real``; ``follows`` and ``part`` are those of ``closest_point``."""
     t = structs(real)
-    Model, State, History = t.Model, t.State, t.History
-    Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
+    Model, History, Contacts, Cache = t.Model, t.History, t.Contacts, t.Cache
     contact_of = closest.functions(real, follows, part)
-    View, view_of, room_on_side, look = (
-        contact_of.View,
-        contact_of.view_of,
-        contact_of.room_on_side,
-        contact_of.look,
-    )
+    View, view_of, room_on_side = contact_of.View, contact_of.view_of, contact_of.room_on_side
     foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
     rounded_down = wp.constant(real(1.0 - 4.0 * t.epsilon))
@@ -74,21 +61,91 @@ def kernel(real: type, follows: bool, part: str = "whole") -> wp.Kernel:
         return around - rounded_up * wp.length(arm_B) - model.contact_geometry[env, contact].radius
 
     @wp.func
-    def leave(contacts: Contacts, env: int, contact: int):
-        """Fills ``contacts`` for one that is far away on the outer side."""
+    def free_around(
+        model: Model, contacts: Contacts, cache: Cache, env: int, block: int, contact: int, around: real
+    ):
+        """Fills ``contacts`` for one that is far away on the outer side, as the middle of its block shows.
+
+        Returns how far its point can move and not touch [m]; negative: nothing is known, and nothing was filled.
+        """
+        if not (around > real(0.0)) or cache.faces[env, contact] != 0:
+            return real(-1.0)
+        if model.contact_geometry[env, contact].enabled == 0:
+            return real(-1.0)
+        free = left_of(model, env, block, contact, around)
+        if not (free > real(FEW) * around):
+            return real(-1.0)
         contacts.status[env, contact] = OPEN
         contacts.penetration[env, contact] = real(0.0)
         contacts.armed[env, contact] = 1
+        return free
 
     @wp.func
-    def changed(contacts: Contacts, history: History, env: int, contact: int):
-        """Whether a contact that does not touch has something to tell: it did, or its latch moved."""
+    def wake_of(travel: real, free: real):
+        """Travel up to which a contact that is ``free`` cannot touch [m]."""
+        if not (free > real(0.0)):
+            return real(0.0)
+        return rounded_down * (travel + free)
+
+    @wp.func
+    def longer_wake(model: Model, cache: Cache, env: int, block: int, contact: int, travel: real, around: real):
+        """Lets a contact that is asleep sleep longer if the middle of its block shows that it can."""
+        wake = cache.wake[env, contact]
+        if around > real(0.0):
+            longer = rounded_down * (travel + left_of(model, env, block, contact, around))
+            if longer > wake:
+                wake = longer
+                cache.wake[env, contact] = wake
+        return wake
+
+    @wp.func
+    def unknown(model: Model, cache: Cache, env: int, start: int, stop: int, travelled: real):
+        """Whether some contact of a block is awake and no faces near it are known."""
+        for place in range(start, stop):
+            contact = model.block_contact[place]
+            if cache.faces[env, contact] == 0 and not (travelled < cache.wake[env, contact]):
+                return True
+        return False
+
+    @wp.func
+    def news(contacts: Contacts, history: History, env: int, contact: int):
+        """Whether the rest of the step has to do with a contact: it touches, or did, or its latch moved."""
+        if contacts.status[env, contact] == CONTACT:
+            return True
         latch = contacts.armed[env, contact] != history.armed[env, contact]
         return latch or history.entry_speed[env, contact] >= real(0.0)
 
-    @wp.func
-    def put_off(cache: Cache, task: int):
-        cache.waiting_task[wp.atomic_add(cache.waiting, 0, 1)] = task
+    return SimpleNamespace(
+        View=View,
+        view_of=view_of,
+        look=contact_of.look,
+        probe=probe,
+        free_around=free_around,
+        wake_of=wake_of,
+        longer_wake=longer_wake,
+        unknown=unknown,
+        news=news,
+    )
+
+
+@functools.cache
+def kernel(real: type, follows: bool) -> wp.Kernel:
+    """Returns the kernel that fills ``contacts`` and ``near`` from ``state``; items: blocks.
+
+    With ``cached`` it looks only at points that may touch, and remembers what it finds: contacts that it leaves
+    out do not touch and did not in the last step, and ``near`` lists the others. The outcome is the same.
+
+    Args:
+        real: Type of a real number.
+        follows: Whether any contact stays with the part of the surface that it touched.
+    """
+    t = structs(real)
+    Model, State, History = t.Model, t.State, t.History
+    Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
+    block_of = functions(real, follows, WHOLE)
+    view_of, look, probe, unknown = block_of.view_of, block_of.look, block_of.probe, block_of.unknown
+    free_around, wake_of = block_of.free_around, block_of.wake_of
+    longer_wake, news = block_of.longer_wake, block_of.news
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def closest_point(
@@ -102,18 +159,7 @@ def kernel(real: type, follows: bool, part: str = "whole") -> wp.Kernel:
         contacts: Contacts,
         near: Near,
     ):
-        tasks = work.tasks
-        if wp.static(part == "rest"):
-            tasks = cache.waiting[0]
-        thread = wp.tid()
-        if wp.static(part == "rest"):
-            # Searches go different ways: as few as may be side by side in a warp.
-            warps = (work.threads + 31) // 32
-            thread = (thread % 32) * warps + thread // 32
-        for i in range(thread, tasks, work.threads):
-            task = i
-            if wp.static(part == "rest"):
-                task = cache.waiting_task[i]
+        for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
             block = task % work.items
             if status[env] != ENV_ACTIVE:
@@ -130,66 +176,33 @@ def kernel(real: type, follows: bool, part: str = "whole") -> wp.Kernel:
                     continue
             start = model.block_start[block]
             stop = model.block_start[block + 1]
-            view = view_of(model, state, env, block)
+            view = view_of(model, state, env, number)
             around = real(-1.0)
-            if cached and stop - start > 1:
+            if cached and stop - start > 1:  # noqa: SIM102 - Warp computes both sides of an ``and``
                 # One search in the middle may do for all that are far from where they last touched.
-                unknown = wp.bool(False)
-                for place in range(start, stop):
-                    contact = model.block_contact[place]
-                    if cache.faces[env, contact] == 0 and not (travelled < cache.wake[env, contact]):
-                        unknown = True
-                if unknown:
-                    if wp.static(part == "known"):
-                        put_off(cache, task)
-                        continue
+                if unknown(model, cache, env, start, stop, travelled):
                     around = probe(model, view, env, block)
-            later = wp.bool(False)
             first_wake = real(wp.inf)
             for place in range(start, stop):
                 contact = model.block_contact[place]
-                wake = real(0.0)
-                if cached:
-                    wake = cache.wake[env, contact]
-                news = wp.bool(False)
-                if not cached or not (travelled < wake):
-                    news = True
-                    always = (model.contact_options[contact] & SWEPT) != 0
-                    free = real(-1.0)
-                    if around > real(0.0) and not always and cache.faces[env, contact] == 0:
-                        free = left_of(model, env, block, contact, around)
-                    if free > real(FEW) * around and model.contact_geometry[env, contact].enabled != 0:
-                        leave(contacts, env, contact)
-                    else:
-                        free = look(model, view, history, contacts, cached, cache, env, contact)
-                    if wp.static(part == "known") and free == real(LATER):
-                        later = True
-                        break
-                    if cached:
-                        wake = real(0.0)
-                        if free > real(0.0) and not always:
-                            wake = rounded_down * (travel + free)
-                        cache.wake[env, contact] = wake
-                        # What neither touches nor touched has nothing to be told.
-                        touches = contacts.status[env, contact] == CONTACT
-                        news = always or touches or changed(contacts, history, env, contact)
+                if cached and travelled < cache.wake[env, contact]:
+                    wake = longer_wake(model, cache, env, block, contact, travel, around)
+                    first_wake = wp.min(first_wake, wake)
                 else:
-                    if wp.static(part == "rest"):
-                        # It may have been looked at before its block was put off.
-                        news = changed(contacts, history, env, contact)
-                    if around > real(0.0):
-                        # Those asleep may learn that they can sleep longer.
-                        longer = rounded_down * (travel + left_of(model, env, block, contact, around))
-                        if longer > wake:
-                            wake = longer
-                            cache.wake[env, contact] = wake
-                if news:
-                    near.contact[env, start + count] = contact
-                    count += 1
-                first_wake = wp.min(first_wake, wake)
-            if wp.static(part == "known") and later:
-                put_off(cache, task)
-                continue
+                    free = real(-1.0)
+                    if cached:
+                        free = free_around(model, contacts, cache, env, block, contact, around)
+                    if free < real(0.0):
+                        free = look(model, view, history, contacts, cached, cache, env, contact)
+                    listed = wp.bool(True)
+                    if cached:
+                        wake = wake_of(travel, free)
+                        cache.wake[env, contact] = wake
+                        first_wake = wp.min(first_wake, wake)
+                        listed = news(contacts, history, env, contact)
+                    if listed:
+                        near.contact[env, start + count] = contact
+                        count += 1
             near.count[env, block] = count
             if cached:
                 cache.block_wake[env, block] = first_wake

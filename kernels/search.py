@@ -1,8 +1,8 @@
 """Search for the face nearest to a point, and its outcome kept from step to step: most contacts need no search.
 
-As in the neighbour lists of molecular dynamics: faces within a skin are remembered, each with its distance. A
-point that moved by m since then is at least that distance less m away from each, and from all others at least the
-skin less m; so the nearest is among the first few, or the list has to be made anew.
+As in the neighbour lists of molecular dynamics: faces within a skin are remembered, each with its distance and the
+slope of that. A triangle is convex, so its distance is nowhere less than the slope says; and a point that moved by
+m is at least the skin less m away from all others. So the nearest is among the first few, or a new list is due.
 """
 
 import functools
@@ -14,6 +14,11 @@ from warpcontact.kernels.types import REMEMBERED, structs
 
 # Rounding of a distance, in units of epsilon times the size of the differences; wider than a tie of two feet.
 ROUNDING = 32.0
+# Distance, in units of the size of the differences, from which on rounding turns a direction by little.
+STEADY = 0.002
+
+# Steps for which one face has to do, or a second one is looked at as well.
+SOON = 8.0
 
 
 @functools.cache
@@ -25,6 +30,8 @@ def functions(real: type) -> SimpleNamespace:
     Foot, foot_on, nearer = near.Foot, near.foot_on, near.nearer
     rounding = wp.constant(real(t.epsilon * ROUNDING))
     room = wp.constant(REMEMBERED)
+    steady = wp.constant(real(STEADY))
+    soon = wp.constant(real(SOON))
 
     @wp.struct
     class Recalled:
@@ -34,47 +41,131 @@ def functions(real: type) -> SimpleNamespace:
         known: wp.bool
 
     @wp.func
-    def recall(model: Model, cache: Cache, env: int, contact: int, p: vec3):
-        """Looks for the nearest point among the remembered faces."""
+    def lead(best: Foot, direction: vec3, distance: real):
+        """How far the point can move, in any direction, with ``best`` nearer than a face ``distance`` away.
+
+        A distance changes by no more than the point moved. And better where both lie in about one direction: the
+        distance of that face is at least what its slope says, u' being the ``direction`` from its nearest point,
+        and the distance from ``best`` at most that from where its foot is now,
+
+            d'(p + v) ≥ d' + u'·v,   d(p + v) ≤ |d u + v| ≤ d + u·v + |v|²/d for |v| ≤ d/2
+
+        so ``best`` leads as long as |v|²/d + |u' − u| |v| < d' − d.
+        """
+        d = best.distance
+        ahead = distance - d
+        simple = real(0.5) * ahead
+        rounded = rounding * best.span
+        if ahead <= real(0.0) or d <= rounded:
+            return simple
+        turn = wp.length(direction - (real(1.0) / d) * best.to_point) + rounded / d
+        far = real(2.0) * ahead / (turn + wp.sqrt(turn * turn + real(4.0) * ahead / d))
+        return wp.max(simple, wp.min(far, real(0.5) * d))
+
+    @wp.func
+    def remember(cache: Cache, env: int, slot: int, foot: Foot, gone: vec3):
+        """Keeps the distance of a face and its slope, as seen from the place of the list, ``gone`` away.
+
+        Where rounding would turn the slope it says that no distance is negative.
+        """
+        distance = real(0.0)
+        direction = vec3()
+        if foot.distance > steady * foot.span:
+            direction = (real(1.0) / foot.distance) * foot.to_point
+            distance = foot.distance - wp.dot(direction, gone)
+        cache.distance[env, slot] = distance
+        cache.direction[env, slot] = direction
+
+    @wp.func
+    def recall_nothing(model: Model, cache: Cache, env: int, contact: int, p: vec3, step: real):
+        """Takes no remembered face for the nearest."""
+        return Recalled()
+
+    @wp.func
+    def recall_sure(model: Model, cache: Cache, env: int, contact: int, p: vec3, step: real):
+        """Takes the face that is known to be the nearest here, or one of two."""
+        answer = Recalled()
+        answer.known = False
+        if cache.faces[env, contact] != 0:
+            answer.known = wp.length(p - cache.sure_place[env, contact]) < cache.sure[env, contact]
+        if answer.known:
+            answer.foot = foot_on(model, cache.nearest[env, contact], p)
+            rival = cache.rival[env, contact]
+            if rival >= 0:
+                answer.foot = nearer(model, answer.foot, foot_on(model, rival, p))
+                answer.foot.distance = wp.length(answer.foot.to_point)
+        return answer
+
+    @wp.func
+    def recall_listed(model: Model, cache: Cache, env: int, contact: int, p: vec3, step: real):
+        """Looks for the nearest point among the remembered faces.
+
+        ``step``: how far the point came in the last step, about.
+        """
         answer = Recalled()
         answer.known = False
         count = cache.faces[env, contact]
         if count == 0:
             return answer
-        if wp.length(p - cache.sure_place[env, contact]) < cache.sure[env, contact]:
-            answer.foot = foot_on(model, cache.nearest[env, contact], p)
-            answer.known = True
-            return answer
+        first = cache.nearest[env, contact]
+        best = foot_on(model, first, p)
         slot = contact * room
-        moved = wp.length(p - cache.place[env, contact])
-        best = foot_on(model, cache.face[env, slot], p)
-        slack = moved + rounding * (best.span + best.distance + moved)
-        # No other face is nearer than this.
-        second = cache.beyond[env, contact] - slack
-        for i in range(1, count):
-            least = cache.distance[env, slot + i] - slack
-            if least > best.distance:
-                second = wp.min(second, least)
-            else:
-                other = foot_on(model, cache.face[env, slot + i], p)
-                second = wp.min(second, wp.max(best.distance, other.distance))
+        gone = p - cache.place[env, contact]
+        moved = wp.length(gone)
+        slack = rounding * (best.span + best.distance + real(16.0) * moved)
+        for i in range(slot, slot + count):
+            least = cache.distance[env, i] + wp.dot(cache.direction[env, i], gone) - slack
+            face = cache.face[env, i]
+            if least <= best.distance and face != first:
+                other = foot_on(model, face, p)
+                remember(cache, env, i, other, gone)
                 best = nearer(model, best, other)
-        answer.known = best.distance < cache.beyond[env, contact] - slack
         best.distance = wp.length(best.to_point)
         answer.foot = best
+        # No other face is nearer than this.
+        beyond = cache.beyond[env, contact] - moved - slack
+        answer.known = best.distance < beyond
         if answer.known:
-            # Until it moved half the difference no other face can be as near.
-            cache.sure[env, contact] = real(0.5) * (second - best.distance) - (slack - moved)
+            second = real(0.5) * (beyond - best.distance)
+            sure = second
+            rival = wp.int32(-1)
+            for i in range(slot, slot + count):
+                direction = cache.direction[env, i]
+                least = cache.distance[env, i] + wp.dot(direction, gone) - slack
+                face = cache.face[env, i]
+                if real(0.5) * (least - best.distance) < second and face != best.row:
+                    leads = lead(best, direction, least)
+                    if leads < sure:
+                        second = sure
+                        sure = leads
+                        rival = face
+                    else:
+                        second = wp.min(second, leads)
+            # The first that may come as near is looked at as well, where it would soon be asked for again.
+            if sure < soon * step and sure < real(0.5) * second:
+                sure = second
+            else:
+                rival = -1
+            cache.rival[env, contact] = rival
+            cache.sure[env, contact] = sure
             cache.sure_place[env, contact] = p
             cache.nearest[env, contact] = best.row
         return answer
 
     @wp.func
-    def box_about(model: Model, patch: int, p: vec3, reach: real):
-        """Faces whose boxes come within ``reach``, none too few: nothing but their boxes is trusted to float32."""
+    def recall(model: Model, cache: Cache, env: int, contact: int, p: vec3, step: real):
+        """Takes the nearest face if it is among the remembered ones."""
+        answer = recall_sure(model, cache, env, contact, p, step)
+        if not answer.known:
+            answer = recall_listed(model, cache, env, contact, p, step)
+        return answer
+
+    @wp.func
+    def faces_about(model: Model, patch: int, p: vec3, reach: real):
+        """Faces within ``reach`` as float32 tells, which has to be wide enough for that; on fine meshes those in a
+        box would be many more."""
         centre = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-        around = wp.vec3f(wp.float32(reach), wp.float32(reach), wp.float32(reach))
-        return wp.mesh_query_aabb(model.patch_mesh[patch], centre - around, centre + around)
+        return wp.mesh_query_sphere(model.patch_mesh[patch], centre, wp.float32(reach))
 
     @wp.func
     def nearest_of_all(model: Model, patch: int, p: vec3, first: Foot, margin: real):
@@ -84,9 +175,9 @@ def functions(real: type) -> SimpleNamespace:
         """
         start = model.patch_face_start[patch]
         best = first
-        boxes = box_about(model, patch, p, first.distance + margin)
+        found = faces_about(model, patch, p, first.distance + margin)
         face = wp.int32(0)
-        while wp.mesh_query_aabb_next(boxes, face):
+        while wp.mesh_query_next(found, face):
             best = nearer(model, best, foot_on(model, start + face, p))
         best.distance = wp.length(best.to_point)
         return best
@@ -100,11 +191,11 @@ def functions(real: type) -> SimpleNamespace:
         best = first
         # All others are farther than this.
         beyond = first.distance + model.patch_skin[patch]
-        boxes = box_about(model, patch, p, beyond + margin)
+        found = faces_about(model, patch, p, beyond + margin)
         face = wp.int32(0)
         slot = contact * room
         count = wp.int32(0)
-        while wp.mesh_query_aabb_next(boxes, face):
+        while wp.mesh_query_next(found, face):
             other = foot_on(model, start + face, p)
             best = nearer(model, best, other)
             if other.distance < beyond:
@@ -121,21 +212,21 @@ def functions(real: type) -> SimpleNamespace:
                     beyond = wp.max(farthest, other.distance)
                     if other.distance >= farthest:
                         continue
-                cache.distance[env, slot + place] = other.distance
                 cache.face[env, slot + place] = start + face
+                remember(cache, env, slot + place, other, vec3())
         best.distance = wp.length(best.to_point)
-        # The nearest first: often no other is looked at.
-        for i in range(1, count):
-            if cache.face[env, slot + i] == best.row:
-                cache.face[env, slot + i] = cache.face[env, slot]
-                cache.face[env, slot] = best.row
-                distance = cache.distance[env, slot + i]
-                cache.distance[env, slot + i] = cache.distance[env, slot]
-                cache.distance[env, slot] = distance
         cache.faces[env, contact] = count
         cache.sure[env, contact] = real(0.0)
         cache.place[env, contact] = p
         cache.beyond[env, contact] = beyond
         return best
 
-    return SimpleNamespace(recall=recall, nearest_of_all=nearest_of_all, nearest_to_remember=nearest_to_remember)
+    return SimpleNamespace(
+        Recalled=Recalled,
+        recall=recall,
+        recall_nothing=recall_nothing,
+        recall_sure=recall_sure,
+        recall_listed=recall_listed,
+        nearest_of_all=nearest_of_all,
+        nearest_to_remember=nearest_to_remember,
+    )

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import warp as wp
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels import frames
+from warpcontact.kernels import frames, travel
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
@@ -28,13 +28,15 @@ MOST_CROSSINGS = 8
 
 @functools.cache
 def kernel(real: type) -> wp.Kernel:
-    """Returns the kernel that follows swept contacts in and out of their surface; items: contacts.
+    """Returns the kernel that follows swept contacts in and out of their surface; items: blocks.
 
     A point moves on a straight line from ``state_in`` to ``state_out`` as seen from the surface. The first time
     that it goes in is what counts as a crossing; whatever it is over in the end is ``face`` and ``crossed_face``.
+    ``near`` lists those that crossed after the others, which have had to do with the step before.
     """
     t = structs(real)
-    vec3, Model, State, Contacts = t.vec3, t.Model, t.State, t.Contacts
+    vec3, Model, State, Contacts, Near, Cache = t.vec3, t.Model, t.State, t.Contacts, t.Near, t.Cache
+    see, moved = travel.functions(real).see, travel.functions(real).moved
     follow, inner = feet.functions(real).follow, feet.functions(real).inner
     frame = frames.functions(real)
     apart, turned, orientation_to_world = frame.apart, frame.turned, frame.orientation_to_world
@@ -124,6 +126,60 @@ def kernel(real: type) -> wp.Kernel:
             return real(1.0)
         return before / (before - after)
 
+    @wp.func
+    def may_cross(model: Model, contacts: Contacts, env: int, contact: int):
+        option = model.contact_options[contact]
+        if (option & SWEPT) == 0 or model.contact_geometry[env, contact].enabled == 0:
+            return False
+        # Not armed: known to be on the wrong side, or never near enough for its side to be known.
+        armed = contacts.armed[env, contact] != 0 or contacts.status[env, contact] == FAR
+        return armed or (option & LATCHED) == 0
+
+    @wp.func
+    def follow_through(
+        model: Model, state_in: State, state_out: State, contacts: Contacts, env: int, contact: int
+    ):
+        """Follows a contact into and out of its surface; returns whether it crossed inwards."""
+        base = model.contact_patch[contact]
+        surface = model.patch_surface[base]
+        patch = base + model.surface_mesh[env, surface]
+        p = to_surface(model, state_in, env, contact, surface)
+        q = to_surface(model, state_out, env, contact, surface)
+        # A point on the inner side is held by a face, and free from where it comes out of that sheet.
+        held = wp.int32(-1)
+        depth = contacts.penetration[env, contact] - model.contact_geometry[env, contact].radius
+        if contacts.status[env, contact] == CONTACT and depth >= real(0.0):
+            held = contacts.face[env, contact]
+        over = held
+        gone = real(0.0)
+        entered = real(2.0)
+        for _ in range(wp.static(MOST_CROSSINGS)):
+            at, row = first_crossing(model, patch, held, p, q)
+            if held >= 0:
+                foot = follow(model, held, p, q)
+                over = foot.row
+                if at > real(1.0):
+                    if inner(model, foot):
+                        break
+                    # Past a border it comes out where it passes the plane of the face there.
+                    at = passes(model, over, p, q)
+            elif row < 0:
+                break
+            else:
+                entered = wp.min(entered, gone + (real(1.0) - gone) * at)
+            held = wp.where(held >= 0, -1, row)
+            p = p + at * (q - p)
+            gone = gone + (real(1.0) - gone) * at
+        if over >= 0:
+            # Whatever face it was held by, from the one that it is over now its nearest point is found.
+            contacts.face[env, contact] = over
+        if entered > real(1.0):
+            return False
+        contacts.armed[env, contact] = 1
+        contacts.crossed_face[env, contact] = over
+        contacts.crossed_at[env, contact] = entered
+        return True
+
     @wp.kernel(module="unique", enable_backward=False)
     def sweep(
         work: Work,
@@ -131,68 +187,50 @@ def kernel(real: type) -> wp.Kernel:
         model: Model,
         state_in: State,
         state_out: State,
+        cached: wp.bool,
+        cache: Cache,
         contacts: Contacts,
+        near: Near,
         mark: wp.int32,  # whether environments with a crossing are to take the step again
         marked: wp.array(dtype=wp.int32),  # [0] set if there are any
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
-            contact = task % work.items
+            block = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
-            option = model.contact_options[contact]
-            if (option & SWEPT) == 0:
+            near.crossed[env, block] = 0
+            start = model.block_start[block]
+            if (model.contact_options[model.block_contact[start]] & SWEPT) == 0:
                 continue
-            geometry = model.contact_geometry[env, contact]
-            if geometry.enabled == 0:
-                continue
-            # Not armed: known to be on the wrong side, or never near enough for its side to be known.
-            if (
-                (option & LATCHED) != 0
-                and contacts.armed[env, contact] == 0
-                and contacts.status[env, contact] != FAR
-            ):
-                continue
-            base = model.contact_patch[contact]
-            surface = model.patch_surface[base]
-            patch = base + model.surface_mesh[env, surface]
-            p = to_surface(model, state_in, env, contact, surface)
-            q = to_surface(model, state_out, env, contact, surface)
-            # A point on the inner side is held by a face, and free from where it comes out of that sheet.
-            held = wp.int32(-1)
-            if contacts.status[env, contact] == CONTACT and contacts.penetration[env, contact] >= geometry.radius:
-                held = contacts.face[env, contact]
-            over = held
-            gone = real(0.0)
-            entered = real(2.0)
-            for _ in range(wp.static(MOST_CROSSINGS)):
-                at, row = first_crossing(model, patch, held, p, q)
-                if held >= 0:
-                    foot = follow(model, held, p, q)
-                    over = foot.row
-                    if at > real(1.0):
-                        if inner(model, foot):
-                            break
-                        # Past a border it comes out where it passes the plane of the face there.
-                        at = passes(model, over, p, q)
-                elif row < 0:
-                    break
-                else:
-                    entered = wp.min(entered, gone + (real(1.0) - gone) * at)
-                held = wp.where(held >= 0, -1, row)
-                p = p + at * (q - p)
-                gone = gone + (real(1.0) - gone) * at
-            if over >= 0:
-                # Whatever face it was held by, from the one that it is over now its nearest point is found.
-                contacts.face[env, contact] = over
-            if entered <= real(1.0):
-                contacts.armed[env, contact] = 1
-                contacts.crossed_face[env, contact] = over
-                contacts.crossed_at[env, contact] = entered
+            # At the end of the step; what could not even touch until then did not cross.
+            travelled = real(wp.inf)
+            if cached:
+                number = model.block_set[block]
+                seen = see(model, state_out, env, number)
+                margin = wp.max(seen.margin, cache.set_margin[env, number])
+                travelled = cache.set_travel[env, number] + moved(model, cache, env, number, seen) + margin
+                if travelled < cache.block_wake[env, block]:
+                    continue
+            count = near.count[env, block]
+            crossed = wp.int32(0)
+            for place in range(start, model.block_start[block + 1]):
+                contact = model.block_contact[place]
+                if travelled < cache.wake[env, contact] or not may_cross(model, contacts, env, contact):
+                    continue
+                if not follow_through(model, state_in, state_out, contacts, env, contact):
+                    continue
+                listed = wp.bool(False)
+                for i in range(start, start + count):
+                    listed = listed or near.contact[env, i] == contact
+                if not listed:
+                    near.contact[env, start + count + crossed] = contact
+                    crossed += 1
                 if mark != 0:
                     # Many threads may say so, all the same.
                     status[env] = ENV_CROSSED
                     marked[0] = 1
+            near.crossed[env, block] = crossed
 
     return sweep
 

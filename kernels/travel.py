@@ -1,13 +1,65 @@
 """How far the points of a set moved over their surface: none that was farther away than this can touch it now."""
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, QUEUES, Work, structs
 
 # Rounding of a position, in units of epsilon times the size of what it is computed from.
 ROUNDING = 32.0
+
+
+@functools.cache
+def functions(real: type) -> SimpleNamespace:
+    """Returns the device functions for ``real``."""
+    t = structs(real)
+    vec3, quat, Model, State, Cache = t.vec3, t.quat, t.Model, t.State, t.Cache
+    frame = frames.functions(real)
+    apart, turned, orientation_to_world = frame.apart, frame.turned, frame.orientation_to_world
+    epsilon = wp.constant(real(t.epsilon))
+    rounding = wp.constant(real(t.epsilon * ROUNDING))
+
+    @wp.struct
+    class Seen:
+        """Where a set of points is, seen from its surface."""
+
+        position: vec3  # its middle, S [m]
+        orientation: quat  # B → S
+        margin: real  # rounding of a position [m]
+
+    @wp.func
+    def see(model: Model, state: State, env: int, number: int):
+        contact = model.set_contact[number]
+        surface = model.patch_surface[model.contact_patch[contact]]
+        carrier = model.surface_body[surface]
+        o_B = model.surface_position[env, surface]
+        q_WS = orientation_to_world(state, env, carrier, model.surface_orientation[env, surface])
+        point = model.contact_point[contact]
+        body = model.point_body[point]
+        c_B = model.set_center[env, number]
+        between = apart(model, state, env, point, surface)
+        c_W = between + turned(state, env, body, c_B) - turned(state, env, carrier, o_B)
+        size = wp.length(between) + wp.length(c_B) + wp.length(o_B) + model.set_extent[env, number]
+        seen = Seen()
+        seen.position = wp.quat_rotate_inv(q_WS, c_W)
+        seen.orientation = wp.quat_inverse(q_WS) * orientation_to_world(
+            state, env, body, wp.quat_identity(dtype=real)
+        )
+        seen.margin = rounding * size
+        return seen
+
+    @wp.func
+    def moved(model: Model, cache: Cache, env: int, number: int, seen: Seen):
+        """How far, at most, any point of the set is from where it was when its travel was last added up [m]."""
+        # Two rotations, as unit quaternions, move a point at distance 1 from each other by 2 |q − q'| at most.
+        last = cache.set_orientation[env, number]
+        turn = wp.min(wp.length(seen.orientation - last), wp.length(seen.orientation + last))
+        way = wp.length(seen.position - cache.set_position[env, number])
+        return (way + real(2.0) * model.set_extent[env, number] * turn) * (real(1.0) + real(8.0) * epsilon)
+
+    return SimpleNamespace(see=see, moved=moved)
 
 
 @functools.cache
@@ -18,10 +70,8 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     Model, State, Cache = t.Model, t.State, t.Cache
-    frame = frames.functions(real)
-    apart, turned, orientation_to_world = frame.apart, frame.turned, frame.orientation_to_world
+    see, moved = functions(real).see, functions(real).moved
     epsilon = wp.constant(real(t.epsilon))
-    rounding = wp.constant(real(t.epsilon * ROUNDING))
 
     @wp.kernel(module="unique", enable_backward=False)
     def add_travel(work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, cache: Cache):
@@ -29,44 +79,29 @@ def kernel(real: type) -> wp.Kernel:
             env = work.first + task // work.items
             number = task % work.items
             if task == 0:
-                cache.waiting[0] = 0
+                for kind in range(QUEUES):
+                    cache.waiting[kind] = 0
             if status[env] != ENV_ACTIVE:
                 continue
-            contact = model.set_contact[number]
-            surface = model.patch_surface[model.contact_patch[contact]]
-            carrier = model.surface_body[surface]
-            o_B = model.surface_position[env, surface]
-            q_WS = orientation_to_world(state, env, carrier, model.surface_orientation[env, surface])
-            point = model.contact_point[contact]
-            body = model.point_body[point]
-            c_B = model.set_center[env, number]
-            between = apart(model, state, env, point, surface)
-            c_W = between + turned(state, env, body, c_B) - turned(state, env, carrier, o_B)
-            q_SB = wp.quat_inverse(q_WS) * orientation_to_world(state, env, body, wp.quat_identity(dtype=real))
-            position = wp.quat_rotate_inv(q_WS, c_W)
-            extent = model.set_extent[env, number]
-
-            # Two rotations, as unit quaternions, move a point at distance 1 from each other by 2 |q − q'| at most.
-            last = cache.set_orientation[env, number]
-            turn = wp.min(wp.length(q_SB - last), wp.length(q_SB + last))
-            moved = wp.length(position - cache.set_position[env, number]) + real(2.0) * extent * turn
+            seen = see(model, state, env, number)
+            way = moved(model, cache, env, number, seen)
             before = cache.set_travel[env, number]
-            travel = before + moved * (real(1.0) + real(8.0) * epsilon) + epsilon * before
-            margin = rounding * (wp.length(between) + wp.length(c_B) + wp.length(o_B) + extent)
-            cache.set_position[env, number] = position
-            cache.set_orientation[env, number] = q_SB
+            travel = before + way + epsilon * before
+            cache.set_position[env, number] = seen.position
+            cache.set_orientation[env, number] = seen.orientation
             cache.set_travel[env, number] = travel
-            cache.set_margin[env, number] = margin
+            cache.set_step[env, number] = way
+            cache.set_margin[env, number] = seen.margin
 
             wake = cache.set_wake[env, number]
-            asleep = travel + margin < wake
+            asleep = travel + seen.margin < wake
             if not asleep:
                 # Its blocks may have learned more since.
                 wake = real(wp.inf)
                 for block in range(model.set_block_start[number], model.set_block_start[number + 1]):
                     wake = wp.min(wake, cache.block_wake[env, block])
                 cache.set_wake[env, number] = wake
-                asleep = travel + margin < wake
+                asleep = travel + seen.margin < wake
             cache.set_asleep[env, number] = wp.where(asleep, 1, 0)
 
     return add_travel

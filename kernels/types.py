@@ -50,6 +50,9 @@ SIDES_ABOVE = 2  # within the walls of the patch
 # Faces that are remembered per contact.
 REMEMBERED = 8
 
+# Queues of a GPU.
+QUEUES = 4
+
 # What the geometry says about the latch of entry="latched".
 LATCH_KEEP = 0
 LATCH_ARM = 1
@@ -134,6 +137,7 @@ def structs(real: type) -> SimpleNamespace:
         contact_point: wp.array(dtype=wp.int32)  # [contact] index of the point
         contact_patch: wp.array(dtype=wp.int32)  # [contact] that of the surface's first mesh
         contact_options: wp.array(dtype=wp.int32)  # [contact] option bits
+        contact_set: wp.array(dtype=wp.int32)  # [contact]
         contact_geometry: wp.array2d(dtype=ContactGeometry)  # [env, contact]
         # Sets: the contacts of one set of points with one surface. Blocks: some of them that are near each other
         set_contact: wp.array(dtype=wp.int32)  # [set] its first contact
@@ -193,6 +197,7 @@ def structs(real: type) -> SimpleNamespace:
 
         contact: wp.array2d(dtype=wp.int32)  # [env, place] contacts by block, from block_start on
         count: wp.array2d(dtype=wp.int32)  # [env, block]
+        crossed: wp.array2d(dtype=wp.int32)  # [env, block] how many more crossed their surface in this step
         force: wp.array2d(dtype=vec3)  # [env, block] on the points' body, W [N]
         torque_1: wp.array2d(dtype=vec3)  # [env, block] on it, about its centre of mass, W [N·m]
         torque_2: wp.array2d(dtype=vec3)  # [env, block] on the surface's body, about its own, W [N·m]
@@ -207,24 +212,28 @@ def structs(real: type) -> SimpleNamespace:
         set_position: wp.array2d(dtype=vec3)  # [env, set] its middle when last seen, from the surface, S [m]
         set_orientation: wp.array2d(dtype=quat)  # [env, set] B → S then
         set_travel: wp.array2d(dtype=real)  # [env, set] no point of it moved farther, over the surface [m]
+        set_step: wp.array2d(dtype=real)  # [env, set] how much of that in the last step [m]
         set_margin: wp.array2d(dtype=real)  # [env, set] rounding of a position [m]
         set_wake: wp.array2d(dtype=real)  # [env, set] travel up to which none of its points can touch [m]
         set_asleep: wp.array2d(dtype=wp.int32)  # [env, set] whether it has not come so far
         block_wake: wp.array2d(dtype=real)  # [env, block] likewise [m]
         wake: wp.array2d(dtype=real)  # [env, contact] likewise [m]
-        # On a GPU, blocks that need a search wait for the others: threads side by side do the same then
-        waiting: wp.array(dtype=wp.int32)  # [0] how many
-        waiting_task: wp.array(dtype=wp.int32)  # numbers of their tasks
+        # On a GPU: what is still to be done, by kind, so that threads side by side do the same
+        waiting: wp.array(dtype=wp.int32)  # [kind] how many
+        waiting_block: wp.array(dtype=wp.int32)  # numbers of the tasks to probe
+        waiting_contact: wp.array2d(dtype=wp.int32)  # [kind, …] and of those to look at
         # The nearest face, as long as the point is within ``sure`` of ``sure_place``; in units of the mesh
         sure: wp.array2d(dtype=real)  # [env, contact]
         sure_place: wp.array2d(dtype=vec3)  # [env, contact] S
         nearest: wp.array2d(dtype=wp.int32)  # [env, contact] its row
+        rival: wp.array2d(dtype=wp.int32)  # [env, contact] row of the only other that it may be; −1: none
         # Faces nearest to a point, from where it was when they were looked for; in units of the mesh
         place: wp.array2d(dtype=vec3)  # [env, contact] S
         beyond: wp.array2d(dtype=real)  # [env, contact] all other faces are farther from there
         faces: wp.array2d(dtype=wp.int32)  # [env, contact] how many are remembered
         face: wp.array2d(dtype=wp.int32)  # [env, contact × REMEMBERED] their rows, the nearest first
         distance: wp.array2d(dtype=real)  # [env, contact × REMEMBERED] from there
+        direction: wp.array2d(dtype=vec3)  # [env, contact × REMEMBERED] its slope there, unit or zero, S
 
     @wp.struct
     class Wrenches:

@@ -6,9 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import warp as wp
+from warpcontact.kernels.types import QUEUES
 
 import warpcontact as wc
-from warpcontact import crew, stepping
+from warpcontact import crew, simulation, stepping
+from warpcontact.schedule import Span
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
@@ -228,6 +231,25 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@PRECISIONS
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("name", SCENES)
+def test_queues_change_nothing(name, precision, monkeypatch):
+    """As a GPU looks at contacts, here by one thread."""
+    usual, _ = run(name, precision, "cpu")
+
+    def queued(model, first, count, cached, ordered, _):
+        tasks, contacts = model.envs * model.blocks.count, model.envs * model.contact_count
+        cache = model.arrays.cache
+        cache.waiting_block = wp.zeros(tasks, dtype=wp.int32, device="cpu")
+        cache.waiting_contact = wp.zeros((QUEUES, contacts), dtype=wp.int32, device="cpu")
+        return Span(model, first, count, cached, ordered, queued=True)
+
+    monkeypatch.setattr(simulation, "Span", queued)
+    monkeypatch.setattr(simulation, "slice_size", lambda model, envs, threads: envs)
+    assert_same(run(name, precision, "cpu")[0], usual)
+
+
 def test_simulations_side_by_side_do_not_notice_each_other(device):
     names = ["box of points on terrain", "with memory", "on a ball", "two bodies"]
     alone = [run(name, "float32", device)[0] for name in names]

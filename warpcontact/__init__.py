@@ -13,6 +13,7 @@ from warpcontact._version import __version__
 if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes
     from warpcontact.advice import ContactWarning
+    from warpcontact.benchmark import BenchReport, bench
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
+    "BenchReport": "warpcontact.benchmark",
     "Body": "warpcontact.elements",
     "Contact": "warpcontact.elements",
     "ContactWarning": "warpcontact.advice",
@@ -50,6 +52,7 @@ _HOME = {
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
     "Template": "warpcontact.elements",
+    "bench": "warpcontact.benchmark",
     "compare": "warpcontact.compare",
     "export_usd": "warpcontact.usd",
     "frictions": "warpcontact.kernels.frictions",
@@ -63,6 +66,7 @@ _HOME = {
 }
 
 __all__ = [
+    "BenchReport",
     "Body",
     "Contact",
     "ContactWarning",
@@ -84,6 +88,7 @@ __all__ = [
     "SurfaceSamples",
     "Template",
     "__version__",
+    "bench",
     "compare",
     "export_usd",
     "frictions",

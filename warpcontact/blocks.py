@@ -109,6 +109,7 @@ def upload_blocks(
     sizes = np.diff(blocks.set_start)
     firsts = np.cumsum([0] + [contact.count for contact in contacts])
     send("set_contact", firsts[:-1])
+    send("contact_set", np.repeat(np.arange(len(contacts)), np.diff(firsts)))
     send("set_block_start", blocks.set_start)
     send("block_set", np.repeat(np.arange(len(contacts)), sizes))
     send("block_start", blocks.start)

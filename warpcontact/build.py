@@ -127,16 +127,19 @@ def find_device(name: str) -> wp.Device:
 def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int) -> Any:
     shapes = {name: per_env(sets) for name in t.Cache.vars if name.startswith("set_")}
     faces = per_env(contacts * types.REMEMBERED)
+    queued = layout.device.is_cuda
     return layout.struct(
         "cache",
         t.Cache,
         per_env(contacts),
         **shapes,
         block_wake=per_env(blocks),
-        waiting=fixed(1),
-        waiting_task=(lambda envs: (envs * blocks,)) if layout.device.is_cuda else fixed(1),
+        waiting=fixed(types.QUEUES),
+        waiting_block=(lambda envs: (envs * blocks,)) if queued else fixed(1),
+        waiting_contact=(lambda envs: (types.QUEUES, envs * contacts)) if queued else fixed(types.QUEUES, 1),
         face=faces,
         distance=faces,
+        direction=faces,
     )
 
 

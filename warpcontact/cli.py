@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warpcontact import __version__, laws_command
+from warpcontact import __version__, bench_command, laws_command
 
 if TYPE_CHECKING:
     from warpcontact.experiment import Experiment
@@ -128,6 +128,8 @@ def _parser() -> argparse.ArgumentParser:
 
     laws_command.add_to(commands)
     commands.choices["laws"].set_defaults(command=_laws)
+    bench_command.add_to(commands)
+    commands.choices["bench"].set_defaults(command=_bench)
     return parser
 
 
@@ -265,6 +267,14 @@ def _inspect(arguments: argparse.Namespace) -> int:
 def _laws(arguments: argparse.Namespace) -> int:
     try:
         laws_command.run(arguments)
+    except ValueError as error:
+        return _fail(str(error))
+    return 0
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    try:
+        bench_command.run(arguments)
     except ValueError as error:
         return _fail(str(error))
     return 0

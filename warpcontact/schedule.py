@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.kernels import history, integrate, near, sweep, travel, wrenches
+from warpcontact.kernels import history, integrate, near, queues, sweep, travel, wrenches
+from warpcontact.kernels.closest_point import KNOWN, LISTED, SEARCH
 from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
@@ -18,8 +19,11 @@ if TYPE_CHECKING:
     from warpcontact.model import Model
 
 
-# Most threads of a GPU that search, in whole warps, for however many blocks.
+# Most threads of a GPU that work off a queue, in whole warps, however long it is.
+LOOKING = 262144
 SEARCHING = 65536
+# Threads of a block of these: with many registers each, small blocks fill a processor better.
+FEW_TOGETHER = 64
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,7 @@ class Span:
         count: How many.
         cached: Whether what is known of distances saves work.
         ordered: Whether wrenches are summed in one order, the same in every run.
+        queued: Whether threads share out contacts by what they need, not by blocks: for many threads.
     """
 
     model: "Model"
@@ -39,18 +44,33 @@ class Span:
     count: int
     cached: bool
     ordered: bool
+    queued: bool = False
 
     def prepare(
-        self, kernel: wp.Kernel, items: int, inputs: list[Any], threads: int | None = None
+        self,
+        kernel: wp.Kernel,
+        items: int,
+        inputs: list[Any],
+        threads: int | None = None,
+        together: int = 256,
     ) -> list[wp.Launch]:
-        """Returns the launch for some items per environment, recorded once; none if there is no work."""
+        """Returns the launch for some items per environment, recorded once; none if there is no work.
+
+        Args:
+            kernel: The kernel.
+            items: Items per environment.
+            inputs: Its inputs after the work.
+            threads: How many, on a GPU; one for each item if not given.
+            together: How many of them share the registers of a GPU block.
+        """
         if items == 0:
             return []
         device = self.model.device
         work = Work()
         work.first, work.items, work.tasks = self.first, items, self.count * items
         work.threads = (threads or work.tasks) if device.is_cuda else 1
-        return [wp.launch(kernel, dim=work.threads, inputs=[work, *inputs], device=device, record_cmd=True)]
+        inputs = [work, *inputs]
+        return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=together)]
 
 
 def force_stages(span: Span, state: Any, step: wp.array) -> list[wp.Launch]:
@@ -65,13 +85,13 @@ def force_stages(span: Span, state: Any, step: wp.array) -> list[wp.Launch]:
         launches += span.prepare(
             travel.kernel(real), len(model.scene.contacts), [a.status, a.model, state, a.cache]
         )
-    # Searches take much longer than what is known: on a GPU threads that search would hold up those beside them.
-    for part in ("known", "rest") if span.cached and model.device.is_cuda else ("whole",):
+    if span.cached and span.queued:
+        launches += queue_stages(span, state)
+    else:
         launches += span.prepare(
-            near.kernel(real, model.follows, part),
+            near.kernel(real, model.follows),
             model.blocks.count,
             [a.status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near],
-            threads=min(SEARCHING, -(-span.count * model.blocks.count // 32) * 32) if part == "rest" else None,
         )
     if not span.ordered:
         launches += span.prepare(wrenches.clear(real), model.body_count, [a.status, a.wrenches])
@@ -101,6 +121,36 @@ def force_stages(span: Span, state: Any, step: wp.array) -> list[wp.Launch]:
     return launches
 
 
+def queue_stages(span: Span, state: Any) -> list[wp.Launch]:
+    """Returns the launches that look at what is near on a GPU, by what it takes."""
+    model = span.model
+    a, real, follows = model.arrays, model.types.real, model.follows
+    blocks, contacts = model.blocks.count, model.contact_count
+
+    def some(items: int, most: int) -> int:
+        return min(most, -(-span.count * items // 32) * 32)
+
+    launches = span.prepare(queues.pick(real, follows), blocks, [contacts, a.status, a.model, a.cache])
+    if contacts > blocks:
+        launches += span.prepare(
+            queues.probe(real, follows),
+            blocks,
+            [contacts, a.model, state, a.cache, a.contacts],
+            threads=some(blocks, SEARCHING),
+            together=FEW_TOGETHER,
+        )
+    for part, most in ((KNOWN, LOOKING), (LISTED, LOOKING), (SEARCH, SEARCHING)):
+        launches += span.prepare(
+            queues.work_off(real, follows, part),
+            contacts,
+            [a.model, state, a.history, a.cache, a.contacts],
+            threads=some(contacts, most),
+            together=FEW_TOGETHER,
+        )
+    inputs = [a.status, a.model, a.history, a.cache, a.contacts, a.near]
+    return launches + span.prepare(queues.gather(real, follows), blocks, inputs)
+
+
 def step_stages(
     span: Span, integrator: "Integrator", dt: wp.array, state_in: Any, state_out: Any, mark: wp.array | None
 ) -> list[wp.Launch]:
@@ -119,8 +169,19 @@ def step_stages(
         marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark
         launches += span.prepare(
             sweep.kernel(real),
-            model.contact_count,
-            [a.status, a.model, state_in, state_out, a.contacts, int(mark is not None), marked],
+            model.blocks.count,
+            [
+                a.status,
+                a.model,
+                state_in,
+                state_out,
+                span.cached,
+                a.cache,
+                a.contacts,
+                a.near,
+                int(mark is not None),
+                marked,
+            ],
         )
     return launches
 

@@ -153,11 +153,12 @@ class Simulation:
     def _slices(self) -> list[Slice]:
         model = self.model
         # On the CPU a slice is stepped by one thread, so the order is the same in any case.
-        ordered = self.deterministic or not model.device.is_cuda
+        queued = model.device.is_cuda
+        ordered = self.deterministic or not queued
         size = slice_size(model, model.envs, self.threads)
         return [
             Slice(
-                Span(model, first, min(size, model.envs - first), self.distance_cache, ordered),
+                Span(model, first, min(size, model.envs - first), self.distance_cache, ordered, queued),
                 self.integrator,
                 self.times,
                 self._buffers.other,

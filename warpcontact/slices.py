@@ -21,8 +21,9 @@ from warpcontact.schedule import (
 )
 
 # Steps in a graph, the most first; whatever is asked for is made up of these. An odd one ends in the other buffer
-# and is copied back.
+# and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, and slices are many.
 GRAPH_STEPS = (32, 2, 1)
+CPU_GRAPH_STEPS = (8, 2, 1)
 
 # One capture at a time, in the whole process.
 _capturing = threading.Lock()
@@ -59,6 +60,10 @@ class Slice:
         other: The other buffer of the state.
         parts: Parts into which a step with a crossing is divided.
         captured: Whether steps are captured and replayed.
+
+    Attributes:
+        envs: Number of environments.
+        graph_steps: Steps in its graphs, the most first.
     """
 
     def __init__(
@@ -77,6 +82,7 @@ class Slice:
         self._wait, self._wake = (turn_stage(span, back=back) for back in (False, True))
         # What is decided on the host cannot be captured.
         self._captured = captured and not divides
+        self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
         self._graphs: dict[int, wp.Graph] = {}
 
     def _prepare(self, span: Span, integrator: Integrator, times: Times, state_in: Any, state_out: Any) -> _Step:
@@ -111,7 +117,7 @@ class Slice:
         """Captures what ``step(count)`` will replay. Not while other threads step."""
         if not self._captured:
             return
-        for steps in GRAPH_STEPS:
+        for steps in self.graph_steps:
             if count >= steps and steps not in self._graphs:
                 with _capturing, wp.ScopedCapture(device=self._device) as capture:
                     _launch(self.graph(steps))
@@ -121,7 +127,7 @@ class Slice:
     def step(self, count: int) -> None:
         """Takes ``count`` steps; the state is in the model's buffer before and after."""
         if self._captured:
-            for steps in GRAPH_STEPS:
+            for steps in self.graph_steps:
                 while count >= steps:
                     wp.capture_launch(self._graphs[steps])
                     count -= steps

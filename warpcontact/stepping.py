@@ -13,7 +13,7 @@ from warpcontact.crew import available_threads
 from warpcontact.footprint import Need
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.schedule import Span
-from warpcontact.slices import GRAPH_STEPS, Slice, Times
+from warpcontact.slices import Slice, Times
 
 if TYPE_CHECKING:
     from warpcontact.draft import Draft
@@ -36,7 +36,7 @@ ARRAY_BYTES = 56
 class _Tally(Span):
     """Lists kernels in place of launches."""
 
-    def prepare(self, kernel: wp.Kernel, items: int, inputs: list[Any], threads: int | None = None) -> list[Any]:
+    def prepare(self, kernel: wp.Kernel, items: int, inputs: list[Any], *_: Any, **__: Any) -> list[Any]:
         """Returns the kernel that would be launched; none if there is no work."""
         return [kernel] if items else []
 
@@ -84,13 +84,14 @@ def stepping_needs(
     layout = Layout(model.device)
     buffers = declare_buffers(layout, model)
     # Nothing is launched, so that a draft does as well.
-    span = _Tally(cast("Model", model), 0, 1, distance_cache, ordered=not model.device.is_cuda)
+    queued = model.device.is_cuda
+    span = _Tally(cast("Model", model), 0, 1, distance_cache, ordered=not queued, queued=queued)
     times = Times(None, None, None, None)
     one = Slice(
         span, integrator or SemiImplicitEuler(), times, buffers.other, parts=crossing_steps, captured=graphs
     )
     size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
-    size += int(CAPTURED * sum(sum(map(_argument_bytes, one.graph(steps))) for steps in GRAPH_STEPS))
+    size += int(CAPTURED * sum(sum(map(_argument_bytes, one.graph(steps))) for steps in one.graph_steps))
     threads = available_threads() if threads is None else threads
     slices = -(-envs // slice_size(model, envs, threads))
     # The first environments of each thread make its slice longer.

@@ -1,0 +1,111 @@
+"""What a fresh interpreter is asked to time, one thing at a time, printed as one line of JSON; see ``start.py``.
+
+python benchmarks/fresh.py first_step --device cpu
+"""
+
+import argparse
+import contextlib
+import json
+import statistics
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+BEGIN = time.perf_counter()
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
+#: One environment is stepped alone in so many turns, each of so many seconds at least.
+TURNS, SECONDS = 5, 0.2
+#: Names that the sample of the README uses up to its first step.
+TO_SIMULATE = ("Scene", "Simulation", "Template", "frictions", "laws", "load_mesh", "meshes")
+
+
+def imports(options: argparse.Namespace) -> dict[str, float]:
+    """Returns how long the import takes [s], with the names that a simulation needs, and with all."""
+    import warpcontact
+
+    imported = time.perf_counter()
+    for name in TO_SIMULATE:
+        getattr(warpcontact, name)
+    found = {"package": imported - BEGIN, "to_simulate": time.perf_counter() - BEGIN}
+    # Some names draw or store, and what they need may not be there.
+    with contextlib.suppress(ModuleNotFoundError):
+        for name in warpcontact.__all__:
+            getattr(warpcontact, name)
+        found["every_name"] = time.perf_counter() - BEGIN
+    return found
+
+
+def first_step(options: argparse.Namespace) -> dict[str, float]:
+    """Returns how long it takes from the first line to the first step of the terrain example [s], by parts."""
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    import warpcontact as wc
+
+    load, Simulation = wc.Experiment.from_toml, wc.Simulation
+    imported = time.perf_counter()
+    experiment = load(EXAMPLE)
+    read = time.perf_counter()
+    model = experiment.model(options.envs, options.device)
+    sim = Simulation(model, experiment.settings.dt)
+    wp.synchronize_device(options.device)
+    built = time.perf_counter()
+    sim.step()
+    wp.synchronize_device(options.device)
+    done = time.perf_counter()
+    modules = list(Path(wp.config.kernel_cache_dir).glob("wp_*"))
+    return {
+        "import": imported - BEGIN,
+        "read": read - imported,
+        "build": built - read,
+        "step": done - built,
+        "modules": len(modules),
+    }
+
+
+def alone(options: argparse.Namespace) -> dict[str, float]:
+    """Returns the steps per second of one environment alone, of each work and of the terrain example."""
+    import warnings
+
+    import warp as wp
+
+    import warpcontact as wc
+    from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simulation
+    from warpcontact.benchmark.works import STEPS, WORKS
+
+    wp.config.log_level = wp.LOG_ERROR
+    warnings.simplefilter("ignore", wc.ContactWarning)
+    experiment = wc.Experiment.from_toml(EXAMPLE)
+    settings = experiment.settings
+    sims = {work.name: (simulation(work, 1, options.device), STEPS) for work in WORKS.values()}
+    sims["terrain example"] = (
+        wc.Simulation(experiment.model(1, options.device), settings.dt),
+        round(settings.duration / settings.dt),
+    )
+    for sim, steps in sims.values():
+        run_seconds(sim, steps)
+    rates: dict[str, list[float]] = {name: [] for name in sims}
+    for _ in range(TURNS):
+        for name, (sim, steps) in sims.items():
+            rates[name].append(steps / seconds_of_runs(sim, steps, options.at_least))
+    return {name: statistics.median(found) for name, found in rates.items()}
+
+
+ASKED = {"imports": imports, "first_step": first_step, "alone": alone}
+
+
+def main() -> None:
+    """Prints the answer."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=ASKED)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--envs", type=int, help="of the terrain example (default: as in its file)")
+    parser.add_argument("--at-least", type=float, default=SECONDS, help="seconds that one environment is stepped")
+    options = parser.parse_args()
+    answer: dict[str, Any] = ASKED[options.what](options)
+    json.dump(answer, sys.stdout)
+
+
+if __name__ == "__main__":
+    main()

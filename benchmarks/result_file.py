@@ -1,0 +1,27 @@
+"""Where figures are kept, and in which form."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+RESULTS = Path(__file__).parent / "results"
+
+
+def default_path(kind: str, device: str, about: dict[str, Any]) -> Path:
+    """Returns the file for figures of a device: ``cpu.json``, or the name of the GPU, after ``kind`` if any.
+
+    Args:
+        kind: What was measured; "" for the comparison of engines.
+        device: ``"cpu"``, ``"cuda:0"``, …
+        about: Its facts.
+    """
+    name = "cpu" if device == "cpu" else re.sub(r"[^a-z0-9]+", "-", str(about["device"]).lower()).strip("-")
+    return RESULTS / f"{kind and kind + '-'}{name}.json"
+
+
+def write(path: Path, report: dict[str, Any]) -> None:
+    """Writes figures, four digits of those that are not whole."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    short = json.loads(json.dumps(report), parse_float=lambda text: float(f"{float(text):.4g}"))
+    path.write_text(json.dumps(short, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

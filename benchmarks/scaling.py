@@ -1,0 +1,179 @@
+"""How the cost of a step grows with environments, points, triangles and threads.
+
+    python benchmarks/scaling.py                                    # on the CPU, all cores
+    python benchmarks/scaling.py --device cuda:0 --most-envs 262144
+    python benchmarks/scaling.py --series threads --out threads.json
+
+A run goes from rest through contact, as in ``works.py``. All cases of a series are ready before the first is
+timed, and take turns, so that what else a machine does hits all alike. Beside each stands what a step that
+remembers nothing could not do without: a bare closest-point query of every point, and a copy of the state. The
+picture is drawn where there is Matplotlib; ``scaling_picture.py`` draws it from the figures later.
+"""
+
+import argparse
+import statistics
+import warnings
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+from fits import exponent, per_decade, upper_exponent
+from progress import Bar
+from result_file import default_path, write
+from series import MOST_ENVS_ON_CPU, MOST_ENVS_ON_CUDA, SERIES, Case, Sizes, cases
+
+import warpcontact as wc
+from warpcontact.benchmark.facts import facts, versions
+from warpcontact.benchmark.limits import limits
+from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs
+from warpcontact.benchmark.works import STEPS
+from warpcontact.crew import available_threads
+
+
+def main() -> None:
+    """Prints what is fitted, and writes the figures and the picture."""
+    options = arguments()
+    wp.config.log_level = wp.LOG_ERROR
+    warnings.simplefilter("ignore", wc.ContactWarning)  # steps as long as those that peers are compared at
+    about = facts(options.device, options.threads)
+    out = options.out or default_path("scaling", options.device, about)
+    sizes = Sizes(options.device, options.most_envs, options.most_points, options.most_triangles, options.threads)
+    wanted = {name: cases(name, sizes) for name in options.series}
+    measured: list[dict[str, Any]] = []
+    with Bar(total=(options.rounds + 1) * sum(map(len, wanted.values())), unit="run", disable=None) as bar:
+        for some in wanted.values():
+            measured += measure(some, options, bar)
+            report = {
+                "facts": about,
+                "versions": versions(),
+                "steps": options.steps,
+                "rounds": options.rounds,
+                "fits": fits(measured),
+                "measured": measured,
+            }
+            write(out, report)
+    print(f"{about['device']}, {about['cores']} cores, {about['date']}")
+    print("\n".join(lines(fits(measured))))
+    print(f"written to {out}")
+    picture = options.plot or out.with_suffix(".svg")
+    try:
+        from scaling_picture import draw
+    except ModuleNotFoundError as error:
+        print(f"no picture, there is no {error.name}; elsewhere: python benchmarks/scaling_picture.py {out}")
+    else:
+        draw(out, picture)
+        print(f"picture: {picture}")
+
+
+def measure(some: list[Case], options: argparse.Namespace, bar: Any) -> list[dict[str, Any]]:
+    """Returns the figures of the cases of one series, which take turns."""
+    ready = []
+    for case in some:
+        bar.set_description(f"{case.series}: {case.line}, {case.value}")
+        sim = case.simulation(options.device)
+        run_seconds(sim, options.steps)  # compiles, and captures what later runs replay
+        ready.append((case, sim, [], limits(sim.model, case.work, case.threads)))
+        bar.update()
+    for _ in range(options.rounds):
+        for case, sim, times, _least in ready:
+            bar.set_description(f"{case.series}: {case.line}, {case.value}")
+            times.append(seconds_of_runs(sim, options.steps, options.at_least))
+            bar.update()
+    found = []
+    for case, sim, times, least in ready:
+        costs = [1e9 * took / options.steps / case.envs for took in times]
+        found.append(
+            {
+                "series": case.series,
+                "line": case.line,
+                "value": case.value,
+                "envs": case.envs,
+                "points": sim.model.contact_count,
+                "triangles": len(case.work.surface.faces),
+                "threads": case.threads,
+                "ns_per_env_step": statistics.median(costs),
+                "lowest": min(costs),
+                "highest": max(costs),
+                "ns_bare_query": 1e9 * least.query,
+                "ns_copy_of_state": 1e9 * least.copy,
+                "frozen": len(sim.model.health().frozen),
+            }
+        )
+    return found
+
+
+def fits(measured: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Returns how the cost of a step grows along every line of every series with two values or more.
+
+    ``exponent`` k is that of cost ∝ valueᵏ and ``upper_exponent`` that of the upper half of the values; the cost
+    is the time of a step of all environments together. Of triangles there is also what a decade adds to an
+    environment-step [ns], and the share of the variance that a logarithm explains; of threads how many times as
+    fast as one thread each number is.
+    """
+    found = []
+    for series, line in dict.fromkeys((entry["series"], entry["line"]) for entry in measured):
+        own = [entry for entry in measured if (entry["series"], entry["line"]) == (series, line)]
+        if len(own) < 2:
+            continue
+        values = [entry["value"] for entry in own]
+        each = [entry["ns_per_env_step"] for entry in own]
+        fit: dict[str, Any] = {"series": series, "line": line}
+        if series == "threads":
+            one = dict(zip(values, each, strict=True))[1]
+            fit["times_one_thread"] = {str(value): one / cost for value, cost in zip(values, each, strict=True)}
+        else:
+            costs = [cost * entry["envs"] for cost, entry in zip(each, own, strict=True)]
+            fit["exponent"] = exponent(values, costs)
+            fit["upper_exponent"] = upper_exponent(values, costs)
+        if series == "triangles":
+            fit["ns_per_decade"], fit["explained_by_logarithm"] = per_decade(values, each)
+            queries = [entry["ns_bare_query"] for entry in own]
+            fit["ns_per_decade_of_bare_query"] = per_decade(values, queries)[0]
+        found.append(fit)
+    return found
+
+
+def lines(found: list[dict[str, Any]]) -> list[str]:
+    """Returns the fits as lines of text."""
+    text = []
+    for fit in found:
+        head = f"{fit['series']:13} {fit['line']:17}"
+        if "times_one_thread" in fit:
+            rates = ", ".join(f"{value}: {ratio:.2f}" for value, ratio in fit["times_one_thread"].items())
+            text.append(f"{head} times as fast as one thread: {rates}")
+            continue
+        tail = f"cost ∝ n^{fit['exponent']:.2f}, in the upper half n^{fit['upper_exponent']:.2f}"
+        if "ns_per_decade" in fit:
+            tail += f"; {fit['ns_per_decade']:+.3g} ns a decade, R² {fit['explained_by_logarithm']:.2f}"
+            tail += f"; bare query {fit['ns_per_decade_of_bare_query']:+.3g} ns a decade"
+        text.append(f"{head} {tail}")
+    return text
+
+
+def arguments() -> argparse.Namespace:
+    """Returns the command line with defaults for the device."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--series", nargs="+", choices=SERIES, default=list(SERIES))
+    parser.add_argument("--most-envs", type=int, help=f"default: {MOST_ENVS_ON_CPU}, on a GPU {MOST_ENVS_ON_CUDA}")
+    parser.add_argument("--most-points", type=int, default=512)
+    parser.add_argument("--most-triangles", type=int, default=10**6)
+    parser.add_argument("--threads", type=int, default=available_threads(), help="most, on a CPU")
+    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument(
+        "--at-least", type=float, default=0.2, help="seconds of a turn, in as many runs as it takes"
+    )
+    parser.add_argument("--out", type=Path, help="the figures (default: benchmarks/results/scaling-DEVICE.json)")
+    parser.add_argument("--plot", type=Path, help="the picture, .svg or .png (default: beside the figures)")
+    options = parser.parse_args()
+    if options.most_envs is None:
+        options.most_envs = MOST_ENVS_ON_CUDA if options.device.startswith("cuda") else MOST_ENVS_ON_CPU
+    for name in ("most_envs", "most_points", "most_triangles", "threads", "steps", "rounds"):
+        if getattr(options, name) < 1:
+            parser.error(f"--{name.replace('_', '-')} must be at least 1, got {getattr(options, name)}")
+    return options
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""What is varied to see how the cost of a step grows: environments, points, triangles, threads.
+
+Everything else of a series stays as it is: the terrain is the same surface on a finer grid, bodies start at the
+same places, and points are added to the same box.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+import warpcontact as wc
+from warpcontact.benchmark.simulation import simulation
+from warpcontact.benchmark.works import HALF, Array, Work, box_points, terrain
+
+SERIES = ("environments", "points", "triangles", "threads")
+WORKS = {"W1": None, "W2p8": box_points(8), "W2p64": box_points(64)}
+
+# Four times as many each time. Contacts of all environments together are what fills a memory.
+MOST_ENVS_ON_CPU, MOST_ENVS_ON_CUDA, MOST_CONTACTS = 4**7, 4**10, 2**24
+POINTS = (1, 8, 16, 32, 64, 128, 256, 512)
+# Cells along a side: 968 … 999 698 triangles, three times as many each time.
+CELLS = (22, 39, 71, 122, 224, 387, 707)
+TRIANGLE_WORKS = ("W1", "W2p8")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One point of a series.
+
+    Attributes:
+        series: What is varied.
+        line: The work, or what else stays the same along a line of the picture.
+        value: Of what is varied.
+        work: What is simulated.
+        envs: Number of environments.
+        threads: Threads on a CPU.
+    """
+
+    series: str
+    line: str
+    value: int
+    work: Work
+    envs: int
+    threads: int
+
+    def simulation(self, device: str) -> wc.Simulation:
+        """Returns the simulation, at its start."""
+        return simulation(self.work, self.envs, device, threads=self.threads)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How large the cases are.
+
+    Attributes:
+        device: ``"cpu"``, ``"cuda:0"``, …
+        most_envs: Environments at most, in all series.
+        most_points: Points of a body at most.
+        most_triangles: Triangles at most.
+        threads: Threads at most.
+    """
+
+    device: str
+    most_envs: int
+    most_points: int
+    most_triangles: int
+    threads: int
+
+    def envs(self, on_cpu: int, on_cuda: int) -> int:
+        """Returns the number of environments of a series that does not vary them."""
+        return min(self.most_envs, on_cuda if self.device.startswith("cuda") else on_cpu)
+
+
+def cases(series: str, sizes: Sizes) -> list[Case]:
+    """Returns the cases of a series."""
+    return list(_OF[series](sizes))
+
+
+def _environments(sizes: Sizes) -> Iterator[Case]:
+    for line, points in WORKS.items():
+        work = Work(line, terrain(), points)
+        envs = 1
+        while envs <= sizes.most_envs and envs * (1 if points is None else len(points)) <= MOST_CONTACTS:
+            yield Case("environments", line, envs, work, envs, sizes.threads)
+            envs *= 4
+
+
+def _points(sizes: Sizes) -> Iterator[Case]:
+    envs = sizes.envs(512, 8192)
+    for count in POINTS:
+        if count <= sizes.most_points:
+            work = Work(f"{count} points", terrain(), None if count == 1 else spread_points(count))
+            yield Case("points", "sphere, then box", count, work, envs, sizes.threads)
+
+
+def spread_points(count: int) -> Array:
+    """Returns the 8 corners of the box, and more points spread evenly over its surface, ``(count, 3)``."""
+    corners = box_points(8)
+    if count == len(corners):
+        return corners
+    samples = wc.sample_surface(wc.meshes.box((2 * HALF,) * 3), count - len(corners))
+    return np.concatenate((corners, samples.positions))
+
+
+def _triangles(sizes: Sizes) -> Iterator[Case]:
+    envs = sizes.envs(256, 16384)
+    for cells in CELLS:
+        if 2 * cells**2 <= sizes.most_triangles:
+            surface = terrain(cells=cells)
+            for line in TRIANGLE_WORKS:
+                work = Work(line, surface, WORKS[line])
+                yield Case("triangles", line, 2 * cells**2, work, envs, sizes.threads)
+
+
+def _threads(sizes: Sizes) -> Iterator[Case]:
+    if sizes.device != "cpu":
+        return
+    envs = sizes.envs(4096, 0)
+    counts = [1]
+    while 2 * counts[-1] <= sizes.threads:
+        counts.append(2 * counts[-1])
+    for line, points in WORKS.items():
+        work = Work(line, terrain(), points)
+        for count in dict.fromkeys((*counts, sizes.threads)):
+            yield Case("threads", line, count, work, envs, count)
+
+
+_OF: dict[str, Callable[[Sizes], Iterator[Case]]] = {
+    "environments": _environments,
+    "points": _points,
+    "triangles": _triangles,
+    "threads": _threads,
+}

@@ -1,0 +1,150 @@
+"""How long it takes to get going: import, first step with and without compiled kernels, and one environment alone.
+
+    python benchmarks/start.py
+    python benchmarks/start.py --device cuda:0
+
+Everything is timed in fresh interpreters, in rounds. *Cold* is a first step with an empty cache of compiled
+kernels, *warm* the next one with the same cache; both are the terrain example, from the start of the process. A
+warm-up that is not counted reads the files of Python and Warp once, so that none of it waits for a disk.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from progress import Bar
+from result_file import default_path, write
+
+from warpcontact.benchmark.facts import facts, versions
+from warpcontact.crew import available_threads
+
+FRESH = Path(__file__).with_name("fresh.py")
+#: What is promised: of the import and of the first step at most [s], of one environment at least [steps/s].
+PROMISES = {"import": 0.5, "cold": 15.0, "warm": 1.0, "alone": 1e5}
+
+
+def main() -> None:
+    """Prints a table and writes the figures."""
+    options = arguments()
+    about = facts(options.device, available_threads())
+    out = options.out or default_path("start", options.device, about)
+    rounds: dict[str, list[dict[str, Any]]] = {"imports": [], "cold": [], "warm": [], "alone": []}
+    with Bar(total=4 * options.rounds + 1, unit="process", disable=None) as bar:
+        bar.set_description("warm-up")
+        ask("imports", options, {})
+        bar.update()
+        for _ in range(options.rounds):
+            with tempfile.TemporaryDirectory() as folder:
+                # The driver keeps what it compiles as well.
+                caches = {"WARP_CACHE_PATH": f"{folder}/warp", "CUDA_CACHE_PATH": f"{folder}/cuda"}
+                for name, what, variables in (
+                    ("imports", "imports", {}),
+                    ("cold", "first_step", caches),
+                    ("warm", "first_step", caches),
+                    ("alone", "alone", {}),
+                ):
+                    bar.set_description(name)
+                    rounds[name].append(ask(what, options, variables))
+                    bar.update()
+    report = {
+        "facts": about,
+        "versions": versions(),
+        "rounds": options.rounds,
+        "import_s": summary(rounds["imports"]),
+        "first_step_s": {
+            name: summary(rounds[name]) | {"modules": rounds[name][0]["modules"]} for name in ("cold", "warm")
+        },
+        "steps_per_s_alone": summary(rounds["alone"]),
+        "promises": PROMISES,
+    }
+    write(out, report)
+    print(f"{about['device']}, {about['cores']} cores, {about['date']}")
+    print("\n".join(lines(report)))
+    print(f"written to {out}")
+
+
+def ask(what: str, options: argparse.Namespace, variables: dict[str, str]) -> dict[str, Any]:
+    """Returns the answer of a fresh interpreter; of a first step also how long its ``process`` took [s]."""
+    words = [what, "--device", options.device, "--at-least", str(options.at_least)]
+    if options.envs:
+        words += ["--envs", str(options.envs)]
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, FRESH, *words],
+        env={**os.environ, **variables},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    took = time.perf_counter() - start
+    if done.returncode:
+        sys.exit(f"{what} failed:\n{done.stderr}")
+    answer = json.loads(done.stdout)
+    return answer | {"process": took} if what == "first_step" else answer
+
+
+def summary(answers: list[dict[str, Any]]) -> dict[str, Any]:
+    """Returns median and extremes over the rounds, of every entry."""
+    found = {}
+    for name in answers[0]:
+        values = [answer[name] for answer in answers]
+        found[name] = {"median": statistics.median(values), "lowest": min(values), "highest": max(values)}
+    return found
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """Returns the figures as lines of text, beside what is promised."""
+
+    def line(name: str, figures: dict[str, float], unit: str, promised: str = "") -> str:
+        spread = f"{figures['lowest']:.3g} … {figures['highest']:.3g}"
+        return f"{name:42} {figures['median']:9.3g} {unit:8} {spread:>20}   {promised}".rstrip()
+
+    imported, alone = report["import_s"], report["steps_per_s_alone"]
+    text = [
+        line("import warpcontact", imported["package"], "s", f"promised: under {PROMISES['import']:g} s"),
+        line("  and what a simulation needs", imported["to_simulate"], "s"),
+    ]
+    if "every_name" in imported:
+        text.append(line("  and all of its names", imported["every_name"], "s"))
+    for name, part in report["first_step_s"].items():
+        promised = f"promised: under {PROMISES[name]:g} s"
+        text.append(line(f"terrain example, {name}: process", part["process"], "s", promised))
+        text += [
+            line(f"  {what}", part[key], "s")
+            for key, what in (
+                ("import", "import"),
+                ("read", "read and check the file"),
+                ("build", "build"),
+                ("step", "first step" if name == "warm" else f"first step, {part['modules']} modules compiled"),
+            )
+        ]
+    for name, figures in alone.items():
+        text.append(
+            line(f"one environment: {name}", figures, "steps/s", f"promised: {PROMISES['alone']:g} steps/s")
+        )
+    return text
+
+
+def arguments() -> argparse.Namespace:
+    """Returns the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--envs", type=int, help="of the terrain example (default: as in its file)")
+    parser.add_argument("--at-least", type=float, default=0.2, help="seconds that one environment is stepped")
+    parser.add_argument("--out", type=Path, help="the figures (default: benchmarks/results/start-DEVICE.json)")
+    options = parser.parse_args()
+    if options.rounds < 1:
+        parser.error(f"--rounds must be at least 1, got {options.rounds}")
+    return options
+
+
+if __name__ == "__main__":
+    main()

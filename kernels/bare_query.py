@@ -1,0 +1,11 @@
+"""One closest-point query of Warp for every point and nothing else: what a step is compared with."""
+
+import warp as wp
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def bare_query(mesh: wp.uint64, points: wp.array(dtype=wp.vec3f), found: wp.array(dtype=wp.int32)):
+    """Nearest face of every point."""
+    i = wp.tid()
+    query = wp.mesh_query_point_no_sign(mesh, points[i], wp.float32(wp.inf))
+    found[i] = query.face

@@ -1,0 +1,179 @@
+"""The same on a GPU, contact by contact: threads side by side do the same kind of work.
+
+Contacts that may touch are put into a queue; what is sure to be nearest is looked at there, and what needs more is
+handed on: to the remembered faces, then to a search, each with a queue of its own. Blocks of which nothing is
+known are probed before. In the end each block gathers which of its contacts the rest of the step has to do with.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels import near as nearness
+from warpcontact.kernels.closest_point import KNOWN, LATER, LISTED, SEARCH
+from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
+
+# Queues of contacts, by what they need; that of blocks to probe comes first.
+QUEUE_OF = {KNOWN: 1, LISTED: 2, SEARCH: 3}
+
+
+@functools.cache
+def _put(real: type) -> wp.Function:
+    Cache = structs(real).Cache
+
+    @wp.func
+    def put(cache: Cache, queue: int, task: int):
+        cache.waiting_contact[queue, wp.atomic_add(cache.waiting, queue, 1)] = task
+
+    return put
+
+
+@wp.func
+def spread(thread: int, threads: int):
+    """Numbers threads anew, so that the first are in different warps: searches go different ways."""
+    warps = (threads + 31) // 32
+    return (thread % 32) * warps + thread // 32
+
+
+@functools.cache
+def pick(real: type, follows: bool) -> wp.Kernel:
+    """Returns the kernel that puts contacts that may touch into the first queue; items: blocks."""
+    t = structs(real)
+    Model, Cache = t.Model, t.Cache
+    unknown = nearness.functions(real, follows, KNOWN).unknown
+    put = _put(real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def pick_contacts(
+        work: Work, contacts: wp.int32, status: wp.array(dtype=wp.int32), model: Model, cache: Cache
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            member = task // work.items
+            env = work.first + member
+            block = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            number = model.block_set[block]
+            travelled = cache.set_travel[env, number] + cache.set_margin[env, number]
+            if cache.set_asleep[env, number] != 0 or travelled < cache.block_wake[env, block]:
+                continue
+            start = model.block_start[block]
+            stop = model.block_start[block + 1]
+            if stop - start > 1:  # noqa: SIM102 - Warp computes both sides of an ``and``
+                if unknown(model, cache, env, start, stop, travelled):
+                    cache.waiting_block[wp.atomic_add(cache.waiting, 0, 1)] = task
+                    continue
+            for place in range(start, stop):
+                contact = model.block_contact[place]
+                if not (travelled < cache.wake[env, contact]):
+                    put(cache, wp.static(QUEUE_OF[KNOWN]), member * contacts + contact)
+
+    return pick_contacts
+
+
+@functools.cache
+def probe(real: type, follows: bool) -> wp.Kernel:
+    """Returns the kernel that searches in the middle of blocks of which nothing is known; items: blocks."""
+    t = structs(real)
+    Model, State, Contacts, Cache = t.Model, t.State, t.Contacts, t.Cache
+    block_of = nearness.functions(real, follows, KNOWN)
+    view_of, probe, wake_of = block_of.view_of, block_of.probe, block_of.wake_of
+    free_around, longer_wake = block_of.free_around, block_of.longer_wake
+    put = _put(real)
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    def probe_blocks(work: Work, items: wp.int32, model: Model, state: State, cache: Cache, contacts: Contacts):
+        for i in range(spread(wp.tid(), work.threads), cache.waiting[0], work.threads):
+            task = cache.waiting_block[i]
+            member = task // work.items
+            env = work.first + member
+            block = task % work.items
+            number = model.block_set[block]
+            travel = cache.set_travel[env, number]
+            travelled = travel + cache.set_margin[env, number]
+            around = probe(model, view_of(model, state, env, number), env, block)
+            for place in range(model.block_start[block], model.block_start[block + 1]):
+                contact = model.block_contact[place]
+                if travelled < cache.wake[env, contact]:
+                    longer_wake(model, cache, env, block, contact, travel, around)
+                else:
+                    free = free_around(model, contacts, cache, env, block, contact, around)
+                    if free < real(0.0):
+                        put(cache, wp.static(QUEUE_OF[KNOWN]), member * items + contact)
+                    else:
+                        cache.wake[env, contact] = wake_of(travel, free)
+
+    return probe_blocks
+
+
+@functools.cache
+def work_off(real: type, follows: bool, part: str) -> wp.Kernel:
+    """Returns the kernel that looks at the contacts in the queue of ``part`` or hands them on; items: contacts."""
+    t = structs(real)
+    Model, State, History, Contacts, Cache = t.Model, t.State, t.History, t.Contacts, t.Cache
+    block_of = nearness.functions(real, follows, part)
+    view_of, look, wake_of = block_of.view_of, block_of.look, block_of.wake_of
+    put = _put(real)
+    queue = QUEUE_OF[part]
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    def look_at_contacts(
+        work: Work, model: Model, state: State, history: History, cache: Cache, contacts: Contacts
+    ):
+        thread = wp.tid()
+        if wp.static(part == SEARCH):
+            thread = spread(thread, work.threads)
+        for i in range(thread, cache.waiting[queue], work.threads):
+            task = cache.waiting_contact[queue, i]
+            env = work.first + task // work.items
+            contact = task % work.items
+            number = model.contact_set[contact]
+            view = view_of(model, state, env, number)
+            free = look(model, view, history, contacts, True, cache, env, contact)
+            if wp.static(part != SEARCH) and free == real(LATER):
+                put(cache, wp.static(queue + 1), task)
+            else:
+                cache.wake[env, contact] = wake_of(cache.set_travel[env, number], free)
+
+    return look_at_contacts
+
+
+@functools.cache
+def gather(real: type, follows: bool) -> wp.Kernel:
+    """Returns the kernel that fills ``near`` from what was found; items: blocks."""
+    t = structs(real)
+    Model, History, Contacts, Near, Cache = t.Model, t.History, t.Contacts, t.Near, t.Cache
+    news = nearness.functions(real, follows, KNOWN).news
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def gather_contacts(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        history: History,
+        cache: Cache,
+        contacts: Contacts,
+        near: Near,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            block = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            number = model.block_set[block]
+            travelled = cache.set_travel[env, number] + cache.set_margin[env, number]
+            if cache.set_asleep[env, number] != 0 or travelled < cache.block_wake[env, block]:
+                near.count[env, block] = 0
+                continue
+            start = model.block_start[block]
+            count = wp.int32(0)
+            first_wake = real(wp.inf)
+            for place in range(start, model.block_start[block + 1]):
+                contact = model.block_contact[place]
+                first_wake = wp.min(first_wake, cache.wake[env, contact])
+                if news(contacts, history, env, contact):
+                    near.contact[env, start + count] = contact
+                    count += 1
+            near.count[env, block] = count
+            cache.block_wake[env, block] = first_wake
+
+    return gather_contacts

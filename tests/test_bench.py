@@ -1,0 +1,137 @@
+"""The short form of the benchmarks: its works, what it reports, and its command."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import warpcontact as wc
+from warpcontact.benchmark import limits, short_form
+from warpcontact.benchmark.simulation import run_seconds, simulation
+from warpcontact.benchmark.works import STEPS, WORKS
+from warpcontact.cli import main
+
+BRIEF = {"envs": 3, "seconds": 1e-6}
+FIGURES = ("env_steps_per_s", "steps_per_s_alone", "first_step_s", "queries_per_s", "copies_per_s")
+
+
+@pytest.fixture(scope="module")
+def report(device):
+    return wc.bench(device, **BRIEF)
+
+
+def test_the_report_has_figures_of_every_work(report, device):
+    assert [figures.work for figures in report.works] == list(WORKS)
+    assert report.envs == 3
+    assert report.facts["cores"] >= 1
+    assert report.versions["warpcontact"] == wc.__version__
+    for figures in report.works:
+        assert figures.runs == 1  # one at least, however short the time
+        assert figures.triangles == 20_000
+        assert figures.frozen == 0
+        assert figures.lowest <= figures.env_steps_per_s <= figures.highest
+        for name in FIGURES:
+            assert 0.0 < getattr(figures, name) < np.inf
+
+
+def test_the_report_is_a_table_and_goes_through_json(report):
+    again = json.loads(json.dumps(report.to_dict()))
+    assert again["works"][2]["work"] == "box of 64 points"
+    text = str(report)
+    assert "3 environments in float32 on 20000 triangles, 1000 steps of 0.001 s" in text
+    for figures in report.works:
+        (line,) = (line for line in text.splitlines() if line.startswith(figures.work + " "))
+        assert f"{figures.env_steps_per_s:.2e}" in line
+        assert f"{figures.env_steps_per_s / figures.queries_per_s:.2f}" in line
+    assert "non-finite" not in text
+
+
+def test_works_take_turns_until_each_has_its_time():
+    entries = [short_form._Entry(name, None, None, 0.0) for name in "ab"]
+    order = []
+    for entry in short_form._turns(entries, seconds=2.0):
+        order.append(entry.title)
+        entry.times.append({"a": 1.0, "b": 0.5}[entry.title])
+    assert "".join(order) == "ababbb"
+
+
+@pytest.mark.parametrize("title", WORKS)
+def test_bodies_come_to_rest_on_the_terrain(title, device):
+    work = WORKS[title]
+    with short_form._few_words():
+        sim = simulation(work, 16, device)
+        assert run_seconds(sim, STEPS) > 0.0
+    assert sim.steps == STEPS
+    position = sim.state.body_position.numpy()[:, 0]
+    height = position[:, 2] - work.surface.height(position)
+    assert np.all((height > 0.09) & (height < 0.25))
+    assert (sim.model.reading("touch.status") == wc.Status.CONTACT).any()
+
+
+def test_limits_are_of_the_points_where_they_are(device):
+    work = WORKS["box of 8 points"]
+    with short_form._few_words():
+        sim = simulation(work, 5, device)
+        sim.step(800)
+    turned = Rotation.from_quat(sim.model.reading("body.orientation")).as_matrix() @ work.points.T
+    assert np.ptp(turned, axis=0).max() > 0.01  # they lie on different slopes
+    places = limits._places(sim.model, work) - sim.model.reading("body.position")[:, None]
+    np.testing.assert_allclose(places, turned.swapaxes(1, 2), atol=1e-6)
+    for threads in (1, 2, 64):
+        assert min(limits.limits(sim.model, work, threads)) > 0.0
+
+
+def test_the_command_prints_the_table_and_writes_the_figures(device, tmp_path, capsys):
+    file = tmp_path / "figures.json"
+    words = ["bench", "--device", device, "--envs", "2", "--seconds", "1e-6", "--precision", "float64"]
+    assert main([*words, "--json", str(file)]) == 0
+    out, err = capsys.readouterr()
+    assert "2 environments in float64" in out
+    assert out.endswith(f"figures: {file}\n")
+    assert "Warning" not in err
+    assert json.loads(file.read_text())["precision"] == "float64"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--envs", "0"], "--envs must be a whole number of at least 1, got 0"),
+        (["--seconds", "0"], "--seconds must be greater than 0, got 0 s"),
+        (["--seconds", "nan"], "--seconds must be greater than 0, got nan s"),
+        (["--device", "cuda:99"], "--device must be 'auto' or one of "),
+        (["--precision", "float16"], "--precision must be one of 'float32', 'float64', got 'float16'"),
+        (["--json", "missing/figures.json"], "missing/figures.json"),
+        (["--json", "."], "Is a directory"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_wrong_options_are_one_message_and_exit_code_2(words, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["bench", *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("warpcontact: ")
+    assert message in err
+    assert "Traceback" not in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_ctrl_c_ends_it_with_a_word():
+    process = subprocess.Popen(
+        [sys.executable, "-m", "warpcontact", "bench", "--device", "cpu", "--seconds", "600"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(4.0)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert out == ""
+    assert err.endswith("warpcontact: interrupted\n")
+    assert "Traceback" not in err

@@ -1,0 +1,61 @@
+"""What figures depend on besides the code: device, driver, cores, versions, date."""
+
+import datetime
+import os
+import platform
+import re
+import subprocess
+from importlib import metadata
+from pathlib import Path
+
+from warpcontact._version import __version__
+
+
+def facts(device: str, threads: int) -> dict[str, str | int]:
+    """Returns what a figure measured on a device depends on.
+
+    Args:
+        device: ``"cpu"``, ``"cuda:0"``, …
+        threads: Threads that the measured program was allowed.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    found: dict[str, str | int] = {
+        "device": processor(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "cores": cores,
+        "threads": threads,
+        "date": datetime.date.today().isoformat(),
+    }
+    if device.startswith("cuda"):
+        found |= {**_gpu(device), "processor": found["device"]}
+    return found
+
+
+def versions() -> dict[str, str]:
+    """Returns the versions of what computes."""
+    return {
+        "python": platform.python_version(),
+        "warpcontact": __version__,
+        **{name: metadata.version(name) for name in ("warp-lang", "numpy")},
+    }
+
+
+def processor() -> str:
+    """Returns the name of the processor."""
+    info = Path("/proc/cpuinfo")
+    match = re.search(r"^model name\s*:\s*(.+)$", info.read_text(), re.MULTILINE) if info.is_file() else None
+    return match[1] if match else platform.processor() or platform.machine()
+
+
+def _gpu(device: str) -> dict[str, str]:
+    """Returns the name of a GPU, and its driver where the driver's own tool tells."""
+    import warp as wp
+
+    gpu = wp.get_device(device)
+    query = "nvidia-smi --query-gpu=driver_version --format=csv,noheader"
+    try:
+        answer = subprocess.run(query.split(), capture_output=True, text=True, check=True, timeout=30).stdout
+    except (OSError, subprocess.SubprocessError):  # no such tool, as on some boards
+        return {"device": gpu.name}
+    # One line for each GPU, and one driver for all.
+    return {"device": gpu.name, "driver": answer.split()[0]}

@@ -1,0 +1,134 @@
+"""What a step that remembers nothing cannot do without: a closest-point query of every point, and a copy."""
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from warpcontact.benchmark.works import Array, Work
+from warpcontact.kernels.bare_query import bare_query
+from warpcontact.model import Model
+
+#: Times that a limit is measured, each of at least ``SECONDS``; the median counts. Fewer where they take long.
+ROUNDS = 7
+SECONDS = 0.01
+LONG = 1.0
+# Of what is timed, in one graph of a GPU.
+IN_GRAPH = 16
+
+
+class Limits(NamedTuple):
+    """What the least of a step costs for an environment [s].
+
+    Attributes:
+        query: A closest-point query of Warp for every point.
+        copy: A copy of the state on the device.
+    """
+
+    query: float
+    copy: float
+
+
+def limits(model: Model, work: Work, threads: int) -> Limits:
+    """Measures the limits of a work at the present state of its model.
+
+    Args:
+        model: Its model.
+        work: The work.
+        threads: Threads of the CPU that share the environments; a GPU needs none.
+    """
+    device = model.device
+    bare_query.module.load(device)  # before threads start
+    # Kernels in Warp's debug mode share a pointer.
+    parts = 1 if device.is_cuda or wp.config.mode == "debug" else min(threads, model.envs)
+    envs = np.array_split(np.arange(model.envs), parts)
+    surface = work.surface
+    mesh = wp.Mesh(
+        points=wp.array(surface.vertices, dtype=wp.vec3f, device=device),
+        indices=wp.array(surface.faces.ravel(), dtype=wp.int32, device=device),
+        bvh_constructor="sah",
+    )
+    places = _places(model, work)
+    queries, copies, kept = [], [], []
+    for part in envs:
+        points = wp.array(places[part].reshape(-1, 3), dtype=wp.vec3f, device=device)
+        found = wp.zeros(len(points), dtype=wp.int32, device=device)
+        launch = wp.launch(
+            bare_query, dim=len(points), inputs=[mesh.id, points, found], device=device, record_cmd=True
+        )
+        queries.append(launch.launch)
+        kept.append((points, found))  # a recorded launch only points to them
+        source = wp.zeros(len(part) * _state_bytes(model), dtype=wp.uint8, device=device)
+        copies.append(_copy(wp.zeros_like(source), source))
+    with ThreadPoolExecutor(len(envs)) as pool:
+        query, copy = (_seconds(works, pool, device) / model.envs for works in (queries, copies))
+    return Limits(query, copy)
+
+
+def _places(model: Model, work: Work) -> Array:
+    """Returns where the points are in the world, ``(envs, points, 3)``."""
+    position = model.reading("body.position")[:, None]
+    if work.points is None:
+        return position
+    orientation = model.reading("body.orientation")[:, None]
+    axis, w = orientation[..., :3], orientation[..., 3:]
+    turned = np.cross(axis, work.points) * 2.0
+    return position + work.points + w * turned + np.cross(axis, turned)
+
+
+def _state_bytes(model: Model) -> int:
+    """Returns how much memory the state of an environment takes."""
+    state = model.arrays.state
+    return sum(getattr(state, name).capacity for name in state._cls.vars) // model.envs
+
+
+def _copy(target: wp.array, source: wp.array) -> Callable[[], None]:
+    return lambda: wp.copy(target, source)
+
+
+def _seconds(works: Sequence[Callable[[], None]], pool: ThreadPoolExecutor, device: wp.Device) -> float:
+    """Returns how long it takes to do all ``works`` once, side by side [s]."""
+    if device.is_cuda:
+        several = _captured(works[0], device)
+        return _median(lambda count: _repeat(several, count), device) / IN_GRAPH
+
+    def all_parts(count: int) -> None:
+        # Each thread repeats its own, so that waiting for each other counts once.
+        for future in [pool.submit(_repeat, work, count) for work in works]:
+            future.result()
+
+    return _median(all_parts, device)
+
+
+def _captured(work: Callable[[], None], device: wp.Device) -> Callable[[], None]:
+    """Returns ``IN_GRAPH`` times ``work`` in one call, so that what a launch costs the host does not count."""
+    with wp.ScopedCapture(device=device) as capture:
+        _repeat(work, IN_GRAPH)
+    return lambda: wp.capture_launch(capture.graph)
+
+
+def _repeat(work: Callable[[], None], count: int) -> None:
+    for _ in range(count):
+        work()
+
+
+def _median(works: Callable[[int], None], device: wp.Device) -> float:
+    """Returns how long one of ``works(count)`` takes [s], for so large a count that the clock does not matter."""
+    works(1)
+    times: list[float] = []
+    count = 1
+    while len(times) < ROUNDS and count * sum(times) < LONG:
+        wp.synchronize_device(device)
+        start = time.perf_counter()
+        works(count)
+        wp.synchronize_device(device)
+        took = time.perf_counter() - start
+        if took < SECONDS and not times:
+            count *= 2
+        else:
+            times.append(took / count)
+    return statistics.median(times)

@@ -1,0 +1,170 @@
+"""The short form of the benchmarks: how fast this machine steps, in half a minute."""
+
+import os
+import statistics
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import warp as wp
+
+from warpcontact import checks
+from warpcontact.advice import ContactWarning
+from warpcontact.benchmark.facts import facts, versions
+from warpcontact.benchmark.limits import limits
+from warpcontact.benchmark.report import BenchReport, WorkFigures
+from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simulation
+from warpcontact.benchmark.works import DT, STEPS, WORKS, Work
+from warpcontact.build import find_device
+from warpcontact.simulation import Simulation
+
+#: Environments unless told: enough that all cores, or all of a GPU, have something to do.
+ENVS_ON_CPU, ENVS_ON_CUDA = 1024, 65536
+# How long one environment is stepped alone [s], of each work.
+ALONE_SECONDS = 0.3
+
+
+@dataclass
+class _Entry:
+    """A work that is being measured; times in s."""
+
+    title: str
+    work: Work
+    sim: Simulation
+    first_step: float
+    times: list[float] = field(default_factory=list)
+    busy: float = 0.0
+
+
+def bench(
+    device: str = "auto",
+    envs: int | None = None,
+    *,
+    seconds: float = 3.0,
+    precision: str = "float32",
+    progress: bool | None = None,
+) -> BenchReport:
+    """Measures how fast this machine steps a sphere, and boxes of 8 and 64 points, on a terrain.
+
+    A run is 1000 steps of 1 ms from rest, 0.4 m above 20 000 triangles, through contact. The works take turns.
+
+    Args:
+        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if there is one.
+        envs: Number of environments; ``None``: 1024 on a CPU, 65536 on a GPU.
+        seconds: Least time that each work is stepped [s]; it has one run at least, however long that is.
+        precision: ``"float32"`` or ``"float64"``.
+        progress: Whether to show a progress bar; ``None``: in a terminal.
+
+    Returns:
+        The figures; as text, a table.
+
+    Raises:
+        ValueError: If an argument is out of range, or there is no such device.
+    """
+    from tqdm import tqdm
+
+    checks.numbers("seconds", seconds, (), checks.limits("s", above=0.0))
+    checks.choice("precision", precision, ("float32", "float64"))
+    where = find_device(device)
+    name = str(where)
+    if envs is None:
+        envs = ENVS_ON_CUDA if where.is_cuda else ENVS_ON_CPU
+    modules = _cached_modules()
+    with (
+        _few_words(),
+        tqdm(
+            total=round(len(WORKS) * (seconds + ALONE_SECONDS), 1),
+            unit="s",
+            bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}",
+            disable=None if progress is None else not progress,
+        ) as bar,
+    ):
+        entries = []
+        for title, work in WORKS.items():
+            bar.set_description(f"{title}: building, compiling")
+            entries.append(_begin(title, work, envs, name, precision))
+        compiled = len(_cached_modules() - modules)
+        for entry in _turns(entries, seconds):
+            bar.set_description(entry.title)
+            _run(entry)
+            bar.update(min(entry.times[-1], max(0.0, seconds - sum(entry.times[:-1]))))
+        figures = []
+        for entry in entries:
+            bar.set_description(f"{entry.title}: one alone, limits")
+            figures.append(_finish(entry, name, precision))
+            bar.update(ALONE_SECONDS)
+    return BenchReport(
+        facts=facts(name, entries[0].sim.threads),
+        versions=versions(),
+        envs=envs,
+        precision=precision,
+        steps=STEPS,
+        dt=DT,
+        compiled_modules=compiled,
+        works=tuple(figures),
+    )
+
+
+@contextmanager
+def _few_words() -> Iterator[None]:
+    """Leaves out that steps are long for some contacts: they are the same for all engines that are compared."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ContactWarning)
+        yield
+
+
+def _cached_modules() -> set[str]:
+    """Returns the names of the compiled modules in Warp's cache."""
+    folder = Path(wp.config.kernel_cache_dir)
+    return set(os.listdir(folder)) if folder.is_dir() else set()
+
+
+def _begin(title: str, work: Work, envs: int, device: str, precision: str) -> _Entry:
+    """Builds a work, and takes its first step and then a run that does not count."""
+    start = time.perf_counter()
+    sim = simulation(work, envs, device, precision)
+    sim.step(1)
+    wp.synchronize_device(device)
+    took = time.perf_counter() - start
+    run_seconds(sim, STEPS)
+    return _Entry(title, work, sim, took)
+
+
+def _turns(entries: list[_Entry], seconds: float) -> Iterator[_Entry]:
+    """Yields each entry in turn until all have been stepped for so long."""
+    while waiting := [entry for entry in entries if sum(entry.times) < seconds]:
+        yield from waiting
+
+
+def _run(entry: _Entry) -> None:
+    used = time.process_time()
+    entry.times.append(run_seconds(entry.sim, STEPS))
+    entry.busy += time.process_time() - used
+
+
+def _finish(entry: _Entry, device: str, precision: str) -> WorkFigures:
+    """Measures what is left of a work: the limits at its present state, and one environment alone."""
+    sim = entry.sim
+    envs = sim.model.envs
+    least = limits(sim.model, entry.work, sim.threads)
+    alone = simulation(entry.work, 1, device, precision)
+    run_seconds(alone, STEPS)
+    alone_s = seconds_of_runs(alone, STEPS, ALONE_SECONDS)
+    rates = [envs * STEPS / took for took in entry.times]
+    return WorkFigures(
+        work=entry.title,
+        triangles=len(entry.work.surface.faces),
+        first_step_s=entry.first_step,
+        env_steps_per_s=statistics.median(rates),
+        lowest=min(rates),
+        highest=max(rates),
+        runs=len(rates),
+        cores_busy=entry.busy / sum(entry.times),
+        frozen=len(sim.model.health().frozen),
+        steps_per_s_alone=STEPS / alone_s,
+        queries_per_s=1.0 / least.query,
+        copies_per_s=1.0 / least.copy,
+    )

@@ -1,0 +1,58 @@
+"""A work in this engine: Kelvin–Voigt contact with tanh friction on the triangles of the surface."""
+
+import inspect
+import time
+from typing import Any
+
+import warp as wp
+
+from warpcontact.benchmark.works import DAMPING, DT, FRICTION, SLIP_SPEED, STIFFNESS, Work
+from warpcontact.elements import Template
+from warpcontact.kernels import frictions, laws
+from warpcontact.meshes import Mesh
+from warpcontact.scene import Scene
+from warpcontact.simulation import Simulation
+
+
+def simulation(work: Work, envs: int, device: str, precision: str = "float32", **options: Any) -> Simulation:
+    """Returns a simulation of a work, at its start.
+
+    Args:
+        work: What to simulate.
+        envs: Number of environments, each with a start of its own.
+        device: As of ``Scene.build``.
+        precision: As of ``Scene.build``.
+        options: Those of ``Simulation``, and others of its contact.
+    """
+    names = inspect.signature(Simulation).parameters
+    stepping = {name: options.pop(name) for name in tuple(options) if name in names}
+    template = Template(
+        law=laws.KelvinVoigt(stiffness=STIFFNESS, damping=DAMPING),
+        friction=frictions.Tanh(mu=FRICTION, velocity_scale=SLIP_SPEED),
+    )
+    scene = Scene()
+    ground = scene.add_surface(Mesh(work.surface.vertices, work.surface.faces), name="ground")
+    body = scene.add_body(work.mass, [work.inertia] * 3, name="body")
+    points = scene.add_point(body, (0, 0, 0)) if work.points is None else scene.add_points(body, work.points)
+    scene.add_contact(points, ground, template, radius=work.radius, name="touch", **options)
+    model = scene.build(envs=envs, device=device, precision=precision)
+    model["body.position"] = work.start(envs)[:, 0]
+    return Simulation(model, dt=DT, **stepping)
+
+
+def run_seconds(sim: Simulation, steps: int) -> float:
+    """Returns how long ``steps`` steps from the start take [s], without the way back to the start."""
+    sim.reset()
+    wp.synchronize_device(sim.model.device)
+    start = time.perf_counter()
+    sim.step(steps)
+    wp.synchronize_device(sim.model.device)
+    return time.perf_counter() - start
+
+
+def seconds_of_runs(sim: Simulation, steps: int, at_least: float) -> float:
+    """Returns how long a run takes [s], as the mean of as many as take ``at_least`` seconds together."""
+    times: list[float] = []
+    while sum(times) < at_least:
+        times.append(run_seconds(sim, steps))
+    return sum(times) / len(times)
