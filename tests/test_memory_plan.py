@@ -217,7 +217,7 @@ def test_too_many_environments_are_refused_before_anything_is_allocated(device, 
 
 def test_steps_that_do_not_fit_are_refused_before_they_are_captured(monkeypatch):
     model = ball_scene().build(20_000, "cpu")
-    with_room(monkeypatch, 200 * MIB)
+    with_room(monkeypatch, 100 * MIB)
     message = r"to step them, 20000 environments need .* at most \d+ environments at once .*, or take graphs=False"
     with pytest.raises(MemoryError, match=message):
         wc.Simulation(model, dt=1e-4)

@@ -25,10 +25,11 @@ CONTACT_BYTES = 300
 BODY_BYTES = 400
 LARGEST_SLICE = 128
 
-# What a prepared launch takes, and a captured one for each byte of its arguments, which are kept with the places
-# of all pointers among them; measured with Warp 1.19, see tests/test_memory_plan.py.
+# What a prepared launch takes, a graph, and what is captured in it for each byte of the arguments of its launches,
+# which are kept with the places of all pointers among them; measured with Warp 1.19 (tests/test_memory_plan.py).
 LAUNCH_BYTES = 1800
-CAPTURED = 2.15
+GRAPH_BYTES = 50_000
+CAPTURED = 2.05
 # What a kernel is told of an array: pointers, shape and strides.
 ARRAY_BYTES = 56
 
@@ -91,7 +92,9 @@ def stepping_needs(
         span, integrator or SemiImplicitEuler(), times, buffers.other, parts=crossing_steps, captured=graphs
     )
     size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
-    size += int(CAPTURED * sum(sum(map(_argument_bytes, one.graph(steps))) for steps in one.graph_steps))
+    for steps in one.graph_steps:
+        if graph := one.graph(steps):
+            size += GRAPH_BYTES + int(CAPTURED * sum(map(_argument_bytes, graph)))
     threads = available_threads() if threads is None else threads
     slices = -(-envs // slice_size(model, envs, threads))
     # The first environments of each thread make its slice longer.
