@@ -2,9 +2,9 @@
 
     python benchmarks/stages.py --device cuda:0 --envs 65536 --works W1 W2p64 --out stages.json
 
-Each stage is timed in some steps of a run, at several times. A launch is in it: 3 µs on a CPU, and on a GPU more,
-so few environments tell little. Beside them: one closest-point query of Warp for every point and no more (the query
-that a step without memory of distances cannot do without), and a copy of the state on the device.
+Each stage is timed in some steps of a run, at several times. A launch is in it, 3 µs on a CPU and more on a GPU,
+so few environments tell little. Beside them: one closest-point query of Warp for every point and no more (which a
+step without memory of distances cannot do without), and a copy of the state on the device.
 """
 
 import argparse

@@ -175,6 +175,7 @@ class Model:
                 a.state,
                 a.history,
                 a.cache,
+                a.near,
             ],
             device=self.device,
         )

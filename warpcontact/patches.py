@@ -23,7 +23,7 @@ from warpcontact.sides import Sides, sides_of
 # Warp's queries skip triangles slimmer than the limit, which they compute in float32.
 SLIVER = 1.2 * SLIVER_LIMIT
 # Of the length of a usual edge: a list of few faces that serves for many steps.
-SKIN = 0.5
+SKIN = 0.35
 
 
 @dataclass(frozen=True)
