@@ -246,7 +246,7 @@ def test_queues_change_nothing(name, precision, monkeypatch):
         return Span(model, first, count, cached, ordered, queued=True)
 
     monkeypatch.setattr(simulation, "Span", queued)
-    monkeypatch.setattr(simulation, "_slice_size", lambda model, threads: model.envs)
+    monkeypatch.setattr(simulation, "_slice_size", lambda model, *_: model.envs)
     assert_same(run(name, precision, "cpu")[0], usual)
 
 

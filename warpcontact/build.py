@@ -1,6 +1,7 @@
-"""Scene × environments → Model: the arrays of bodies, points, surfaces and contacts."""
+"""Scene × environments → Model, or one on each device: the arrays of bodies, points, surfaces and contacts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,28 +12,37 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact import elements as limits_of
 from warpcontact.arrays import allocate
-from warpcontact.blocks import make_blocks, upload_blocks
+from warpcontact.blocks import Blocks, make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
+from warpcontact.devices import find_devices, spread
 from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
-from warpcontact.patches import upload_patches
+from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.readings import readings_of
 from warpcontact.scene import Contact, Points, Scene, Surface
+from warpcontact.split_model import SplitModel
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
 
-def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "float32") -> Model:
+def build(
+    scene: Scene, envs: int = 1, device: str | Sequence[str] = "auto", precision: str = "float32"
+) -> Model | SplitModel:
     """Builds ``envs`` environments of ``scene``.
 
     Args:
         scene: What there is; changes to it after this have no effect on the model.
         envs: Number of environments, at least 1.
-        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if there is one.
+        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any, else the CPU; ``"cuda"``: all GPUs
+            that CUDA shows, or a list such as ``["cuda:0", "cuda:2"]``: the environments are split over them, in
+            order and as evenly as possible. A device may be listed more than once, ``["cpu", "cpu"]``.
         precision: ``"float32"`` or ``"float64"``.
+
+    Returns:
+        The model; a ``SplitModel`` if it is on several devices.
 
     Raises:
         ValueError: If an argument is out of range or the scene has no body.
@@ -43,18 +53,42 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
     checks.choice("precision", precision, tuple(PRECISIONS))
     if not scene.bodies:
         raise ValueError("the scene has no body; add_body adds one")
-    where = find_device(device)
-    envs = int(envs)
+    devices = find_devices(device)
+    contacts = [contact for group in by_code(scene.contacts) for contact in group]
+    # What is the same on all devices.
+    common = _Common(scene.snapshot(), precision, contacts, make_blocks(contacts), make_patches(contacts))
+    counts = spread(int(envs), len(devices))
+    parts = [_build_on(where, count, common) for where, count in zip(devices, counts, strict=False)]
+    return parts[0] if len(parts) == 1 else SplitModel(parts)
 
-    t = types.structs(PRECISIONS[precision])
+
+@dataclass(frozen=True)
+class _Common:
+    """What the parts of a model have in common, on the host.
+
+    Attributes:
+        scene: What there is.
+        precision: Of state and forces.
+        contacts: All contacts as they lie on the device, in the order of their groups.
+        blocks: What they are worked on in.
+        patches: What they search.
+    """
+
+    scene: Scene
+    precision: str
+    contacts: list[Contact]
+    blocks: Blocks
+    patches: Patches
+
+
+def _build_on(where: wp.Device, envs: int, common: _Common) -> Model:
+    """Builds ``envs`` environments on one device."""
+    scene, contacts, blocks = common.scene, common.contacts, common.blocks
+    t = types.structs(PRECISIONS[common.precision])
     parameters = Parameters(envs, where, t.real)
-    groups = by_code(scene.contacts)
-    contacts = [contact for group in groups for contact in group]
-    # Contacts lie on the device in the order of their groups.
     starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
     start_of = dict(zip(contacts, starts, strict=False))
 
-    blocks = make_blocks(contacts)
     bodies, each, parts = (envs, len(scene.bodies)), (envs, starts[-1]), (envs, blocks.count)
     arrays = SimpleNamespace(
         model=t.Model(),
@@ -79,14 +113,15 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
     following = upload_blocks(blocks, contacts, scene.bodies, arrays.model, parameters, t, places)
     for parameter in moving:
         parameter.uploads.extend(following)
-    patch_of, meshes = upload_patches(contacts, arrays.model, t, where)
-    _add_contacts(contacts, start_of, patch_of, arrays, parameters, t)
+    meshes = upload_patches(common.patches, arrays.model, t, where)
+    _add_contacts(contacts, start_of, common.patches.of_contact, arrays, parameters, t)
+    groups = by_code(contacts)
     made = [make_group(group, start_of[group[0]], blocks, parameters, t.real) for group in groups]
     return Model(
-        scene=scene.snapshot(),
+        scene=scene,
         envs=envs,
         device=where,
-        precision=precision,
+        precision=common.precision,
         types=t,
         arrays=arrays,
         parameters=parameters.by_name,
@@ -96,21 +131,6 @@ def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "f
         readings=readings_of(scene, start_of, made),
         meshes=meshes,
     )
-
-
-def find_device(name: str) -> wp.Device:
-    """Returns the Warp device called ``name``; ``"auto"``: a GPU if there is one, else the CPU.
-
-    Raises:
-        ValueError: If this machine has no such device.
-    """
-    wp.init()
-    if name == "auto":
-        return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
-    present = [str(device) for device in wp.get_devices()]
-    if name not in present and not (name == "cuda" and wp.is_cuda_available()):
-        raise ValueError(f"device must be 'auto' or one of {', '.join(present)} on this machine, got {name!r}")
-    return wp.get_device(name)
 
 
 def _cache(t: SimpleNamespace, envs: int, sets: int, blocks: int, contacts: int, device: wp.Device) -> Any:

@@ -61,7 +61,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--envs", type=int, metavar="N", help="number of environments instead of that in the file")
     run.add_argument("--duration", type=float, metavar="S", help="simulated seconds instead of those in the file")
-    run.add_argument("--device", default="auto", metavar="D", help="cpu, cuda:0, … (default: auto, a GPU if any)")
+    run.add_argument(
+        "--device",
+        default="auto",
+        metavar="D",
+        help="cpu, cuda:0, …; cuda: all GPUs; or several, such as cuda:0,cuda:2 (default: auto, one GPU if any)",
+    )
     run.add_argument("--overwrite", action="store_true", help="replace an earlier run in the folder")
     run.set_defaults(command=_run)
 
@@ -141,8 +146,10 @@ def _run(arguments: argparse.Namespace) -> int:
         with warnings.catch_warnings(), _blaming(f"--device {arguments.device}", experiment.source):
             # The summary says it.
             warnings.filterwarnings("ignore", message=".* non-finite and are frozen", category=RuntimeWarning)
+            several = "," in arguments.device
+            device = arguments.device.split(",") if several else arguments.device
             result = experiment.run(
-                folder, device=arguments.device, overwrite=arguments.overwrite, on_stage=say, on_warning=warn
+                folder, device=device, overwrite=arguments.overwrite, on_stage=say, on_warning=warn
             )
     except ExperimentError as error:
         return _fail(str(error))

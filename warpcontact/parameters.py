@@ -22,17 +22,35 @@ from warpcontact.kernels.formula import check_values
 
 
 class Field:
-    """Values of one quantity, (1 or envs, items, ...)."""
+    """Values of one quantity, (1 or envs, items, ...).
+
+    Attributes:
+        values: The values.
+        shared: Whether all environments of the model have the same; a single row may also be that of a part
+            with one environment.
+    """
 
     def __init__(self, values: Array) -> None:
         """Starts with ``values`` (items, ...) shared by all environments."""
         self.values = np.array(values, dtype=np.float64)[None]
+        self.shared = True
 
-    def assign(self, items: slice, values: Array, envs: int) -> None:
-        """Sets ``items`` from ``values`` (1 or envs, 1 or items, ...)."""
-        if len(values) > 1 and len(self.values) == 1:
+    def assign(self, items: slice, values: Array, envs: int, *, shared: bool) -> None:
+        """Sets ``items`` from ``values`` (1 or envs, 1 or items, ...), of all environments if ``shared``."""
+        if self.shared and not shared:
             self.values = np.repeat(self.values, envs, axis=0)
+            self.shared = False
         self.values[:, items] = values
+
+    def copy(self) -> "Field":
+        """Returns a copy, for ``restore``."""
+        copied = Field(self.values[0])
+        copied.values, copied.shared = self.values.copy(), self.shared
+        return copied
+
+    def restore(self, earlier: "Field") -> None:
+        """Goes back to ``earlier``, a copy."""
+        self.values, self.shared = earlier.values, earlier.shared
 
 
 @dataclass(frozen=True)
@@ -154,9 +172,16 @@ class Upload:
         self.device = device
         self._memory: wp.array | None = None
 
-    def send(self) -> bool:
-        """Sends the content; returns whether the array moved, so that prepared launches are stale."""
-        content = np.ascontiguousarray(self.compute())
+    def content(self) -> NDArray[Any]:
+        """Returns the content as it is now.
+
+        Raises:
+            ValueError: If a value does not fit into the precision of the device.
+        """
+        return np.ascontiguousarray(self.compute())
+
+    def send(self, content: NDArray[Any]) -> bool:
+        """Sends ``content``; returns whether the array moved, so that prepared launches are stale."""
         if self._memory is not None and self._memory.shape == content.shape[:2]:
             self._memory.assign(content)
             return False

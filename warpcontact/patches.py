@@ -90,44 +90,71 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
     )
 
 
-def upload_patches(
-    contacts: list[Contact], model: Any, t: SimpleNamespace, device: wp.Device
-) -> tuple[dict[Contact, int], list[wp.Mesh]]:
-    """Fills the patches of ``model``; contacts that search the same faces share one.
+@dataclass(frozen=True)
+class Patches:
+    """The patches of all surfaces; contacts that search the same faces share one.
 
-    Returns:
-        The patch of each contact, and the meshes: a kernel holds only their ids, so somebody has to keep them.
+    Attributes:
+        patches: All of them, one for each mesh of a surface that is searched in one way.
+        surfaces: Index of the surface of each.
+        searched: For each, the number of its mesh for queries: patches that differ in what is active share one.
+        corners: Of the faces (F, 3, 3) of each of these meshes, in float32.
+        of_contact: First patch of each contact.
+    """
+
+    patches: list[Patch]
+    surfaces: list[int]
+    searched: list[int]
+    corners: list[NDArray[np.float32]]
+    of_contact: dict[Contact, int]
+
+
+def make_patches(contacts: list[Contact]) -> Patches:
+    """Returns the patches of ``contacts``.
+
+    Raises:
+        ValueError: If a face has no area left in float32, in which queries search.
     """
     rows: dict[tuple[int, bool], int] = {}
-    patches: list[Patch] = []
-    surfaces: list[int] = []
-    searched: dict[tuple[Any, ...], wp.Mesh] = {}
-    meshes: list[wp.Mesh] = []
-    patch_of = {}
+    numbers: dict[tuple[Any, ...], int] = {}
+    made = Patches([], [], [], [], {})
     for contact in contacts:
         surface = contact.surface
         only_active = contact.search == "active" and not all(active.all() for active in surface.active)
         key = (surface.index, only_active)
         if key not in rows:
-            rows[key] = len(patches)
+            rows[key] = len(made.patches)
             for mesh, active in zip(surface.meshes, surface.active, strict=True):
-                patches.append(make_patch(mesh, active, surface.centre, only_active=only_active))
-                surfaces.append(surface.index)
+                patch = make_patch(mesh, active, surface.centre, only_active=only_active)
+                made.patches.append(patch)
+                made.surfaces.append(surface.index)
                 # Meshes that differ in what is active alone are searched as one.
                 faces = (id(mesh), active.tobytes() if only_active else b"", surface.centre.tobytes())
-                if faces not in searched:
+                if faces not in numbers:
+                    numbers[faces] = len(made.corners)
                     given = np.flatnonzero(active) if only_active else np.arange(len(active))
-                    searched[faces] = _search_mesh(surface.name, patches[-1], given, device)
-                meshes.append(searched[faces])
-        patch_of[contact] = rows[key]
+                    made.corners.append(_search_corners(surface.name, patch, given))
+                made.searched.append(numbers[faces])
+        made.of_contact[contact] = rows[key]
+    return made
+
+
+def upload_patches(made: Patches, model: Any, t: SimpleNamespace, device: wp.Device) -> list[wp.Mesh]:
+    """Fills the patches of ``model``.
+
+    Returns:
+        The meshes: a kernel holds only their ids, so somebody has to keep them.
+    """
+    patches = made.patches
+    meshes = [_search_mesh(corner, device) for corner in made.corners]
     starts = np.cumsum([0] + [len(patch.flags) for patch in patches])
     real = wp.dtype_to_numpy(t.real)
 
     def send(values: Any, dtype: Any, kind: Any) -> wp.array:
         return wp.array(np.asarray(values, dtype=kind), dtype=dtype, device=device)
 
-    model.patch_mesh = send([mesh.id for mesh in meshes], wp.uint64, np.uint64)
-    model.patch_surface = send(surfaces, wp.int32, np.int32)
+    model.patch_mesh = send([meshes[number].id for number in made.searched], wp.uint64, np.uint64)
+    model.patch_surface = send(made.surfaces, wp.int32, np.int32)
     model.patch_face_start = send(starts, wp.int32, np.int32)
     errors = [_query_error(patch) for patch in patches]
     model.patch_slack = send([slack for slack, _ in errors], t.real, real)
@@ -150,11 +177,11 @@ def upload_patches(
             for patch, start in zip(patches, starts, strict=False)
         ]
         model.face_neighbor = send(np.concatenate(shifted), wp.int32, np.int32)
-    return patch_of, meshes
+    return meshes
 
 
-def _search_mesh(name: str, patch: Patch, given: NDArray[np.integer[Any]], device: wp.Device) -> wp.Mesh:
-    """Returns the mesh that queries search; ``given`` are the numbers of its faces in the mesh they are from."""
+def _search_corners(name: str, patch: Patch, given: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
+    """Returns the corners (F, 3, 3) that queries search; ``given`` are the numbers of the faces in their mesh."""
     # The mesh is sound in float64; only float32 can still spoil it.
     corner = patch.corner.astype(np.float32)
     lost = np.flatnonzero(slenderness(corner.astype(np.float64)) < SLIVER)
@@ -165,6 +192,11 @@ def _search_mesh(name: str, patch: Patch, given: NDArray[np.integer[Any]], devic
             f"({len(lost)} such faces): it is too slim, or too small for coordinates of up to {far:g} m. Remove "
             "it, or make parts that lie far apart surfaces of their own"
         )
+    return corner
+
+
+def _search_mesh(corner: NDArray[np.float32], device: wp.Device) -> wp.Mesh:
+    """Returns the mesh that queries search."""
     return wp.Mesh(
         points=wp.array(corner.reshape(-1, 3), dtype=wp.vec3f, device=device),
         indices=wp.array(np.arange(3 * len(corner), dtype=np.int32), dtype=wp.int32, device=device),

@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 import xarray as xr
+from numpy.typing import NDArray
 
 from warpcontact._version import __version__
+from warpcontact.environments import Environments
 from warpcontact.model import Model
 from warpcontact.parameters import Parameter
-from warpcontact.readings import AXES, Reading, status_attributes
+from warpcontact.readings import AXES, status_attributes
 from warpcontact.scene import Scene
 
 # Frames wait on the device up to this size, then move to the host in one copy.
@@ -26,22 +28,46 @@ class Recording(xr.Dataset):
 
 
 class _Channel:
-    """The frames of one reading: a buffer on the device and the result on the host."""
+    """The frames of one reading: a buffer on each device and one result on the host."""
 
-    def __init__(self, model: Model, reading: Reading, frames: int) -> None:
-        self.reading = reading
-        self.source = reading.array(model.arrays)
+    def __init__(self, model: Environments, name: str, frames: int) -> None:
+        self.reading = model.find_reading(name)
+        first = self.reading.array(model.parts[0].arrays)
+        one = self.reading.finish(first[:1].numpy()[None], axis=2)
+        self.result = np.zeros((frames, model.envs, *one.shape[2:]), dtype=one.dtype)
+        self._rings = [_Ring(part, name, self.result[:, own]) for part, own in model.shares()]
+
+    def take(self) -> None:
+        for ring in self._rings:
+            ring.take()
+
+    def drain(self) -> None:
+        for ring in self._rings:
+            ring.drain()
+
+
+class _Ring:
+    """The frames of one reading of a part: a buffer on its device, and where they go on the host.
+
+    Args:
+        part: The part.
+        name: Name of the reading.
+        result: Receives all frames (frame, env, …).
+    """
+
+    def __init__(self, part: Model, name: str, result: NDArray[Any]) -> None:
+        self.reading = part.readings[name]
+        self.source = self.reading.array(part.arrays)
+        self.result = result
         shape = self.source.shape
         frame_bytes = max(1, int(np.prod(shape)) * wp.types.type_size_in_bytes(self.source.dtype))
-        self.slots = int(min(frames, max(1, RING_BYTES // frame_bytes)))
-        self.ring = wp.zeros((self.slots, *shape), dtype=self.source.dtype, device=model.device)
-        first = reading.finish(self.ring[:1].numpy(), axis=2)
-        self.result = np.zeros((frames, *first.shape[1:]), dtype=first.dtype)
+        self.slots = int(min(len(result), max(1, RING_BYTES // frame_bytes)))
+        self.memory = wp.zeros((self.slots, *shape), dtype=self.source.dtype, device=part.device)
         self.taken = 0
         self.drained = 0
 
     def take(self) -> None:
-        wp.copy(self.ring[self.taken - self.drained], self.source)
+        wp.copy(self.memory[self.taken - self.drained], self.source)
         self.taken += 1
         if self.taken - self.drained == self.slots:
             self.drain()
@@ -49,12 +75,12 @@ class _Channel:
     def drain(self) -> None:
         count = self.taken - self.drained
         if count:
-            values = self.reading.finish(self.ring.numpy()[:count], axis=2)
+            values = self.reading.finish(self.memory.numpy()[:count], axis=2)
             self.result[self.drained : self.taken] = values
             self.drained = self.taken
 
 
-def moved_parts(model: Model) -> list[str]:
+def moved_elements(model: Environments) -> list[str]:
     """Returns the parameters of surfaces and points that are no longer those of the scene in environment 0."""
     scene = model.scene
     first = {
@@ -65,11 +91,8 @@ def moved_parts(model: Model) -> list[str]:
     first |= {f"{surface.name}.mesh": np.zeros(()) for surface in scene.surfaces if len(surface.meshes) > 1}
     for points in scene.points:
         first[f"{points.name}.position"] = points.positions[0] if points.single else points.positions
-    return [
-        name
-        for name, value in first.items()
-        if not (model.find_parameter(name).read(model.envs)[0] == value).all()
-    ]
+    part = model.parts[0]
+    return [name for name, value in first.items() if not (part.parameters[name].read(part.envs)[0] == value).all()]
 
 
 class Recorder:
@@ -84,18 +107,18 @@ class Recorder:
     """
 
     def __init__(
-        self, model: Model, names: Iterable[str], frames: int, poses: bool, parameters: Iterable[str] = ()
+        self, model: Environments, names: Iterable[str], frames: int, poses: bool, parameters: Iterable[str] = ()
     ) -> None:
         self.model = model
         self.kept = [model.find_parameter(name) for name in parameters]
         if poses:
             # What a replay needs beside the poses, and whatever sets the environments apart.
             needed = (".mass", ".inertia", ".radius")
-            moved = moved_parts(model)
+            moved = moved_elements(model)
             self.kept += [
-                parameter
-                for name, parameter in model.parameters.items()
-                if len(parameter.field.values) > 1 or name.endswith(needed) or name in moved
+                model.find_parameter(name)
+                for name in model
+                if model.varies(name) or name.endswith(needed) or name in moved
             ]
         wanted = list(dict.fromkeys(names))
         if poses:
@@ -103,18 +126,22 @@ class Recorder:
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
         readings = [model.find_reading(name) for name in dict.fromkeys(wanted)]
         self.needs = {need for reading in readings for need in reading.needs}
-        model.prepare(self.needs)
-        self.channels = [_Channel(model, reading, frames) for reading in readings]
+        self._prepare()
+        self.channels = [_Channel(model, reading.name, frames) for reading in readings]
         self.times = np.zeros(frames)
         self.taken = 0
 
     def take(self, time: float) -> None:
         """Takes one frame of the current state at ``time`` [s]."""
-        self.model.prepare(self.needs)
+        self._prepare()
         for channel in self.channels:
             channel.take()
         self.times[self.taken] = time
         self.taken += 1
+
+    def _prepare(self) -> None:
+        for part in self.model.parts:
+            part.prepare(self.needs)
 
     def _item_dimension(self, element: str) -> str:
         """Returns the name of the item axis of a set: sets of different size cannot share one."""
@@ -163,7 +190,7 @@ class Recorder:
             coords=coordinates,
             attrs={
                 "source": f"warpcontact {__version__}",
-                "device": str(model.device),
+                "device": ", ".join(map(str, model.devices)),
                 "precision": model.precision,
                 **attributes,
             },

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -10,14 +9,14 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
-from warpcontact.arrays import allocate, broadcast
 from warpcontact.crew import Crew, available_threads
+from warpcontact.environments import Environments
 from warpcontact.integrators import Integrator, SemiImplicitEuler
-from warpcontact.model import Model
+from warpcontact.model import Model, State
 from warpcontact.parameters import rounded
 from warpcontact.recorder import Recorder, Recording
 from warpcontact.schedule import Span
-from warpcontact.slices import Slice, Times
+from warpcontact.slices import Buffers, Slice, Times
 
 # Steps between two looks at the progress bar, whole graphs; a step of a large model takes milliseconds.
 STEPS_PER_UPDATE = 64
@@ -32,12 +31,12 @@ class Simulation:
     """Steps a model through time.
 
     Args:
-        model: The model; its state is the state of the simulation.
+        model: The model, on one device or split over several; its state is the state of the simulation.
         dt: Time step [s].
         integrator: Scheme, semi-implicit Euler if not given.
         crossing_steps: Parts into which a step is divided, in environments in which a swept point crosses a
             surface in that step. 1: such a step is taken as it is, and the contact begins as deep as it led.
-        threads: Threads that step the environments of a model on the CPU; ``None``: one per core.
+        threads: Threads that step the environments on the CPU, of all parts of a model; ``None``: one per core.
         deterministic: Whether a run repeats to the bit on a GPU as well, where several points of a body touch;
             on the CPU it does in any case, whatever the number of threads.
         distance_cache: Whether what is known of distances from earlier steps saves work; results are the same.
@@ -46,7 +45,7 @@ class Simulation:
 
     def __init__(
         self,
-        model: Model,
+        model: Environments,
         dt: float,
         integrator: Integrator | None = None,
         *,
@@ -57,7 +56,7 @@ class Simulation:
         graphs: bool = True,
     ) -> None:
         integrator = SemiImplicitEuler() if integrator is None else integrator
-        if not isinstance(model, Model):
+        if not isinstance(model, Environments):
             raise TypeError(f"model must come from Scene.build, got {model!r}")
         if not isinstance(integrator, Integrator):
             raise TypeError(
@@ -66,9 +65,9 @@ class Simulation:
         self.model = model
         self.integrator = integrator
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
-        rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.types.real))
+        rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.parts[0].types.real))
         self.crossing_steps = _at_least_one("crossing_steps", crossing_steps)
-        if self.crossing_steps > 1 and not model.sweeps:
+        if self.crossing_steps > 1 and not model.parts[0].sweeps:
             warnings.warn(
                 f"crossing_steps = {self.crossing_steps} divides no step: no contact of the scene has swept=True",
                 ContactWarning,
@@ -79,19 +78,17 @@ class Simulation:
         self.distance_cache = bool(distance_cache)
         self.graphs = bool(graphs)
         self._advised = False
-        part = self.dt / self.crossing_steps
-        self._time_memory = [
-            wp.full((1, 1), value, dtype=model.types.real, device=model.device)
-            for value in (self.dt, part, part - self.dt, self.dt - part)
-        ]
-        self.times = Times(*(broadcast(memory, model.envs) for memory in self._time_memory))
-        # Steps go from one buffer to the other and back; between calls the state is always in the model's.
-        self._other = allocate(model.types.State, (model.envs, model.body_count), model.device)
-        self._prepared: tuple[int, Crew | None] = (-1, None)
+        self._buffers = [Buffers.of(part, self.dt, self.crossing_steps) for part in model.parts]
+        self._prepared: tuple[tuple[int, ...], Crew | None] = ((), None)
 
     @property
-    def state(self) -> Any:
-        """The current state; see ``Model``."""
+    def times(self) -> Times:
+        """Lengths of steps, on the device of the first part of the model."""
+        return self._buffers[0].times
+
+    @property
+    def state(self) -> State:
+        """The current state; see ``Model``. That of a model on several devices is in ``model.parts``."""
         return self.model.state
 
     @property
@@ -123,27 +120,35 @@ class Simulation:
             self._advised = True
             for sentence in advice(model, self.dt):
                 warnings.warn(sentence, ContactWarning, stacklevel=2)
-        model.at_start = False
-        revision, crew = self._prepared
-        if crew is None or revision != model.revision:
+        for part in model.parts:
+            part.untouched = False
+        revisions = tuple(part.revision for part in model.parts)
+        prepared, crew = self._prepared
+        if crew is None or prepared != revisions:
             crew = Crew(self._slices(), self.threads)
-            self._prepared = (model.revision, crew)
-        before = model.time
+            self._prepared = (revisions, crew)
+        before = [part.elapsed for part in model.parts]
         for done in crew.step(count):
-            model.time = before + done * self.dt
+            for part, elapsed in zip(model.parts, before, strict=True):
+                part.elapsed = elapsed + done * self.dt
 
     def _slices(self) -> list[Slice]:
-        model = self.model
+        on_cpu = sum(part.envs for part in self.model.parts if part.device.is_cpu)
+        return [
+            piece
+            for part, buffers in zip(self.model.parts, self._buffers, strict=True)
+            for piece in self._slices_of(part, buffers, _slice_size(part, on_cpu, self.threads))
+        ]
+
+    def _slices_of(self, model: Model, buffers: Buffers, size: int) -> list[Slice]:
         # On the CPU a slice is stepped by one thread, so the order is the same in any case.
         queued = model.device.is_cuda
         ordered = self.deterministic or not queued
-        size = _slice_size(model, self.threads)
         return [
             Slice(
                 Span(model, first, min(size, model.envs - first), self.distance_cache, ordered, queued),
                 self.integrator,
-                self.times,
-                self._other,
+                buffers,
                 parts=self.crossing_steps,
                 captured=self.graphs,
             )
@@ -225,12 +230,18 @@ def _at_least_one(name: str, value: object) -> int:
     return int(value)
 
 
-def _slice_size(model: Model, threads: int) -> int:
-    """Returns how many environments a slice has: as many as fit into the cache of a core, and enough slices."""
+def _slice_size(model: Model, on_cpu: int, threads: int) -> int:
+    """Returns how many environments a slice has: as many as fit into the cache of a core, and enough slices.
+
+    Args:
+        model: What is sliced.
+        on_cpu: Number of environments that the threads have to step, of all parts.
+        threads: The threads.
+    """
     if model.device.is_cuda:
         return model.envs
     per_env = CONTACT_BYTES * model.contact_count + BODY_BYTES * model.body_count
-    return max(1, min(CACHE_BYTES // per_env, LARGEST_SLICE, -(-model.envs // threads)))
+    return max(1, min(CACHE_BYTES // per_env, LARGEST_SLICE, -(-on_cpu // threads)))
 
 
 def whole_steps(name: str, time: float, dt: float, *, exact: bool) -> int:

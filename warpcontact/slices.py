@@ -6,10 +6,11 @@ time, and replayed; launches and replays compute the same.
 
 import threading
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpcontact.arrays import allocate, broadcast
 from warpcontact.integrators import Integrator
 from warpcontact.schedule import (
     Span,
@@ -19,6 +20,9 @@ from warpcontact.schedule import (
     step_stages,
     turn_stage,
 )
+
+if TYPE_CHECKING:
+    from warpcontact.model import Model
 
 # Steps in a graph, the most first; whatever is asked for is made up of these. An odd one ends in the other buffer
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, and slices are many.
@@ -40,6 +44,31 @@ class Times:
 
 
 @dataclass(frozen=True)
+class Buffers:
+    """What steps of a model need on its device.
+
+    Attributes:
+        times: Lengths of steps.
+        other: A second state. Steps go from the model's to it and back; between calls the state is in the model's.
+    """
+
+    times: Times
+    other: Any
+    lengths: list[wp.array]  # kept alive: the times share their memory
+
+    @classmethod
+    def of(cls, model: "Model", dt: float, parts: int) -> "Buffers":
+        """Returns those for steps of ``dt`` [s], or of ``parts`` parts."""
+        part = dt / parts
+        lengths = [
+            wp.full((1, 1), value, dtype=model.types.real, device=model.device)
+            for value in (dt, part, part - dt, dt - part)
+        ]
+        times = Times(*(broadcast(length, model.envs) for length in lengths))
+        return cls(times, allocate(model.types.State, (model.envs, model.body_count), model.device), lengths)
+
+
+@dataclass(frozen=True)
 class _Step:
     """The launches of a step from one buffer to the other, and those of a part of it."""
 
@@ -56,28 +85,36 @@ class Slice:
     Args:
         span: The environments.
         integrator: The scheme.
-        times: Lengths of steps.
-        other: The other buffer of the state.
+        buffers: What steps need on the device.
         parts: Parts into which a step with a crossing is divided.
         captured: Whether steps are captured and replayed.
+
+    Attributes:
+        envs: Number of environments.
+        device: Their device.
+        captured: Whether steps are replayed: on a GPU nothing is then waited for.
     """
 
     def __init__(
-        self, span: Span, integrator: Integrator, times: Times, other: Any, *, parts: int, captured: bool
+        self, span: Span, integrator: Integrator, buffers: Buffers, *, parts: int, captured: bool
     ) -> None:
         model = span.model
         self.envs = span.count
-        self._device = model.device
+        self.device = model.device
         self._parts = parts
         divides = model.sweeps and parts > 1
         self._mark = wp.zeros(1, dtype=wp.int32, device=model.device) if divides else None
-        own = model.arrays.state
+        # Where the host looks at it.
+        self._seen = self._mark
+        if divides and model.device.is_cuda:
+            self._seen = wp.zeros(1, dtype=wp.int32, device="cpu", pinned=True)
+        own, other = model.arrays.state, buffers.other
         self._steps = [
-            self._prepare(span, integrator, times, *buffers) for buffers in ((own, other), (other, own))
+            self._prepare(span, integrator, buffers.times, *way) for way in ((own, other), (other, own))
         ]
         self._wait, self._wake = (turn_stage(span, back=back) for back in (False, True))
         # What is decided on the host cannot be captured.
-        self._captured = captured and not divides
+        self.captured = captured and not divides
         self._graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
         self._graphs: dict[int, wp.Graph] = {}
 
@@ -99,11 +136,11 @@ class Slice:
 
     def capture(self, count: int) -> None:
         """Captures what ``step(count)`` will replay. Not while other threads step."""
-        if not self._captured:
+        if not self.captured:
             return
         for steps in self._graph_steps:
             if count >= steps and steps not in self._graphs:
-                with _capturing, wp.ScopedCapture(device=self._device) as capture:
+                with _capturing, wp.ScopedCapture(device=self.device) as capture:
                     for number in range(steps):
                         _launch(self._steps[number % 2].whole)
                     if steps % 2:
@@ -113,7 +150,7 @@ class Slice:
 
     def step(self, count: int) -> None:
         """Takes ``count`` steps; the state is in the model's buffer before and after."""
-        if self._captured:
+        if self.captured:
             for steps in self._graph_steps:
                 while count >= steps:
                     wp.capture_launch(self._graphs[steps])
@@ -129,7 +166,7 @@ class Slice:
         if self._mark is not None:
             self._mark.zero_()
         _launch(self._steps[way].whole)
-        if self._mark is None or not self._mark.numpy()[0]:
+        if not self._crossed():
             return
         # Environments with a crossing have not moved on. The others wait.
         _launch(self._wait)
@@ -140,6 +177,16 @@ class Slice:
             _launch(self._steps[1 - way].back)
         _launch(self._steps[way].resume)
         _launch(self._wake)
+
+    def _crossed(self) -> bool:
+        """Whether a surface was crossed in the step just taken; waits for no other device than its own."""
+        if self._mark is None or self._seen is None:
+            return False
+        if self._seen is not self._mark:
+            # Of a GPU wp.array.numpy() would change the default device of the process while other threads step.
+            wp.copy(self._seen, self._mark)
+            wp.synchronize_stream(self.device)
+        return bool(self._seen.numpy()[0])
 
 
 def _launch(launches: list[wp.Launch]) -> None:

@@ -14,17 +14,17 @@ import warp as wp
 
 from warpcontact._version import __version__
 from warpcontact.checks import Array
+from warpcontact.environments import Environments
 from warpcontact.experiment import result
 from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.result import Copy, Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.toml import to_toml
-from warpcontact.model import Model
 from warpcontact.simulation import Simulation
 
 
 def execute(
-    model: Model,
+    model: Environments,
     settings: Settings,
     varied: Mapping[str, Array],
     copy: Copy,
@@ -55,7 +55,7 @@ def execute(
         raise
 
 
-def _first_summary(model: Model, settings: Settings, copy: Copy) -> dict[str, Any]:
+def _first_summary(model: Environments, settings: Settings, copy: Copy) -> dict[str, Any]:
     return {
         "state": result.UNFINISHED,
         "process": os.getpid(),
@@ -69,7 +69,7 @@ def _first_summary(model: Model, settings: Settings, copy: Copy) -> dict[str, An
         },
         "machine": platform.platform(),
         "host": platform.node(),
-        "device": str(model.device) if model.device.is_cpu else f"{model.device} ({model.device.name})",
+        "device": ", ".join(str(one) if one.is_cpu else f"{one} ({one.name})" for one in model.devices),
         "precision": settings.precision,
         "seed": settings.seed,
         "envs": settings.envs,
@@ -79,7 +79,7 @@ def _first_summary(model: Model, settings: Settings, copy: Copy) -> dict[str, An
 
 
 def _execute(
-    model: Model,
+    model: Environments,
     settings: Settings,
     varied: Mapping[str, Array],
     copy: Copy,
@@ -98,7 +98,7 @@ def _execute(
         files[name].write_bytes(content)
 
     simulation = Simulation(model, dt=settings.dt, crossing_steps=settings.crossing_steps)
-    say(f"compiling for {model.device}")
+    say(f"compiling for {', '.join(map(str, model.devices))}")
     simulation.step()  # compiles what is not in the cache; the time of the run is then that of stepping
     simulation.reset()
     say("running")

@@ -1,10 +1,11 @@
 """Experiments: a scene, what varies between its environments, how long, and what is recorded."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from warpcontact.environments import Environments
 from warpcontact.experiment import result
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FileMesh
@@ -20,6 +21,7 @@ from warpcontact.experiment.variation import Draw, truncated
 from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import whole_steps
+from warpcontact.split_model import SplitModel
 
 # Frames of a recording for which nothing else is asked.
 FRAMES = 100
@@ -96,12 +98,13 @@ class Experiment:
         problems.stop(self.source)
         return scene
 
-    def model(self, envs: int | None = None, device: str = "auto") -> Model:
+    def model(self, envs: int | None = None, device: str | Sequence[str] = "auto") -> Model | SplitModel:
         """Builds the environments, each with its own values of what varies.
 
         Args:
             envs: Number of environments; ``None``: that of the experiment.
-            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if there is one.
+            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any; ``"cuda"``: all GPUs, or a
+                list of devices, over which the environments are split.
 
         Raises:
             ExperimentError: If there is no such device, or a value is out of range.
@@ -135,7 +138,7 @@ class Experiment:
         out: str | PathLike[str],
         *,
         envs: int | None = None,
-        device: str = "auto",
+        device: str | Sequence[str] = "auto",
         duration: float | None = None,
         overwrite: bool = False,
         progress: bool | None = None,
@@ -151,7 +154,8 @@ class Experiment:
         Args:
             out: The folder; made if there is none.
             envs: Number of environments; ``None``: that of the experiment.
-            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if there is one.
+            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any; ``"cuda"``: all GPUs, or a
+                list of devices, over which the environments are split.
             duration: Simulated time [s]; ``None``: that of the experiment.
             overwrite: Whether the files of an earlier run in the folder may be replaced.
             progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
@@ -174,7 +178,7 @@ class Experiment:
         self,
         folder: Path,
         copy: result.Copy,
-        device: str,
+        device: str | Sequence[str],
         progress: bool | None,
         say: Callable[[str], None],
         notices: Notices,
@@ -187,7 +191,7 @@ class Experiment:
         model = self._build(device)
         return execute(model, self.settings, self._values, copy, folder, progress, say, notices)
 
-    def _build(self, device: str) -> Model:
+    def _build(self, device: str | Sequence[str]) -> Model | SplitModel:
         """Builds the environments on ``device``."""
         try:
             model = self.scene().build(self.settings.envs, device, self.settings.precision)
@@ -209,7 +213,7 @@ class Experiment:
             self._check_with(model, parts, problems)
         problems.stop(self.source)
 
-    def _check_with(self, model: Model, parts: Parts, problems: Problems) -> None:
+    def _check_with(self, model: Environments, parts: Parts, problems: Problems) -> None:
         """Checks what needs to know parameters and readings, and fills in what follows from them."""
         present = set(model.scene.element_names())
 
@@ -234,7 +238,7 @@ class Experiment:
         self.settings: Settings = settings.model_copy(update={"record": record})
 
     @staticmethod
-    def _interval(model: Model, settings: Settings, problems: Problems) -> float:
+    def _interval(model: Environments, settings: Settings, problems: Problems) -> float:
         """Returns the time between frames [s]."""
         every = settings.record.every
         if every is None:
@@ -259,7 +263,7 @@ def default_interval(settings: Settings) -> float:
     return float(f"{steps * settings.dt:.12g}")
 
 
-def default_readings(model: Model) -> list[str]:
+def default_readings(model: Environments) -> list[str]:
     """Returns the readings of an experiment that names none: gap and force of single points, and the energy."""
     single = [contact.name for contact in model.scene.contacts if contact.points.single]
     return [f"{name}.{key}" for name in single for key in ("gap", "normal_force")] + ["scene.kinetic_energy"]
