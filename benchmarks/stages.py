@@ -2,9 +2,9 @@
 
     python benchmarks/stages.py --device cuda:0 --envs 65536 --works W1 W2p64 --out stages.json
 
-Each stage is timed in some steps of a run, at several times. A launch is in it: 3 µs on a CPU, and on a GPU more,
-so few environments tell little. Beside them: one closest-point query of Warp for every point and no more (the query
-that a step without memory of distances cannot do without), and a copy of the state on the device.
+Each stage is timed in some steps of a run, at several times. A launch is in it, 3 µs on a CPU and more on a GPU,
+so few environments tell little. Beside them: one closest-point query of Warp for every point and no more (which a
+step without memory of distances cannot do without), and a copy of the state on the device.
 """
 
 import argparse
@@ -20,12 +20,12 @@ from result_file import write
 from works import WORKS
 
 import warpcontact as wc
-from warpcontact.arrays import allocate
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.limits import limits
 from warpcontact.benchmark.simulation import simulation
 from warpcontact.crew import available_threads
 from warpcontact.schedule import Span, accept_stages, step_stages
+from warpcontact.slices import Buffers
 
 # Steps over which a stage is timed, an even number.
 STEPS = 20
@@ -56,7 +56,9 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
     device = str(model.device)
     gpu = model.device.is_cuda
     span = Span(model, 0, envs, sim.distance_cache, ordered=sim.deterministic or not gpu, queued=gpu)
-    own, other = model.arrays.state, allocate(model.types.State, (envs, model.body_count), model.device)
+    buffers = Buffers(model)
+    buffers.allocate(envs)
+    own, other = model.arrays.state, buffers.other
     ways = [
         step_stages(span, sim.integrator, sim.times.whole, *states, None)
         + accept_stages(span, sim.times.whole, *states)

@@ -45,6 +45,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                 contact = near.contact[env, place]
                 history.armed[env, contact] = contacts.armed[env, contact]
                 touching = contacts.status[env, contact] == CONTACT
+                near.news[env, contact] = wp.where(touching, 1, 0)
                 if touching:
                     # Not below 0, which says "not touching".
                     speed = wp.max(contacts.approach_speed[env, contact], real(0.0))

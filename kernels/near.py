@@ -109,11 +109,10 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
 
     @wp.func
     def news(contacts: Contacts, history: History, env: int, contact: int):
-        """Whether the rest of the step has to do with a contact: it touches, or did, or its latch moved."""
-        if contacts.status[env, contact] == CONTACT:
-            return True
+        """1 if the rest of the step has to do with a contact: it touches, or did, or its latch moved; or 0."""
         latch = contacts.armed[env, contact] != history.armed[env, contact]
-        return latch or history.entry_speed[env, contact] >= real(0.0)
+        touched = history.entry_speed[env, contact] >= real(0.0)
+        return wp.where(latch or touched or contacts.status[env, contact] == CONTACT, 1, 0)
 
     return SimpleNamespace(
         View=View,
@@ -194,17 +193,17 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                         free = free_around(model, contacts, cache, env, block, contact, around)
                     if free < real(0.0):
                         free = look(model, view, history, contacts, cached, cache, env, contact)
-                    listed = wp.bool(True)
                     if cached:
                         wake = wake_of(travel, free)
                         cache.wake[env, contact] = wake
                         first_wake = wp.min(first_wake, wake)
-                        listed = news(contacts, history, env, contact)
-                    if listed:
-                        near.contact[env, start + count] = contact
-                        count += 1
+                        near.news[env, contact] = news(contacts, history, env, contact)
+                if not cached or near.news[env, contact] != 0:
+                    near.contact[env, start + count] = contact
+                    count += 1
             near.count[env, block] = count
             if cached:
-                cache.block_wake[env, block] = first_wake
+                # What is new is told until history has it; a step may be taken again.
+                cache.block_wake[env, block] = wp.where(count > 0, real(0.0), first_wake)
 
     return closest_point

@@ -74,14 +74,23 @@ def pick(real: type, follows: bool) -> wp.Kernel:
 def probe(real: type, follows: bool) -> wp.Kernel:
     """Returns the kernel that searches in the middle of blocks of which nothing is known; items: blocks."""
     t = structs(real)
-    Model, State, Contacts, Cache = t.Model, t.State, t.Contacts, t.Cache
+    Model, State, History, Contacts, Near, Cache = t.Model, t.State, t.History, t.Contacts, t.Near, t.Cache
     block_of = nearness.functions(real, follows, KNOWN)
-    view_of, probe, wake_of = block_of.view_of, block_of.probe, block_of.wake_of
+    view_of, probe, wake_of, news = block_of.view_of, block_of.probe, block_of.wake_of, block_of.news
     free_around, longer_wake = block_of.free_around, block_of.longer_wake
     put = _put(real)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
-    def probe_blocks(work: Work, items: wp.int32, model: Model, state: State, cache: Cache, contacts: Contacts):
+    def probe_blocks(
+        work: Work,
+        items: wp.int32,
+        model: Model,
+        state: State,
+        history: History,
+        cache: Cache,
+        contacts: Contacts,
+        near: Near,
+    ):
         for i in range(spread(wp.tid(), work.threads), cache.waiting[0], work.threads):
             task = cache.waiting_block[i]
             member = task // work.items
@@ -101,6 +110,7 @@ def probe(real: type, follows: bool) -> wp.Kernel:
                         put(cache, wp.static(QUEUE_OF[KNOWN]), member * items + contact)
                     else:
                         cache.wake[env, contact] = wake_of(travel, free)
+                        near.news[env, contact] = news(contacts, history, env, contact)
 
     return probe_blocks
 
@@ -109,15 +119,21 @@ def probe(real: type, follows: bool) -> wp.Kernel:
 def work_off(real: type, follows: bool, part: str) -> wp.Kernel:
     """Returns the kernel that looks at the contacts in the queue of ``part`` or hands them on; items: contacts."""
     t = structs(real)
-    Model, State, History, Contacts, Cache = t.Model, t.State, t.History, t.Contacts, t.Cache
+    Model, State, History, Contacts, Near, Cache = t.Model, t.State, t.History, t.Contacts, t.Near, t.Cache
     block_of = nearness.functions(real, follows, part)
-    view_of, look, wake_of = block_of.view_of, block_of.look, block_of.wake_of
+    view_of, look, wake_of, news = block_of.view_of, block_of.look, block_of.wake_of, block_of.news
     put = _put(real)
     queue = QUEUE_OF[part]
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def look_at_contacts(
-        work: Work, model: Model, state: State, history: History, cache: Cache, contacts: Contacts
+        work: Work,
+        model: Model,
+        state: State,
+        history: History,
+        cache: Cache,
+        contacts: Contacts,
+        near: Near,
     ):
         thread = wp.tid()
         if wp.static(part == SEARCH):
@@ -133,27 +149,19 @@ def work_off(real: type, follows: bool, part: str) -> wp.Kernel:
                 put(cache, wp.static(queue + 1), task)
             else:
                 cache.wake[env, contact] = wake_of(cache.set_travel[env, number], free)
+                near.news[env, contact] = news(contacts, history, env, contact)
 
     return look_at_contacts
 
 
 @functools.cache
-def gather(real: type, follows: bool) -> wp.Kernel:
-    """Returns the kernel that fills ``near`` from what was found; items: blocks."""
+def gather(real: type) -> wp.Kernel:
+    """Returns the kernel that lists in ``near`` what was found; items: blocks."""
     t = structs(real)
-    Model, History, Contacts, Near, Cache = t.Model, t.History, t.Contacts, t.Near, t.Cache
-    news = nearness.functions(real, follows, KNOWN).news
+    Model, Near, Cache = t.Model, t.Near, t.Cache
 
     @wp.kernel(module="unique", enable_backward=False)
-    def gather_contacts(
-        work: Work,
-        status: wp.array(dtype=wp.int32),
-        model: Model,
-        history: History,
-        cache: Cache,
-        contacts: Contacts,
-        near: Near,
-    ):
+    def gather_contacts(work: Work, status: wp.array(dtype=wp.int32), model: Model, cache: Cache, near: Near):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
             block = task % work.items
@@ -166,14 +174,15 @@ def gather(real: type, follows: bool) -> wp.Kernel:
                 continue
             start = model.block_start[block]
             count = wp.int32(0)
-            first_wake = real(wp.inf)
+            wake = real(wp.inf)
             for place in range(start, model.block_start[block + 1]):
                 contact = model.block_contact[place]
-                first_wake = wp.min(first_wake, cache.wake[env, contact])
-                if news(contacts, history, env, contact):
+                wake = wp.min(wake, cache.wake[env, contact])
+                if near.news[env, contact] != 0:
                     near.contact[env, start + count] = contact
                     count += 1
             near.count[env, block] = count
-            cache.block_wake[env, block] = first_wake
+            # What is new is told until history has it; a step may be taken again.
+            cache.block_wake[env, block] = wp.where(count > 0, real(0.0), wake)
 
     return gather_contacts

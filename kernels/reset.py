@@ -13,7 +13,7 @@ from warpcontact.kernels.types import ENV_ACTIVE, structs
 def environments(real: type) -> wp.Kernel:
     """Returns the kernel that puts chosen environments back to the start. Launch with dim env."""
     t = structs(real)
-    State, History, Cache = t.State, t.History, t.Cache
+    State, History, Cache, Near = t.State, t.History, t.Cache, t.Near
     copy_body = frames.functions(real).copy_body
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -29,6 +29,7 @@ def environments(real: type) -> wp.Kernel:
         state: State,
         history: History,
         cache: Cache,
+        near: Near,
     ):
         env = wp.tid()
         if not mask[env]:
@@ -45,6 +46,7 @@ def environments(real: type) -> wp.Kernel:
             history.crossing_time[env, contact] = real(wp.nan)
             cache.wake[env, contact] = real(0.0)
             cache.faces[env, contact] = 0
+            near.news[env, contact] = 0
         for block in range(blocks):
             cache.block_wake[env, block] = real(0.0)
         for number in range(sets):

@@ -33,6 +33,9 @@ def functions(real: type) -> SimpleNamespace:
     steady = wp.constant(real(STEADY))
     soon = wp.constant(real(SOON))
 
+    Distances = wp.types.vector(length=REMEMBERED, dtype=real)
+    Rows = wp.types.vector(length=REMEMBERED, dtype=wp.int32)
+
     @wp.struct
     class Recalled:
         """The nearest foot, as far as it is known."""
@@ -162,8 +165,10 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def faces_about(model: Model, patch: int, p: vec3, reach: real):
-        """Faces within ``reach`` as float32 tells, which has to be wide enough for that; on fine meshes those in a
-        box would be many more."""
+        """Faces within ``reach`` as float32 tells, which has to be wide enough for that.
+
+        On fine meshes those in a box would be many more.
+        """
         centre = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
         return wp.mesh_query_sphere(model.patch_mesh[patch], centre, wp.float32(reach))
 
@@ -193,28 +198,33 @@ def functions(real: type) -> SimpleNamespace:
         beyond = first.distance + model.patch_skin[patch]
         found = faces_about(model, patch, p, beyond + margin)
         face = wp.int32(0)
-        slot = contact * room
-        count = wp.int32(0)
+        # In registers, the nearest first: loops over a constant are unrolled.
+        distances = Distances(real(wp.inf))
+        rows = Rows(-1)
         while wp.mesh_query_next(found, face):
             other = foot_on(model, start + face, p)
             best = nearer(model, best, other)
             if other.distance < beyond:
-                place = count
-                if count < room:
-                    count += 1
-                else:
-                    # The farthest makes room, or has none, and ends the reach of the list.
-                    place = wp.int32(0)
-                    for i in range(1, REMEMBERED):
-                        if cache.distance[env, slot + i] > cache.distance[env, slot + place]:
-                            place = i
-                    farthest = cache.distance[env, slot + place]
-                    beyond = wp.max(farthest, other.distance)
-                    if other.distance >= farthest:
-                        continue
-                cache.face[env, slot + place] = start + face
-                remember(cache, env, slot + place, other, vec3())
+                distance = other.distance
+                row = start + face
+                for i in range(REMEMBERED):
+                    if distance < distances[i]:
+                        farther = distances[i]
+                        farther_row = rows[i]
+                        distances[i] = distance
+                        rows[i] = row
+                        distance = farther
+                        row = farther_row
+                # The farthest makes room, and ends the reach of the list.
+                beyond = wp.min(beyond, distance)
         best.distance = wp.length(best.to_point)
+        count = wp.int32(0)
+        for i in range(REMEMBERED):
+            if rows[i] >= 0:
+                slot = contact * room + i
+                cache.face[env, slot] = rows[i]
+                remember(cache, env, slot, foot_on(model, rows[i], p), vec3())
+                count += 1
         cache.faces[env, contact] = count
         cache.sure[env, contact] = real(0.0)
         cache.place[env, contact] = p

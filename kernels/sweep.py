@@ -203,6 +203,10 @@ def kernel(real: type) -> wp.Kernel:
             start = model.block_start[block]
             if (model.contact_options[model.block_contact[start]] & SWEPT) == 0:
                 continue
+            # A step that is taken again may have crossed elsewhere before.
+            count = near.count[env, block]
+            for i in range(start, start + count):
+                contacts.crossed_face[env, near.contact[env, i]] = -1
             # At the end of the step; what could not even touch until then did not cross.
             travelled = real(wp.inf)
             if cached:
@@ -212,7 +216,6 @@ def kernel(real: type) -> wp.Kernel:
                 travelled = cache.set_travel[env, number] + moved(model, cache, env, number, seen) + margin
                 if travelled < cache.block_wake[env, block]:
                     continue
-            count = near.count[env, block]
             crossed = wp.int32(0)
             for place in range(start, model.block_start[block + 1]):
                 contact = model.block_contact[place]

@@ -195,6 +195,9 @@ def structs(real: type) -> SimpleNamespace:
     class Near:
         """Which contacts a step has to do with, and what each block of them adds to its two bodies."""
 
+        news: wp.array2d(
+            dtype=wp.int32
+        )  # [env, contact] 1: it touches, or history does not know yet that it ended
         contact: wp.array2d(dtype=wp.int32)  # [env, place] contacts by block, from block_start on
         count: wp.array2d(dtype=wp.int32)  # [env, block]
         crossed: wp.array2d(dtype=wp.int32)  # [env, block] how many more crossed their surface in this step

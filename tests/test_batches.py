@@ -59,6 +59,17 @@ def test_batches_leave_the_same_results(batch, batches, at_once, device, tmp_pat
     assert animation(run) == animation(at_once)
 
 
+@pytest.mark.parametrize("batch", [1, 3, 4, 10])
+def test_batches_are_split_over_devices(batch, at_once, device, tmp_path):
+    plan = varied().plan(device=[device] * 3, batch=batch)
+    run = varied().run(tmp_path / "out", device=[device] * 3, batch=batch)
+    whole, split = stored(at_once), stored(run)
+    assert split.attrs.pop("device") == ", ".join([device] * min(3, plan.batch))
+    whole.attrs.pop("device")
+    assert split.identical(whole)
+    assert run.summary["batches"] == plan.batches == -(-11 // plan.batch)
+
+
 def animation(run):
     from pxr import Sdf
 

@@ -94,10 +94,14 @@ SCENES = {"ball": ball_scene, "busy": busy_scene, "nothing to touch": free_scene
 
 def of_arrays(memory, model):
     """Returns the part of a footprint that Warp arrays take [bytes]."""
-    fields = {id(parameter.field): parameter.field.values.nbytes for parameter in model.parameters.values()}
+    fields = {
+        id(parameter.field): parameter.field.values.nbytes
+        for part in model.parts
+        for parameter in part.parameters.values()
+    }
     # Of the meshes to search, boxes and tree are no arrays.
-    faces = {id(mesh): len(mesh.indices) // 3 for mesh in model._meshes}
-    trees = sum(_mesh_bytes(count, model.device) - 48 * count for count in faces.values())
+    faces = [(len(mesh.indices) // 3, part.device) for part in model.parts for mesh in part._meshes]
+    trees = sum(_mesh_bytes(count, where) - 48 * count for count, where in faces)
     return memory.device_bytes + memory.host_bytes - memory.of("launches") - sum(fields.values()) - trees
 
 
@@ -137,6 +141,37 @@ def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
     measured = model.measures_needs(model.device, {"bodies", "points"}, envs)
     if name != "nothing to touch":
         assert actual.of("measures") == sum(need.size for need in measured)
+
+
+def test_a_split_model_takes_what_its_parts_take(device, counted):
+    scene, envs, where = busy_scene(), 14, [device] * 3
+    planned = draw_up(scene, where).memory(envs)
+    gc.collect()
+    counted.used = 0
+    model = scene.build(envs, where)
+    sim = wc.Simulation(model, dt=1e-4, graphs=False)
+    gc.collect()
+    memory = sim.memory()
+    assert of_arrays(memory, model) == counted.used
+    assert planned.needs == model.memory().needs
+    assert (memory.envs, memory.device) == (envs, device)
+    for purpose in ("state", "contacts", "cache", "surfaces", "parameters", "stepping"):
+        assert memory.of(purpose) == sum(part.memory().of(purpose) for part in model.parts)
+    # One more is on one of the devices; what each of them holds in any case is there three times.
+    one = wc.Simulation(scene.build(envs, device), dt=1e-4, graphs=False)
+    assert memory.of("surfaces") == 3 * one.memory().of("surfaces")
+    whole, alone = model.footprint(), one.model.footprint()
+    assert whole.bytes_per_env == pytest.approx(alone.bytes_per_env)
+    assert whole.fixed_bytes == pytest.approx(3 * alone.fixed_bytes)
+    model["ball.mass"] = np.linspace(1, 2, envs)
+    gc.collect()
+    assert draw_up(scene, where).memory(envs, ["ball.mass"]).of("parameters") == model.memory().of("parameters")
+
+
+def test_as_many_threads_step_all_parts_on_the_cpu():
+    """Slices are as long as if the environments were not split."""
+    one, two = (draw_up(ball_scene(), where).memory(1000, threads=2) for where in ("cpu", ["cpu", "cpu"]))
+    assert two.of("launches") == one.of("launches")
 
 
 def test_one_environment_more_takes_as_much_as_is_said(device):
@@ -215,6 +250,37 @@ def test_too_many_environments_are_refused_before_anything_is_allocated(device, 
         ball_scene().build(1, device)
 
 
+def test_the_device_that_has_too_little_is_named(monkeypatch):
+    def split(envs):
+        """Twice as much on the first device as on the second."""
+        return footprint.total(
+            footprint.Footprint(envs // 2, name, (footprint.Need("state", name, size * envs // 2, size),))
+            for name, size in (("cuda:0", 2 * MIB), ("cuda:1", MIB))
+        )
+
+    rooms = {"cuda:0": 200 * MIB, "cuda:1": 20 * MIB}
+    monkeypatch.setattr(available, "_device", rooms.get)
+    with pytest.raises(MemoryError) as caught:
+        footprint.require(split, 100)
+    assert str(caught.value) == (
+        "100 environments need 50 MiB of the memory of cuda:1, of which 17 MiB can be used (85% of the 20 MiB "
+        "available); at most 34 environments at once fit on cuda:0, cuda:1: run them in 3 batches of 34"
+    )
+    footprint.require(split, 34)
+
+
+def test_a_split_model_is_refused_before_anything_is_allocated(device, monkeypatch, counted):
+    with_room(monkeypatch, 400 * MIB)
+    with pytest.raises(MemoryError, match=r"at most \d+ environments at once fit on \w+") as caught:
+        ball_scene().build(10_000_000, [device] * 2)
+    assert counted.used == 0
+    draft = draw_up(ball_scene(), [device] * 2)
+    rooms = footprint.rooms_of(draft.memory(1))
+    most = caught.value.most
+    assert footprint.shortage(draft.memory(most, graphs=False), rooms) is None
+    assert footprint.shortage(draft.memory(most + 1, graphs=False), rooms) is not None
+
+
 def test_steps_that_do_not_fit_are_refused_before_they_are_captured(monkeypatch):
     model = ball_scene().build(20_000, "cpu")
     with_room(monkeypatch, 100 * MIB)
@@ -270,7 +336,7 @@ def test_a_recording_takes_what_is_planned(device):
     recorder.start()
     for frame in range(5):
         recorder.take(float(frame))
-    rings = sum(channel.ring.capacity for channel in recorder.channels)
+    rings = sum(ring.memory.capacity for channel in recorder.channels for ring in channel.rings)
     recording = recorder.finish({})
     stored = sum(variable.nbytes for variable in recording.data_vars.values())
     assert size.on_host(7, 5) == stored

@@ -153,6 +153,35 @@ def test_what_is_known_of_distances_changes_nothing(name, precision, device):
 
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+def test_nor_does_it_where_steps_are_taken_again_while_other_contacts_end(precision, device):
+    """What a contact did in a step that is taken again in parts is not forgotten."""
+
+    def run(distance_cache):
+        scene = wc.Scene()
+        ground = scene.add_surface(wc.meshes.grid((9, 9), (4, 4)), name="ground")
+        bouncing = wc.Template(law=wc.laws.HuntCrossley(stiffness=3e4, restitution=0.97), friction=STUCK.friction)
+        for name, swept in (("ball", False), ("shot", True)):
+            body = scene.add_body(0.5, (1e-3, 1e-3, 1e-3), position=(0, 0, 0.12), name=name)
+            centre = scene.add_point(body, (0, 0, 0))
+            radius = 0.0 if swept else 0.05
+            scene.add_contact(centre, ground, bouncing, radius=radius, swept=swept, name=f"{name}_on_ground")
+        model = scene.build(envs=3 * ENVS, precision=precision, device=device)
+        # It comes to the ground in every step in which the ball, after a fall of 0.12 s, may leave it.
+        heights = 0.5 * 9.81 * np.linspace(0.115, 0.15, 3 * ENVS) ** 2
+        model["shot.position"] = np.column_stack([np.ones((3 * ENVS, 2)), heights])
+        sim = wc.Simulation(model, dt=1e-3, crossing_steps=3, distance_cache=distance_cache)
+        states = []
+        for _ in range(8):
+            sim.step(120)
+            states.append([model.reading(f"{b.name}.{key}") for b in scene.bodies for key in STATE])
+        assert (model.reading("shot_on_ground.crossings") > 2).all()
+        return states
+
+    assert_same(run(True), run(False))
+
+
+@PRECISIONS
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_nor_does_it_when_bodies_are_put_elsewhere_or_parameters_change(precision, device):
     """Between steps somebody sets the state, moves the surface, changes sizes or resets some environments."""
 
@@ -246,7 +275,7 @@ def test_queues_change_nothing(name, precision, monkeypatch):
         return Span(model, first, count, cached, ordered, queued=True)
 
     monkeypatch.setattr(simulation, "Span", queued)
-    monkeypatch.setattr(simulation, "slice_size", lambda model, envs, threads: envs)
+    monkeypatch.setattr(simulation, "slice_size", lambda model, envs, *_: envs)
     assert_same(run(name, precision, "cpu")[0], usual)
 
 

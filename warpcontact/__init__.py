@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from warpcontact.recorder import Recording
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
+    from warpcontact.split_model import SplitModel
     from warpcontact.status import Status
     from warpcontact.usd import export_usd
 
@@ -48,6 +49,7 @@ _HOME = {
     "Recording": "warpcontact.recorder",
     "Scene": "warpcontact.scene",
     "Simulation": "warpcontact.simulation",
+    "SplitModel": "warpcontact.split_model",
     "Status": "warpcontact.status",
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
@@ -83,6 +85,7 @@ __all__ = [
     "Recording",
     "Scene",
     "Simulation",
+    "SplitModel",
     "Status",
     "Surface",
     "SurfaceSamples",

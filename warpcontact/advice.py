@@ -10,7 +10,7 @@ from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
 
 if TYPE_CHECKING:
-    from warpcontact.model import Model
+    from warpcontact.environments import Environments
     from warpcontact.scene import Contact
 
 # Steps per contact time from which on the restitution of a smooth law is kept to about 1e-3.
@@ -23,7 +23,7 @@ class ContactWarning(UserWarning):
     """A scene that will run but hardly mean what its author wants."""
 
 
-def advice(model: "Model", dt: float) -> list[str]:
+def advice(model: "Environments", dt: float) -> list[str]:
     """Returns what to say about the start of a model, a sentence or two per contact.
 
     Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
@@ -33,8 +33,8 @@ def advice(model: "Model", dt: float) -> list[str]:
     sentences = []
     if model.scene.contacts:
         model.evaluate()
-    for group, contact, first in model.grouped_contacts():
-        sentences += friction_advice(model, contact, group, first, dt)
+    for contact in model.scene.contacts:
+        sentences += friction_advice(model, contact, dt)
         envs = model.envs if contact.count == 1 else min(model.envs, LOOKED_AT)
         mass, speed = (values[:envs] for values in _mass_and_speed(model, contact))
         if contact.swept:
@@ -91,7 +91,7 @@ def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array
     return most
 
 
-def _about_depth(model: "Model", contact: "Contact", speed: Array, dt: float) -> list[str]:
+def _about_depth(model: "Environments", contact: "Contact", speed: Array, dt: float) -> list[str]:
     deepest = _column(model, f"{contact.name}.max_depth")[: len(speed)]
     worst, item = np.unravel_index(int(np.argmax(speed * dt - deepest)), deepest.shape)
     if speed[worst, 0] * dt <= deepest[worst, item]:
@@ -103,7 +103,7 @@ def _about_depth(model: "Model", contact: "Contact", speed: Array, dt: float) ->
     ]
 
 
-def _about_steps(model: "Model", name: str, duration: Array, dt: float) -> list[str]:
+def _about_steps(model: "Environments", name: str, duration: Array, dt: float) -> list[str]:
     shortest = np.min(duration, axis=1)
     worst = int(np.argmin(shortest))
     if shortest[worst] >= ENOUGH_STEPS * dt:
@@ -115,7 +115,7 @@ def _about_steps(model: "Model", name: str, duration: Array, dt: float) -> list[
     ]
 
 
-def _about_overlap(model: "Model", name: str, depth: Array, thrown: Array, speed: Array) -> list[str]:
+def _about_overlap(model: "Environments", name: str, depth: Array, thrown: Array, speed: Array) -> list[str]:
     excess = np.max(thrown - 2.0 * speed, axis=1)
     worst = int(np.argmax(excess))
     if excess[worst] <= 0.0:
@@ -128,7 +128,7 @@ def _about_overlap(model: "Model", name: str, depth: Array, thrown: Array, speed
     ]
 
 
-def _mass_and_speed(model: "Model", contact: "Contact") -> tuple[Array, Array]:
+def _mass_and_speed(model: "Environments", contact: "Contact") -> tuple[Array, Array]:
     """Returns the reduced mass [kg] and an impact speed to expect [m/s], (envs, 1)."""
     mobility = np.zeros((model.envs, 1))
     speed = np.full((model.envs, 1), USUAL_SPEED)
@@ -140,12 +140,12 @@ def _mass_and_speed(model: "Model", contact: "Contact") -> tuple[Array, Array]:
     return 1.0 / mobility, speed
 
 
-def _column(model: "Model", name: str) -> Array:
+def _column(model: "Environments", name: str) -> Array:
     """Returns a parameter as (envs, items), with one item for a single point."""
     values = model[name]
     return values[:, None] if values.ndim == 1 else values
 
 
-def _reading(model: "Model", contact: "Contact", quantity: str) -> Array:
-    values = model.find_reading(f"{contact.name}.{quantity}").array(model.arrays).numpy()
+def _reading(model: "Environments", contact: "Contact", quantity: str) -> Array:
+    values = model.measured(f"{contact.name}.{quantity}")
     return values[:, None] if values.ndim == 1 else values

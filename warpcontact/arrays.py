@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from warpcontact.footprint import Need
 
+# A record takes a multiple of this [bytes], as much as a GPU fetches at once.
+RECORD = 32
+
 #: Shape of an array for a number of environments.
 Shape = Callable[[int], tuple[int, ...]]
 
@@ -47,12 +50,54 @@ class Layout:
 
         self._declare(purpose, lambda envs: size * prod(shape(envs)), make)
 
-    def struct(self, purpose: str, struct: Any, shape: Shape, **others: Shape) -> Any:
-        """Returns an instance of a Warp struct of arrays, all to be of ``shape``, or each of its own one."""
+    def struct(self, purpose: str, struct: Any, shape: Shape, *, records: bool = False, **others: Shape) -> Any:
+        """Returns an instance of a Warp struct of arrays, to be zero.
+
+        Args:
+            purpose: What for.
+            struct: The struct.
+            shape: Shape of its arrays.
+            records: Whether what belongs to an item lies side by side: few items here and there are fetched whole.
+            others: Arrays that have a shape of their own, and lie apart.
+        """
         instance = struct()
-        for name, variable in struct.vars.items():
-            self.array(purpose, instance, name, variable.type.dtype, others.get(name, shape))
+        dtypes = {name: variable.type.dtype for name, variable in struct.vars.items()}
+        side_by_side = {name: dtype for name, dtype in dtypes.items() if records and name not in others}
+        if side_by_side:
+            self._records(purpose, instance, side_by_side, shape)
+        for name in dtypes.keys() - side_by_side.keys():
+            self.array(purpose, instance, name, dtypes[name], others.get(name, shape))
         return instance
+
+    def _records(self, purpose: str, owner: Any, dtypes: dict[str, Any], shape: Shape) -> None:
+        """Declares arrays [env, item] of some types, interleaved in one piece of memory."""
+        offsets, end = {}, 0
+        for name, dtype in dtypes.items():
+            element = wp.types.type_size_in_bytes(dtype)
+            number = element // wp.types.type_size(dtype)
+            offsets[name] = -(-end // number) * number
+            end = offsets[name] + element
+        record = -(-end // RECORD) * RECORD
+
+        def size(envs: int) -> int:
+            return max(1, prod(shape(envs))) * record
+
+        def make(envs: int) -> None:
+            memory = wp.zeros(size(envs), dtype=wp.uint8, device=self.device)
+            own = shape(envs)
+            for name, dtype in dtypes.items():
+                array = wp.array(
+                    ptr=memory.ptr + offsets[name],
+                    dtype=dtype,
+                    shape=own,
+                    strides=(record * own[1], record),
+                    device=self.device,
+                    copy=False,
+                )
+                array.memory = memory  # which lives as long as the last of them
+                setattr(owner, name, array)
+
+        self._declare(purpose, size, make)
 
     def content(self, purpose: str, owner: Any, name: str, values: Any, dtype: Any) -> None:
         """Declares ``owner.name``, an array that holds ``values``, the same for all environments."""
@@ -80,14 +125,6 @@ class Layout:
     def _declare(self, purpose: str, size: Callable[[int], int], make: Callable[[int], None]) -> None:
         self._sizes.append((purpose, size))
         self._missing.append(make)
-
-
-def allocate(struct: Any, shape: tuple[int, int], device: wp.Device) -> Any:
-    """Returns an instance of a Warp struct of arrays [env, item], each of ``shape``, and zero."""
-    layout = Layout(device)
-    instance = layout.struct("", struct, fixed(*shape))
-    layout.allocate(shape[0])
-    return instance
 
 
 def row_bytes(values: NDArray[Any]) -> int:

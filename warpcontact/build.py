@@ -1,6 +1,7 @@
-"""Scene → Draft → Model: the arrays of bodies, points, surfaces and contacts."""
+"""Scene → Draft → Model, or one on each device: the arrays of bodies, points, surfaces and contacts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,67 +12,102 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact import elements as limits_of
 from warpcontact.arrays import Layout, fixed, per_env
-from warpcontact.blocks import make_blocks, upload_blocks
+from warpcontact.blocks import Blocks, make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
-from warpcontact.draft import Draft
+from warpcontact.devices import find_devices
+from warpcontact.draft import Draft, PartDraft
 from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
-from warpcontact.patches import upload_patches
+from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.readings import readings_of
 from warpcontact.scene import Contact, Points, Scene, Surface
+from warpcontact.split_model import SplitModel
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
 
-def build(scene: Scene, envs: int = 1, device: str = "auto", precision: str = "float32") -> Model:
+def build(
+    scene: Scene, envs: int = 1, device: str | Sequence[str] = "auto", precision: str = "float32"
+) -> Model | SplitModel:
     """Builds ``envs`` environments of ``scene``.
 
     Args:
         scene: What there is; changes to it after this have no effect on the model.
         envs: Number of environments, at least 1.
-        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if there is one.
+        device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any, else the CPU; ``"cuda"``: all GPUs
+            that CUDA shows, or a list such as ``["cuda:0", "cuda:2"]``: the environments are split over them, in
+            order and as evenly as possible. A device may be listed more than once, ``["cpu", "cpu"]``.
         precision: ``"float32"`` or ``"float64"``.
+
+    Returns:
+        The model; a ``SplitModel`` if it is on several devices.
 
     Raises:
         ValueError: If an argument is out of range or the scene has no body.
         TypeError: If a law or friction does not compile.
-        MemoryError: If they take more memory than there is, with how many environments would fit; nothing has
-            been allocated then.
+        MemoryError: If they take more memory than there is on any of the devices or on this machine, with how many
+            environments would fit; nothing has been allocated then.
     """
     if isinstance(envs, bool) or not isinstance(envs, int | np.integer) or envs < 1:
         raise ValueError(f"envs must be a whole number of at least 1, got {envs!r}")
     return draw_up(scene, device, precision).build(int(envs))
 
 
-def draw_up(scene: Scene, device: str = "auto", precision: str = "float32") -> Draft:
+def draw_up(scene: Scene, device: str | Sequence[str] = "auto", precision: str = "float32") -> Draft:
     """Prepares a model of ``scene``; arguments and errors are those of ``build``."""
     checks.choice("precision", precision, tuple(PRECISIONS))
     if not scene.bodies:
         raise ValueError("the scene has no body; add_body adds one")
-    where = find_device(device)
-
-    t = types.structs(PRECISIONS[precision])
-    layout = Layout(where)
-    parameters = Parameters(where, t.real)
+    devices = find_devices(device)
     groups = by_code(scene.contacts)
     contacts = [contact for group in groups for contact in group]
-    # Contacts lie on the device in the order of their groups.
+    # What is the same on all devices.
+    common = _Common(scene.snapshot(), precision, groups, contacts, make_blocks(contacts), make_patches(contacts))
+    return Draft(tuple(_draw_up_on(where, common) for where in devices))
+
+
+@dataclass(frozen=True)
+class _Common:
+    """What the parts of a model have in common, on the host.
+
+    Attributes:
+        scene: What there is.
+        precision: Of state and forces.
+        groups: All contacts by the code of their laws and frictions.
+        contacts: The same as they lie on the device, in the order of their groups.
+        blocks: What they are worked on in.
+        patches: What they search.
+    """
+
+    scene: Scene
+    precision: str
+    groups: list[list[Contact]]
+    contacts: list[Contact]
+    blocks: Blocks
+    patches: Patches
+
+
+def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
+    """Prepares the model of the environments on one device."""
+    scene, contacts, blocks = common.scene, common.contacts, common.blocks
+    t = types.structs(PRECISIONS[common.precision])
+    layout = Layout(where)
+    parameters = Parameters(where, t.real)
     starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
     start_of = dict(zip(contacts, starts, strict=False))
 
-    blocks = make_blocks(contacts)
     bodies, each, parts = per_env(len(scene.bodies)), per_env(starts[-1]), per_env(blocks.count)
     arrays = SimpleNamespace(
         model=t.Model(),
         initial=t.State(),
         state=layout.struct("state", t.State, bodies),
         wrenches=layout.struct("state", t.Wrenches, bodies),
-        history=layout.struct("contacts", t.History, each),
-        contacts=layout.struct("contacts", t.Contacts, each),
-        near=layout.struct("contacts", t.Near, parts, contact=each),
+        history=layout.struct("contacts", t.History, each, records=True),
+        contacts=layout.struct("contacts", t.Contacts, each, records=True),
+        near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
         cache=_cache(t, layout, len(contacts), blocks.count, starts[-1]),
         status=None,
         time=None,
@@ -91,37 +127,22 @@ def draw_up(scene: Scene, device: str = "auto", precision: str = "float32") -> D
     following = upload_blocks(blocks, contacts, scene.bodies, arrays.model, layout, parameters, t, places)
     for parameter in moving:
         parameter.uploads.extend(following)
-    patch_of, meshes = upload_patches(contacts, arrays.model, layout, t)
-    _add_contacts(contacts, start_of, patch_of, arrays, layout, parameters, t)
-    made = [make_group(group, start_of[group[0]], blocks, layout, parameters, t.real) for group in groups]
-    return Draft(
-        scene=scene.snapshot(),
+    meshes = upload_patches(common.patches, arrays.model, layout, t)
+    _add_contacts(contacts, start_of, common.patches.of_contact, arrays, layout, parameters, t)
+    groups = [make_group(group, start_of[group[0]], blocks, layout, parameters, t.real) for group in common.groups]
+    return PartDraft(
+        scene=scene,
         device=where,
-        precision=precision,
+        precision=common.precision,
         types=t,
         layout=layout,
         arrays=arrays,
         parameters=parameters,
-        groups=made,
+        groups=groups,
         blocks=blocks,
-        readings=readings_of(scene, start_of, made),
+        readings=readings_of(scene, start_of, groups),
         meshes=meshes,
     )
-
-
-def find_device(name: str) -> wp.Device:
-    """Returns the Warp device called ``name``; ``"auto"``: a GPU if there is one, else the CPU.
-
-    Raises:
-        ValueError: If this machine has no such device.
-    """
-    wp.init()
-    if name == "auto":
-        return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
-    present = [str(device) for device in wp.get_devices()]
-    if name not in present and not (name == "cuda" and wp.is_cuda_available()):
-        raise ValueError(f"device must be 'auto' or one of {', '.join(present)} on this machine, got {name!r}")
-    return wp.get_device(name)
 
 
 def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int) -> Any:
@@ -132,7 +153,11 @@ def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts:
         "cache",
         t.Cache,
         per_env(contacts),
+        records=True,
         **shapes,
+        # What blocks look through lies by contact.
+        wake=per_env(contacts),
+        faces=per_env(contacts),
         block_wake=per_env(blocks),
         waiting=fixed(types.QUEUES),
         waiting_block=(lambda envs: (envs * blocks,)) if queued else fixed(1),

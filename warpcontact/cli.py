@@ -82,7 +82,11 @@ def _parser() -> argparse.ArgumentParser:
             "--duration", type=float, metavar="S", help="simulated seconds instead of those in the file"
         )
         command.add_argument(
-            "--device", default="auto", metavar="D", help="cpu, cuda:0, … (default: auto, a GPU if any)"
+            "--device",
+            default="auto",
+            metavar="D",
+            help="cpu, cuda:0, …; cuda: all GPUs; or several, such as cuda:0,cuda:2 (default: auto, one GPU if "
+            "any)",
         )
         command.add_argument(
             "--batch",
@@ -161,7 +165,7 @@ def _run(arguments: argparse.Namespace) -> int:
             warnings.filterwarnings("ignore", message=".* non-finite and are frozen", category=RuntimeWarning)
             result = experiment.run(
                 folder,
-                device=arguments.device,
+                device=_device(arguments),
                 overwrite=arguments.overwrite,
                 batch=arguments.batch,
                 on_stage=_say,
@@ -188,7 +192,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     try:
         experiment = _experiment(arguments)
         with _blaming_option(arguments, experiment):
-            plan = experiment.plan(device=arguments.device, batch=arguments.batch)
+            plan = experiment.plan(device=_device(arguments), batch=arguments.batch)
     except ExperimentError as error:
         return _fail(str(error))
     except MemoryShortage as error:
@@ -209,6 +213,12 @@ def _experiment(arguments: argparse.Namespace) -> "Experiment":
         with _blaming(f"--{option} {value}", experiment.source):
             experiment = experiment.changed(**{option: value})
     return experiment
+
+
+def _device(arguments: argparse.Namespace) -> str | list[str]:
+    """Returns the device that a command names, or the list of them."""
+    name: str = arguments.device
+    return name.split(",") if "," in name else name
 
 
 def _say(stage: str) -> None:

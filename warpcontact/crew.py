@@ -1,4 +1,4 @@
-"""Threads that step slices of the environments, each slice by whoever is free."""
+"""Who steps which slices of the environments: on the CPU the thread that is free, on GPUs their graphs."""
 
 import contextlib
 import os
@@ -29,15 +29,26 @@ class Crew:
 
     Args:
         slices: All slices.
-        threads: How many threads step them.
+        threads: How many threads step those on the CPU.
     """
 
     def __init__(self, slices: list[Slice], threads: int) -> None:
         self._slices = slices
+        on_cpu = [piece for piece in slices if piece.device.is_cpu]
+        # GPUs are given their graphs in turn, which takes no time. What Python launches, and waits for, has a
+        # thread for each GPU, so that none waits for another.
+        self._queued = [piece for piece in slices if piece.device.is_cuda and piece.captured]
+        launched: dict[str, list[Slice]] = {}
+        for piece in slices:
+            if piece.device.is_cuda and not piece.captured:
+                launched.setdefault(str(piece.device), []).append(piece)
         # Kernels in Warp's debug mode share a pointer to the storage of tiles, which they look at when they end.
-        self._threads = 1 if wp.config.mode == "debug" else min(threads, len(slices))
+        threads = 1 if wp.config.mode == "debug" else threads
+        # The other slices, and how many threads share them.
+        self._teams = [(own, 1) for own in launched.values()] + [(on_cpu, min(threads, len(on_cpu)))]
+        self._threads = sum(members for _, members in self._teams)
         self._pool: ThreadPoolExecutor | None = None
-        self._envs = sum(part.envs for part in slices)
+        self._envs = sum(piece.envs for piece in slices)
         self._chunk = 32
 
     def step(self, count: int) -> Iterator[int]:
@@ -48,8 +59,8 @@ class Crew:
         done = 0
         while done < count:
             some = min(count - done, self._chunk)
-            for part in self._slices:
-                part.capture(some)
+            for piece in self._slices:
+                piece.capture(some)
             start = time.perf_counter()
             with _uninterrupted():
                 self._step_all(some)
@@ -62,22 +73,26 @@ class Crew:
                 self._chunk //= 2
 
     def _step_all(self, count: int) -> None:
+        _step_each(iter(self._queued), count)
         if self._threads < 2 or count * self._envs < ALONE:
-            for part in self._slices:
-                part.step(count)
+            for slices, _ in self._teams:
+                _step_each(iter(slices), count)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="warpcontact")
-        waiting = iter(self._slices)
-
-        def work() -> None:
-            for part in waiting:
-                part.step(count)
-
-        futures = [self._pool.submit(work) for _ in range(self._threads)]
+        futures = []
+        for slices, members in self._teams:
+            waiting = iter(slices)
+            futures += [self._pool.submit(_step_each, waiting, count) for _ in range(members)]
         wait(futures)
         for future in futures:
             future.result()
+
+
+def _step_each(waiting: Iterator[Slice], count: int) -> None:
+    """Takes ``count`` steps in each slice that nobody else has taken."""
+    for piece in waiting:
+        piece.step(count)
 
 
 @contextlib.contextmanager

@@ -9,19 +9,21 @@ import warp as wp
 
 from warpcontact.arrays import Layout
 from warpcontact.blocks import Blocks
-from warpcontact.footprint import Footprint, require
+from warpcontact.devices import spread
+from warpcontact.footprint import Footprint, Need, require, total
 from warpcontact.groups import Group, compile_group
 from warpcontact.model import Model
 from warpcontact.of_scene import OfScene
 from warpcontact.parameters import Parameters, needs_of
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
-from warpcontact.stepping import stepping_needs
+from warpcontact.split_model import SplitModel
+from warpcontact.stepping import stepping_footprint
 
 
 @dataclass(frozen=True)
-class Draft(OfScene):
-    """Everything of a model but the number of environments, and no memory on its device yet.
+class PartDraft(OfScene):
+    """Everything of a model on one device but the number of environments, and no memory there yet.
 
     Attributes:
         scene: The scene.
@@ -51,27 +53,16 @@ class Draft(OfScene):
     meshes: list[wp.Mesh]
     no_step: None = None
 
-    def memory(self, envs: int, varied: Collection[str] = (), **stepping: Any) -> Footprint:
-        """Returns what ``envs`` environments would take, and a simulation that steps them.
-
-        Args:
-            envs: Number of environments.
-            varied: Names of the parameters that are to have a value per environment.
-            stepping: Options of the simulation, see ``stepping_needs``.
-        """
-        needs = self.layout.needs(envs)
-        needs += needs_of(self.parameters.by_name, self.parameters.uploads, envs, varied)
-        return Footprint(envs, str(self.device), tuple(needs + stepping_needs(self, envs, **stepping)))
+    def needs(self, envs: int, varied: Collection[str] = ()) -> list[Need]:
+        """Returns what ``envs`` environments would take; ``varied`` are to have a value in each."""
+        return self.layout.needs(envs) + needs_of(self.parameters.by_name, self.parameters.uploads, envs, varied)
 
     def build(self, envs: int) -> Model:
         """Returns the model of ``envs`` environments; once.
 
         Raises:
-            MemoryError: If it takes more memory than there is.
             TypeError: If a law or friction does not compile.
         """
-        # Whether steps are to be captured is for the simulation to say.
-        require(lambda count: self.memory(count, graphs=False), envs)
         for group in self.groups:
             compile_group(group, self.device, self.types.real)
         self.layout.allocate(envs)
@@ -90,3 +81,42 @@ class Draft(OfScene):
             readings=self.readings,
             meshes=self.meshes,
         )
+
+
+@dataclass(frozen=True)
+class Draft:
+    """Everything of a model, on one device or several, but the number of environments.
+
+    Attributes:
+        parts: What is drawn up for each device.
+    """
+
+    parts: tuple[PartDraft, ...]
+
+    def shares(self, envs: int) -> list[tuple[PartDraft, int]]:
+        """Returns the parts that ``envs`` environments are split over, each with how many it has."""
+        return list(zip(self.parts, spread(envs, len(self.parts)), strict=False))
+
+    def memory(self, envs: int, varied: Collection[str] = (), **stepping: Any) -> Footprint:
+        """Returns what ``envs`` environments would take, and a simulation that steps them.
+
+        Args:
+            envs: Number of environments.
+            varied: Names of the parameters that are to have a value per environment.
+            stepping: Options of the simulation, see ``stepping_footprint``.
+        """
+        shares = self.shares(envs)
+        model = total(Footprint(own, str(part.device), tuple(part.needs(own, varied))) for part, own in shares)
+        return model.with_needs(stepping_footprint(shares, **stepping).needs)
+
+    def build(self, envs: int) -> Model | SplitModel:
+        """Returns the model of ``envs`` environments; once.
+
+        Raises:
+            MemoryError: If it takes more memory than there is.
+            TypeError: If a law or friction does not compile.
+        """
+        # Whether steps are to be captured is for the simulation to say.
+        require(lambda count: self.memory(count, graphs=False), envs)
+        models = [part.build(own) for part, own in self.shares(envs)]
+        return models[0] if len(models) == 1 else SplitModel(models)

@@ -1,5 +1,7 @@
 """What something takes of memory, by what for and where, and what to do if that is too much."""
 
+import functools
+import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
@@ -40,7 +42,7 @@ class Footprint:
 
     Attributes:
         envs: Number of environments.
-        device: Name of their device. ``"cpu"`` has no memory of its own: all of it is the host's.
+        device: Name of their device, or names. ``"cpu"`` has no memory of its own: all of it is the host's.
         needs: What for, where and how much.
     """
 
@@ -89,7 +91,12 @@ class Footprint:
     def __add__(self, other: "Footprint") -> "Footprint":
         """Returns what both take that have different environments, such as parts of a model on several devices."""
         devices = dict.fromkeys((*self.device.split(", "), *other.device.split(", ")))
-        return Footprint(self.envs + other.envs, ", ".join(devices), self.needs + other.needs)
+        envs = self.envs + other.envs
+        # One environment more of all is one more of a part for as many as that has of them.
+        needs = (
+            replace(need, per_env=need.per_env * part.envs / envs) for part in (self, other) for need in part.needs
+        )
+        return Footprint(envs, ", ".join(devices), tuple(needs))
 
     def __str__(self) -> str:
         lines = [f"{environments(self.envs)} on {self.device}"]
@@ -108,6 +115,11 @@ class Footprint:
     def __repr__(self) -> str:
         parts = [f"{readable(self.on(place))} on {place}" for place in self.places]
         return f"<Footprint of {environments(self.envs)} on {self.device}: {', '.join(parts) or 'nothing'}>"
+
+
+def total(parts: Iterable[Footprint]) -> Footprint:
+    """Returns what the parts of a model take together."""
+    return functools.reduce(operator.add, parts)
 
 
 class MemoryShortage(MemoryError):

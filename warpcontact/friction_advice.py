@@ -6,11 +6,11 @@ import numpy as np
 import warp as wp
 
 from warpcontact.checks import Array
-from warpcontact.groups import Group
 from warpcontact.kernels import steepness
 from warpcontact.kernels.frictions import Frictionless
 
 if TYPE_CHECKING:
+    from warpcontact.environments import Environments
     from warpcontact.model import Model
     from warpcontact.scene import Contact
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 LOOKED_AT = 4096
 
 
-def friction_advice(model: "Model", contact: "Contact", group: Group, first: int, dt: float) -> list[str]:
+def friction_advice(model: "Environments", contact: "Contact", dt: float) -> list[str]:
     """Returns what to say about the frictions of a contact, a sentence for each whose step is too long.
 
     Under its share of the weight alone, with the mass that slip, rolling or twist sees.
@@ -26,19 +26,16 @@ def friction_advice(model: "Model", contact: "Contact", group: Group, first: int
     Args:
         model: The model.
         contact: One of its contacts.
-        group: What it is computed in.
-        first: Index of its first item in the group.
         dt: Time step [s].
     """
     envs = min(model.envs, LOOKED_AT)
     parts = {
         part: kind
-        for part, kind in group.parts._asdict().items()
+        for part, kind in contact.template.parts._asdict().items()
         if part != "law" and not issubclass(kind, Frictionless)
     }
     if not parts:
         return []
-    own = slice(first, first + contact.count)
     mobility = {name: values[:envs] for name, values in _mobilities(model, contact).items()}
     gravity = np.linalg.norm(model["scene.gravity"][:envs], axis=1)[:, None]
     load = np.broadcast_to(gravity / mobility["load"] / contact.count, (envs, contact.count))
@@ -46,7 +43,7 @@ def friction_advice(model: "Model", contact: "Contact", group: Group, first: int
     patch = np.sqrt(1.0e-3) * np.broadcast_to(_radius(model, contact)[:envs], load.shape)
     sentences = []
     for part, kind in parts.items():
-        dashpot, spring = _measured(model, group, part, own, load, patch)
+        dashpot, spring = _measured(model, contact, part, load, patch)
         with np.errstate(divide="ignore"):
             mass = 1.0 / mobility[part]
             limit = np.minimum(2.0 * mass / dashpot, 2.0 * np.sqrt(mass / np.maximum(spring, 0.0)))
@@ -62,11 +59,23 @@ def friction_advice(model: "Model", contact: "Contact", group: Group, first: int
 
 
 def _measured(
-    model: "Model", group: Group, part: str, own: slice, load: Array, patch: Array
+    model: "Environments", contact: "Contact", part: str, load: Array, patch: Array
 ) -> tuple[Array, Array]:
-    """Returns the steepest dashpot [N·s/m] and the spring [N/m] of a part, (env, item)."""
+    """Returns the steepest dashpot [N·s/m] and the spring [N/m] of a part, (env, item), of those with a load."""
+    measured = [
+        _measured_on(one, contact, part, load[own], patch[own])
+        for one, own in model.shares()
+        if own.start < len(load)
+    ]
+    dashpots, springs = zip(*measured, strict=True)
+    return np.concatenate(dashpots), np.concatenate(springs)
+
+
+def _measured_on(model: "Model", contact: "Contact", part: str, load: Array, patch: Array) -> tuple[Array, Array]:
+    """Returns the same for the first environments of one device."""
     real, device = model.types.real, model.device
-    coefficients = getattr(group.coefficients, part)[: len(load), own]
+    group, first = model.group_of(contact)
+    coefficients = getattr(group.coefficients, part)[: len(load), first : first + contact.count]
     inputs = [wp.array(np.ascontiguousarray(values), dtype=real, device=device) for values in (load, patch)]
     outputs = [wp.zeros(load.shape, dtype=real, device=device) for _ in range(2)]
     kind = getattr(group.parts, part)
@@ -81,7 +90,7 @@ def _measured(
     return dashpot, spring
 
 
-def _mobilities(model: "Model", contact: "Contact") -> dict[str, Array]:
+def _mobilities(model: "Environments", contact: "Contact") -> dict[str, Array]:
     """Returns the inverse masses that slip, rolling and twist see, and that of the load, (env, 1) [1/kg]."""
     radius = _radius(model, contact)
     name = f"{contact.name}.torsion_radius"
@@ -102,7 +111,7 @@ def _mobilities(model: "Model", contact: "Contact") -> dict[str, Array]:
         return {key: np.maximum(values, np.finfo(np.float64).tiny) for key, values in total.items()}
 
 
-def _radius(model: "Model", contact: "Contact") -> Array:
+def _radius(model: "Environments", contact: "Contact") -> Array:
     return _columns(model[f"{contact.name}.radius"])
 
 

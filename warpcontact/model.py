@@ -1,27 +1,24 @@
 """A built scene: parameters, state and memory of many environments on one device."""
 
-import difflib
-from collections.abc import Iterator, Set
+from collections.abc import Iterable, Set
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, broadcast
 from warpcontact.blocks import Blocks
-from warpcontact.checks import Array
-from warpcontact.footprint import Footprint, require
+from warpcontact.environments import Environments
+from warpcontact.footprint import Footprint, Need, require
 from warpcontact.groups import Group
-from warpcontact.health import Health
 from warpcontact.of_scene import MEASURES, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import Span, force_stages
-from warpcontact.stepping import stepping_needs
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class State:
     body_angular_velocity: wp.array
 
 
-class Model(OfScene):
+class Model(Environments, OfScene):
     """Many environments of one scene on a device. Made by ``Scene.build``.
 
     ``model["ball.mass"]`` reads a parameter, (envs, …); ``model["ball.mass"] = values`` sets it, from one value
@@ -55,7 +52,7 @@ class Model(OfScene):
     Attributes:
         scene: The scene it was built from.
         envs: Number of environments.
-        first_env: Number of the first, 0 unless they are a batch of more.
+        first_env: Number of the first, 0 unless they are a part, or a batch, of more.
         device: Warp device.
         precision: ``"float32"`` or ``"float64"``.
         state: The current state, arrays to share with NumPy, PyTorch or JAX without a copy.
@@ -92,80 +89,35 @@ class Model(OfScene):
         # Goes up when a device array moves: whoever prepared launches prepares them again.
         self.revision = 0
         # Simulated time since the last complete reset [s].
-        self.time = 0.0
+        self.elapsed = 0.0
         # Whether the state is still the initial one, which then follows its parameters.
-        self.at_start = True
+        self.untouched = True
+        self.readings = readings
         self._meshes = meshes  # kept alive: a kernel only holds their ids
-        self._readings = readings
         # Step of 0 [env, 0]: for the forces of an instant.
         self.no_step = broadcast(arrays.instant, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
-        self._send(uploads)
+        self.send(uploads, (upload.content() for upload in uploads))
         self._state = State(**{name: getattr(arrays.state, name) for name in types.State.vars})
         self.reset()
+
+    @property
+    def parts(self) -> tuple["Model", ...]:
+        """The model itself: all its environments are on one device."""
+        return (self,)
 
     @property
     def state(self) -> State:
         """The current state: arrays (envs, bodies)."""
         return self._state
 
-    def __getitem__(self, name: str) -> Array:
-        """Returns a copy of parameter ``name``, (envs, …). That of a state is the initial one."""
-        return np.array(self.find_parameter(name).read(self.envs))
+    def starts_from(self, parameter: Parameter) -> bool:
+        """Whether ``parameter`` says where the state begins."""
+        return any(upload.struct is self.arrays.initial for upload in parameter.uploads)
 
-    def __setitem__(self, name: str, value: ArrayLike) -> None:
-        """Sets parameter ``name`` from one value or one per environment.
-
-        A parameter of the state is the initial one; before the first step it sets the current one, too.
-
-        Raises:
-            KeyError: If there is no such parameter.
-            ValueError: If the value is not allowed; nothing is changed then.
-        """
-        parameter = self.find_parameter(name)
-        self.assign(name, parameter.parse(value, self.envs))
-
-    def assign(self, name: str, values: Array) -> None:
-        """Sets parameter ``name`` from what ``Parameter.parse`` returned, (1 or envs, 1 or items, …).
-
-        Raises:
-            KeyError: If there is no such parameter.
-            ValueError: If the values do not fit into the precision of the device; nothing is changed then.
-        """
-        parameter = self.find_parameter(name)
-        before = parameter.field.values.copy()
-        try:
-            parameter.field.assign(parameter.items, values, self.envs)
-            self._send(parameter.uploads)
-        except Exception:
-            parameter.field.values = before
-            self._send(parameter.uploads)
-            raise
-        if self.at_start and any(upload.struct is self.arrays.initial for upload in parameter.uploads):
-            self.reset()
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.parameters
-
-    def __iter__(self) -> Iterator[str]:
-        """Iterates over the names of all parameters."""
-        return iter(self.parameters)
-
-    def reset(self, env_mask: ArrayLike | None = None) -> None:
-        """Puts environments back to their initial state, with empty history.
-
-        Args:
-            env_mask: Booleans (envs,) of the environments to reset; ``None``: all.
-        """
-        if env_mask is None:
-            mask = np.ones(self.envs, dtype=bool)
-        else:
-            mask = np.asarray(env_mask)
-            if mask.dtype != bool or mask.shape != (self.envs,):
-                raise ValueError(
-                    f"env_mask must be {self.envs} booleans, got shape {mask.shape} of {mask.dtype} values"
-                )
+    def restart(self, mask: NDArray[np.bool_]) -> None:
+        """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
         from warpcontact.kernels import reset
 
         a = self.arrays
@@ -185,6 +137,7 @@ class Model(OfScene):
                 a.state,
                 a.history,
                 a.cache,
+                a.near,
             ],
             device=self.device,
         )
@@ -196,50 +149,19 @@ class Model(OfScene):
                     inputs=[chosen, memory],
                     device=self.device,
                 )
-        if mask.all():
-            self.at_start = True
-            self.time = 0.0
 
-    def evaluate(self) -> None:
-        """Computes contacts and wrenches of the current state; changes neither state nor history."""
+    def _evaluate(self) -> None:
         if self._evaluation[0] != self.revision:
             everything = Span(self, 0, self.envs, cached=False, ordered=True)
             self._evaluation = (self.revision, force_stages(everything, self.arrays.state, self.no_step))
         for launch in self._evaluation[1]:
             launch.launch()
 
-    def find_reading(self, name: str) -> Reading:
-        """Returns reading ``name``.
-
-        Raises:
-            KeyError: If there is none; the message suggests the nearest name.
-        """
-        return _look_up("reading", name, self._readings)
-
-    @property
-    def reading_names(self) -> tuple[str, ...]:
-        """Names of all readings."""
-        return tuple(self._readings)
-
-    def reading(self, name: str) -> NDArray[Any]:
-        """Measures ``name`` at the current state.
-
-        Returns:
-            A new array (envs,), or (envs, item) for a set of points, with a last axis for vectors.
-
-        Raises:
-            KeyError: If there is no such reading.
-        """
-        reading = self.find_reading(name)
-        self.prepare({*reading.needs})
-        # On the CPU the values are a view of memory that the next step overwrites.
-        return reading.finish(np.array(reading.array(self.arrays).numpy()))
-
     def prepare(self, needs: Set[str]) -> None:
         """Computes what readings of the current state need, by their ``needs``."""
         self.make_measures(needs)
         if "contacts" in needs or "points" in needs:
-            self.evaluate()
+            self._evaluate()
         if "bodies" in needs:
             self._measure_bodies()
         if "points" in needs:
@@ -263,18 +185,9 @@ class Model(OfScene):
             setattr(self.arrays, name, MEASURES[name](self.layout, self))
         self.layout.allocate(self.envs)
 
-    def memory(self) -> Footprint:
-        """Returns what the environments take of memory as they are, and a simulation that steps them.
-
-        That is the arrays of the model with what was measured so far, and a ``Simulation`` with default options;
-        recordings come on top. ``print(model.memory())`` tells what for, where and how much.
-        """
-        return self.footprint().with_needs(stepping_needs(self, self.envs))
-
-    def footprint(self) -> Footprint:
-        """Returns what the model alone takes of memory."""
-        needs = self.layout.needs(self.envs) + needs_of(self.parameters, self._uploads, self.envs)
-        return Footprint(self.envs, str(self.device), tuple(needs))
+    def needs(self) -> list[Need]:
+        """Returns what its arrays take, on the device and on the host."""
+        return self.layout.needs(self.envs) + needs_of(self.parameters, self._uploads, self.envs)
 
     def _measure_bodies(self) -> None:
         from warpcontact.kernels import measures
@@ -291,59 +204,18 @@ class Model(OfScene):
         inputs = [a.model, a.state, a.contacts]
         wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.points], device=self.device)
 
-    def grouped_contacts(self) -> Iterator[tuple[Group, Contact, int]]:
-        """Iterates over the contacts: the group each is computed in, and the index of its first item there."""
-        for group in self.groups:
-            first = 0
-            for contact in self.scene.contacts:
-                if contact.template.parts == group.parts:
-                    yield group, contact, first
-                    first += contact.count
+    def group_of(self, contact: Contact) -> tuple[Group, int]:
+        """Returns the group that ``contact`` is computed in, and the index of its first item there."""
+        own = [other for other in self.scene.contacts if other.template.parts == contact.template.parts]
+        group = next(group for group in self.groups if group.parts == contact.template.parts)
+        return group, sum(other.count for other in own[: own.index(contact)])
 
-    def health(self) -> Health:
-        """Returns which environments are frozen."""
-        return Health.of_status(self.arrays.status.numpy())
-
-    def _send(self, uploads: list[Upload]) -> None:
-        for upload in uploads:
-            if upload.send(self.envs):
+    def send(self, uploads: Iterable[Upload], contents: Iterable[NDArray[Any]]) -> None:
+        """Puts the content of each of ``uploads`` into its array on the device."""
+        for upload, content in zip(uploads, contents, strict=True):
+            if upload.send(content, self.envs):
                 self.revision += 1
         # What was known of distances may not hold for other radii, poses or meshes.
         cache = self.arrays.cache
         for known in (cache.set_wake, cache.block_wake, cache.wake, cache.faces):
             known.zero_()
-
-    def find_parameter(self, name: str) -> Parameter:
-        """Returns parameter ``name``.
-
-        Raises:
-            KeyError: If there is none; the message says what may have been meant.
-        """
-        if name in self.parameters:
-            return self.parameters[name]
-        if name in self._readings:
-            raise KeyError(f"{name!r} is a reading, not a parameter; use model.reading({name!r})")
-        element, _, quantity = name.rpartition(".")
-        for contact in self.scene.contacts:
-            for part, formula in contact.template.formulas.items():
-                if element == f"{contact.name}.{part}" and quantity in formula.__dataclass_fields__:
-                    raise KeyError(
-                        f"no parameter {name!r}: the {type(formula).__name__} of {contact.name!r} was made "
-                        f"without {quantity}; it has {', '.join(formula.parameters())}"
-                    )
-        return _look_up("parameter", name, self.parameters)
-
-    def __repr__(self) -> str:
-        return (
-            f"<Model of {self.envs} environments: {self.body_count} bodies, {self.contact_count} contacts, "
-            f"{self.precision} on {self.device}>"
-        )
-
-
-def _look_up(kind: str, name: str, table: dict[str, Any]) -> Any:
-    try:
-        return table[name]
-    except KeyError:
-        close = difflib.get_close_matches(name, table, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(table) or 'none'}"
-        raise KeyError(f"no {kind} {name!r}; {hint}") from None

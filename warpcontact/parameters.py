@@ -24,17 +24,35 @@ from warpcontact.kernels.formula import check_values
 
 
 class Field:
-    """Values of one quantity, (1 or envs, items, ...)."""
+    """Values of one quantity, (1 or envs, items, ...).
+
+    Attributes:
+        values: The values.
+        shared: Whether all environments of the model have the same; a single row may also be that of a part
+            with one environment.
+    """
 
     def __init__(self, values: Array) -> None:
         """Starts with ``values`` (items, ...) shared by all environments."""
         self.values = np.array(values, dtype=np.float64)[None]
+        self.shared = True
 
-    def assign(self, items: slice, values: Array, envs: int) -> None:
-        """Sets ``items`` from ``values`` (1 or envs, 1 or items, ...)."""
-        if len(values) > 1 and len(self.values) == 1:
+    def assign(self, items: slice, values: Array, envs: int, *, shared: bool) -> None:
+        """Sets ``items`` from ``values`` (1 or envs, 1 or items, ...), of all environments if ``shared``."""
+        if self.shared and not shared:
             self.values = np.repeat(self.values, envs, axis=0)
+            self.shared = False
         self.values[:, items] = values
+
+    def copy(self) -> "Field":
+        """Returns a copy, for ``restore``."""
+        copied = Field(self.values[0])
+        copied.values, copied.shared = self.values.copy(), self.shared
+        return copied
+
+    def restore(self, earlier: "Field") -> None:
+        """Goes back to ``earlier``, a copy."""
+        self.values, self.shared = earlier.values, earlier.shared
 
 
 @dataclass(frozen=True)
@@ -166,9 +184,19 @@ class Upload:
         own = varied or (self._memory is not None and self._memory.shape[0] > 1)
         return (envs if own else 1) * self._row_bytes, self._row_bytes if own else 0
 
-    def send(self, envs: int) -> bool:
-        """Sends the content; returns whether the array moved, so that prepared launches are stale."""
-        content = np.ascontiguousarray(self.compute())
+    def content(self) -> NDArray[Any]:
+        """Returns the content as it is now.
+
+        Raises:
+            ValueError: If a value does not fit into the precision of the device.
+        """
+        return np.ascontiguousarray(self.compute())
+
+    def send(self, content: NDArray[Any], envs: int) -> bool:
+        """Sends ``content`` to ``envs`` environments; returns whether the array moved.
+
+        Prepared launches are stale then.
+        """
         if self._memory is not None and self._memory.shape == content.shape[:2]:
             self._memory.assign(content)
             return False
@@ -231,7 +259,7 @@ def needs_of(
     wide_uploads = {id(upload) for name in varied for upload in parameters[name].uploads}
     needs = []
     for key, field in fields.items():
-        row, own = row_bytes(field.values), key in wide_fields or len(field.values) > 1
+        row, own = row_bytes(field.values), key in wide_fields or not field.shared
         needs.append(Need("parameters", HOST, (envs if own else 1) * row, row if own else 0))
     for upload in uploads:
         needs.append(Need("parameters", str(upload.device), *upload.size(envs, id(upload) in wide_uploads)))

@@ -24,7 +24,7 @@ from warpcontact.sides import Sides, sides_of
 # Warp's queries skip triangles slimmer than the limit, which they compute in float32.
 SLIVER = 1.2 * SLIVER_LIMIT
 # Of the length of a usual edge: a list of few faces that serves for many steps.
-SKIN = 0.5
+SKIN = 0.35
 
 
 @dataclass(frozen=True)
@@ -91,57 +91,78 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
     )
 
 
-def upload_patches(
-    contacts: list[Contact], model: Any, layout: Layout, t: SimpleNamespace
-) -> tuple[dict[Contact, int], list[wp.Mesh]]:
-    """Declares the patches of ``model``; contacts that search the same faces share one.
+@dataclass(frozen=True)
+class Patches:
+    """The patches of all surfaces; contacts that search the same faces share one.
 
-    Returns:
-        The patch of each contact, and the meshes, a list that is filled when they are made: a kernel holds only
-        their ids, so somebody has to keep them.
+    Attributes:
+        patches: All of them, one for each mesh of a surface that is searched in one way.
+        surfaces: Index of the surface of each.
+        searched: For each, the number of its mesh for queries: patches that differ in what is active share one.
+        corners: Of the faces (F, 3, 3) of each of these meshes, in float32.
+        of_contact: First patch of each contact.
+    """
+
+    patches: list[Patch]
+    surfaces: list[int]
+    searched: list[int]
+    corners: list[NDArray[np.float32]]
+    of_contact: dict[Contact, int]
+
+
+def make_patches(contacts: list[Contact]) -> Patches:
+    """Returns the patches of ``contacts``.
 
     Raises:
-        ValueError: If a face has no area left in float32.
+        ValueError: If a face has no area left in float32, in which queries search.
     """
     rows: dict[tuple[int, bool], int] = {}
-    patches: list[Patch] = []
-    surfaces: list[int] = []
-    searched: dict[tuple[Any, ...], int] = {}
-    corners: list[NDArray[np.float32]] = []  # of the meshes to search
-    mesh_of: list[int] = []  # of each patch
-    patch_of = {}
+    numbers: dict[tuple[Any, ...], int] = {}
+    made = Patches([], [], [], [], {})
     for contact in contacts:
         surface = contact.surface
         only_active = contact.search == "active" and not all(active.all() for active in surface.active)
         key = (surface.index, only_active)
         if key not in rows:
-            rows[key] = len(patches)
+            rows[key] = len(made.patches)
             for mesh, active in zip(surface.meshes, surface.active, strict=True):
-                patches.append(make_patch(mesh, active, surface.centre, only_active=only_active))
-                surfaces.append(surface.index)
+                patch = make_patch(mesh, active, surface.centre, only_active=only_active)
+                made.patches.append(patch)
+                made.surfaces.append(surface.index)
                 # Meshes that differ in what is active alone are searched as one.
                 faces = (id(mesh), active.tobytes() if only_active else b"", surface.centre.tobytes())
-                if faces not in searched:
+                if faces not in numbers:
+                    numbers[faces] = len(made.corners)
                     given = np.flatnonzero(active) if only_active else np.arange(len(active))
-                    searched[faces] = len(corners)
-                    corners.append(_search_corners(surface.name, patches[-1], given))
-                mesh_of.append(searched[faces])
-        patch_of[contact] = rows[key]
+                    made.corners.append(_search_corners(surface.name, patch, given))
+                made.searched.append(numbers[faces])
+        made.of_contact[contact] = rows[key]
+    return made
+
+
+def upload_patches(made: Patches, model: Any, layout: Layout, t: SimpleNamespace) -> list[wp.Mesh]:
+    """Declares the patches of ``model``.
+
+    Returns:
+        The meshes, a list that is filled when they are made: a kernel holds only their ids, so somebody has to
+        keep them.
+    """
+    patches = made.patches
     meshes: list[wp.Mesh] = []
 
     def make_meshes(_: int) -> None:
-        meshes.extend(_search_mesh(own, layout.device) for own in corners)
-        ids = np.array([meshes[mesh].id for mesh in mesh_of], dtype=np.uint64)
+        meshes.extend(_search_mesh(own, layout.device) for own in made.corners)
+        ids = np.array([meshes[mesh].id for mesh in made.searched], dtype=np.uint64)
         model.patch_mesh = wp.array(ids, dtype=wp.uint64, device=layout.device)
 
-    mesh_bytes = sum(_mesh_bytes(len(own), layout.device) for own in corners)
-    layout.other("surfaces", mesh_bytes + 8 * len(mesh_of), make_meshes)
+    mesh_bytes = sum(_mesh_bytes(len(own), layout.device) for own in made.corners)
+    layout.other("surfaces", mesh_bytes + 8 * len(made.searched), make_meshes)
     starts = np.cumsum([0] + [len(patch.flags) for patch in patches])
 
     def send(name: str, values: Any, dtype: Any) -> None:
         layout.content("surfaces", model, name, values, dtype)
 
-    send("patch_surface", surfaces, wp.int32)
+    send("patch_surface", made.surfaces, wp.int32)
     send("patch_face_start", starts, wp.int32)
     errors = [_query_error(patch) for patch in patches]
     send("patch_slack", [slack for slack, _ in errors], t.real)
@@ -164,14 +185,11 @@ def upload_patches(
             for patch, start in zip(patches, starts, strict=False)
         ]
         send("face_neighbor", np.concatenate(shifted), wp.int32)
-    return patch_of, meshes
+    return meshes
 
 
 def _search_corners(name: str, patch: Patch, given: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
-    """Returns the corners (F, 3, 3) of the mesh that queries search.
-
-    ``given`` are the numbers of its faces in the mesh they are from.
-    """
+    """Returns the corners (F, 3, 3) that queries search; ``given`` are the numbers of the faces in their mesh."""
     # The mesh is sound in float64; only float32 can still spoil it.
     corner = patch.corner.astype(np.float32)
     lost = np.flatnonzero(slenderness(corner.astype(np.float64)) < SLIVER)

@@ -8,14 +8,26 @@ from typing import Any
 import numpy as np
 import warp as wp
 import xarray as xr
+from numpy.typing import NDArray
 
 from warpcontact._version import __version__
 from warpcontact.arrays import row_bytes
 from warpcontact.available import HOST, Room
-from warpcontact.footprint import Footprint, MemoryShortage, Need, readable, rooms_of, said, shortage, usable
+from warpcontact.environments import Environments
+from warpcontact.footprint import (
+    Footprint,
+    MemoryShortage,
+    Need,
+    readable,
+    rooms_of,
+    said,
+    shortage,
+    total,
+    usable,
+)
 from warpcontact.model import Model
 from warpcontact.parameters import Parameter
-from warpcontact.readings import AXES, Reading, status_attributes
+from warpcontact.readings import AXES, status_attributes
 from warpcontact.scene import Scene
 
 # Frames wait on the device up to this size, then move to the host in one copy.
@@ -74,7 +86,7 @@ class RecordingSize:
     measured: frozenset[str]
 
     def needs(self, device: str, envs: int, count: int) -> list[Need]:
-        """Returns what ``count`` frames of ``envs`` environments take."""
+        """Returns what ``count`` frames of ``envs`` environments of a device take."""
         needs = [need for frame in self.frames for need in frame.needs(device, envs, count)]
         return [*needs, Need("recording", HOST, envs * self.parameters, self.parameters)]
 
@@ -84,40 +96,64 @@ class RecordingSize:
 
 
 class _Channel:
-    """The frames of one reading: a buffer on the device and the result on the host, once they are allocated."""
+    """The frames of one reading: a buffer on each device and one result on the host, once they are allocated."""
 
-    def __init__(self, model: Model, reading: Reading) -> None:
-        self.reading = reading
-        self.device = model.device
-        self.source = reading.array(model.arrays)
-        self.taken = 0
-        self.drained = 0
-        row = prod(self.source.shape[1:]) * wp.types.type_size_in_bytes(self.source.dtype)
+    def __init__(self, model: Environments, name: str) -> None:
+        self.model = model
+        self.reading = model.find_reading(name)
+        source = self.reading.array(model.parts[0].arrays)
+        row = prod(source.shape[1:]) * wp.types.type_size_in_bytes(source.dtype)
         # Of one environment, as it is reported.
-        self._sample = reading.finish(self.source[:1].numpy()[None], axis=2)[0, 0]
-        self.frame = Frame(reading.name, row, self._sample.nbytes)
+        self._sample = self.reading.finish(source[:1].numpy()[None], axis=2)[0, 0]
+        self.frame = Frame(name, row, self._sample.nbytes)
+        self.rings: list[_Ring] = []
 
     def allocate(self, frames: int) -> None:
-        envs = self.source.shape[0]
-        shape = (self.frame.slots(envs, frames), *self.source.shape)
-        self.ring = wp.zeros(shape, dtype=self.source.dtype, device=self.device)
-        self.result = np.zeros((frames, envs, *self._sample.shape), dtype=self._sample.dtype)
+        self.result = np.zeros((frames, self.model.envs, *self._sample.shape), dtype=self._sample.dtype)
+        self.rings = [_Ring(part, self.frame, self.result[:, own]) for part, own in self.model.shares()]
 
     def take(self) -> None:
-        wp.copy(self.ring[self.taken - self.drained], self.source)
+        for ring in self.rings:
+            ring.take()
+
+    def drain(self) -> None:
+        for ring in self.rings:
+            ring.drain()
+
+
+class _Ring:
+    """The frames of one reading of a part: a buffer on its device, and where they go on the host.
+
+    Args:
+        part: The part.
+        frame: What one frame takes, and of which reading.
+        result: Receives all frames (frame, env, …).
+    """
+
+    def __init__(self, part: Model, frame: Frame, result: NDArray[Any]) -> None:
+        self.reading = part.readings[frame.name]
+        self.source = self.reading.array(part.arrays)
+        self.result = result
+        shape = (frame.slots(part.envs, len(result)), *self.source.shape)
+        self.memory = wp.zeros(shape, dtype=self.source.dtype, device=part.device)
+        self.taken = 0
+        self.drained = 0
+
+    def take(self) -> None:
+        wp.copy(self.memory[self.taken - self.drained], self.source)
         self.taken += 1
-        if self.taken - self.drained == len(self.ring):
+        if self.taken - self.drained == len(self.memory):
             self.drain()
 
     def drain(self) -> None:
         count = self.taken - self.drained
         if count:
-            values = self.reading.finish(self.ring.numpy()[:count], axis=2)
+            values = self.reading.finish(self.memory.numpy()[:count], axis=2)
             self.result[self.drained : self.taken] = values
             self.drained = self.taken
 
 
-def moved_parts(model: Model) -> list[str]:
+def moved_elements(model: Environments) -> list[str]:
     """Returns the parameters of surfaces and points that are no longer those of the scene in environment 0."""
     scene = model.scene
     first = {
@@ -128,11 +164,8 @@ def moved_parts(model: Model) -> list[str]:
     first |= {f"{surface.name}.mesh": np.zeros(()) for surface in scene.surfaces if len(surface.meshes) > 1}
     for points in scene.points:
         first[f"{points.name}.position"] = points.positions[0] if points.single else points.positions
-    return [
-        name
-        for name, value in first.items()
-        if not (model.find_parameter(name).read(model.envs)[0] == value).all()
-    ]
+    part = model.parts[0]
+    return [name for name, value in first.items() if not (part.parameters[name].read(part.envs)[0] == value).all()]
 
 
 class Recorder:
@@ -147,18 +180,18 @@ class Recorder:
     """
 
     def __init__(
-        self, model: Model, names: Iterable[str], frames: int, poses: bool, parameters: Iterable[str] = ()
+        self, model: Environments, names: Iterable[str], frames: int, poses: bool, parameters: Iterable[str] = ()
     ) -> None:
         self.model = model
         self.kept = [model.find_parameter(name) for name in parameters]
         if poses:
             # What a replay needs beside the poses, and whatever sets the environments apart.
             needed = (".mass", ".inertia", ".radius")
-            moved = moved_parts(model)
+            moved = moved_elements(model)
             self.kept += [
-                parameter
-                for name, parameter in model.parameters.items()
-                if len(parameter.field.values) > 1 or name.endswith(needed) or name in moved
+                model.find_parameter(name)
+                for name in model
+                if model.varies(name) or name.endswith(needed) or name in moved
             ]
         wanted = list(dict.fromkeys(names))
         if poses:
@@ -166,14 +199,16 @@ class Recorder:
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
         readings = [model.find_reading(name) for name in dict.fromkeys(wanted)]
         self.needs = {need for reading in readings for need in reading.needs}
-        model.make_measures(self.needs)
-        self.channels = [_Channel(model, reading) for reading in readings]
+        for part in model.parts:
+            part.make_measures(self.needs)
+        self.channels = [_Channel(model, reading.name) for reading in readings]
         self.times = np.zeros(frames)
         self.taken = 0
 
     def size(self) -> RecordingSize:
         """Returns what it takes."""
-        parameters = {parameter.name: row_bytes(parameter.read(self.model.envs)) for parameter in self.kept}
+        envs = self.model.parts[0].envs
+        parameters = {parameter.name: row_bytes(parameter.read(envs)) for parameter in self.kept}
         frames = tuple(channel.frame for channel in self.channels)
         return RecordingSize(frames, sum(parameters.values()), frozenset(self.needs))
 
@@ -183,8 +218,11 @@ class Recorder:
         Raises:
             MemoryError: If that is more than there is; says how many frames would fit.
         """
-        envs, frames, device = self.model.envs, len(self.times), str(self.model.device)
-        footprint = Footprint(envs, device, tuple(self.size().needs(device, envs, frames)))
+        size, frames = self.size(), len(self.times)
+        footprint = total(
+            Footprint(part.envs, str(part.device), tuple(size.needs(str(part.device), part.envs, frames)))
+            for part in self.model.parts
+        )
         room = shortage(footprint, rooms_of(footprint))
         if room is not None:
             raise MemoryShortage(self._too_much(footprint, room), footprint.on(room.place), usable(room))
@@ -205,11 +243,15 @@ class Recorder:
 
     def take(self, time: float) -> None:
         """Takes one frame of the current state at ``time`` [s]."""
-        self.model.prepare(self.needs)
+        self._prepare()
         for channel in self.channels:
             channel.take()
         self.times[self.taken] = time
         self.taken += 1
+
+    def _prepare(self) -> None:
+        for part in self.model.parts:
+            part.prepare(self.needs)
 
     def _item_dimension(self, element: str) -> str:
         """Returns the name of the item axis of a set: sets of different size cannot share one."""
@@ -258,7 +300,7 @@ class Recorder:
             coords=coordinates,
             attrs={
                 "source": f"warpcontact {__version__}",
-                "device": str(model.device),
+                "device": ", ".join(map(str, model.devices)),
                 "precision": model.precision,
                 **attributes,
             },

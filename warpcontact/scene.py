@@ -33,6 +33,7 @@ from warpcontact.meshes.groups import face_mask
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
+    from warpcontact.split_model import SplitModel
 
 _LISTS = ("bodies", "surfaces", "points", "contacts")
 
@@ -367,8 +368,10 @@ class Scene:
             self, surface_a, surface_b, template, samples, seed=seed, sides=sides, name=name, options=options
         )
 
-    def build(self, envs: int = 1, device: str = "auto", precision: str = "float32") -> "Model":
-        """Builds ``envs`` environments of this scene on a device; see ``warpcontact.build.build``."""
+    def build(
+        self, envs: int = 1, device: str | Sequence[str] = "auto", precision: str = "float32"
+    ) -> "Model | SplitModel":
+        """Builds ``envs`` environments of this scene on a device or several; see ``warpcontact.build.build``."""
         from warpcontact.build import build
 
         return build(self, envs=envs, device=device, precision=precision)

@@ -135,7 +135,7 @@ def queue_stages(span: Span, state: Any) -> list[wp.Launch]:
         launches += span.prepare(
             queues.probe(real, follows),
             blocks,
-            [contacts, a.model, state, a.cache, a.contacts],
+            [contacts, a.model, state, a.history, a.cache, a.contacts, a.near],
             threads=some(blocks, SEARCHING),
             together=FEW_TOGETHER,
         )
@@ -143,12 +143,11 @@ def queue_stages(span: Span, state: Any) -> list[wp.Launch]:
         launches += span.prepare(
             queues.work_off(real, follows, part),
             contacts,
-            [a.model, state, a.history, a.cache, a.contacts],
+            [a.model, state, a.history, a.cache, a.contacts, a.near],
             threads=some(contacts, most),
             together=FEW_TOGETHER,
         )
-    inputs = [a.status, a.model, a.history, a.cache, a.contacts, a.near]
-    return launches + span.prepare(queues.gather(real, follows), blocks, inputs)
+    return launches + span.prepare(queues.gather(real), blocks, [a.status, a.model, a.cache, a.near])
 
 
 def step_stages(

@@ -11,16 +11,17 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
-from warpcontact.arrays import Layout, broadcast
 from warpcontact.crew import Crew, available_threads
+from warpcontact.devices import spread
+from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
-from warpcontact.model import Model
+from warpcontact.model import Model, State
 from warpcontact.parameters import rounded
 from warpcontact.recorder import Recorder, Recording
 from warpcontact.schedule import Span
-from warpcontact.slices import Slice, Times
-from warpcontact.stepping import declare_buffers, slice_size, stepping_needs
+from warpcontact.slices import Buffers, Slice, Times
+from warpcontact.stepping import on_cpu, slice_size, stepping_footprint
 
 # Steps between two looks at the progress bar, whole graphs; a step of a large model takes milliseconds.
 STEPS_PER_UPDATE = 64
@@ -30,12 +31,12 @@ class Simulation:
     """Steps a model through time.
 
     Args:
-        model: The model; its state is the state of the simulation.
+        model: The model, on one device or split over several; its state is the state of the simulation.
         dt: Time step [s].
         integrator: Scheme, semi-implicit Euler if not given.
         crossing_steps: Parts into which a step is divided, in environments in which a swept point crosses a
             surface in that step. 1: such a step is taken as it is, and the contact begins as deep as it led.
-        threads: Threads that step the environments of a model on the CPU; ``None``: one per core.
+        threads: Threads that step the environments on the CPU, of all parts of a model; ``None``: one per core.
         deterministic: Whether a run repeats to the bit on a GPU as well, where several points of a body touch;
             on the CPU it does in any case, whatever the number of threads.
         distance_cache: Whether what is known of distances from earlier steps saves work; results are the same.
@@ -47,7 +48,7 @@ class Simulation:
 
     def __init__(
         self,
-        model: Model,
+        model: Environments,
         dt: float,
         integrator: Integrator | None = None,
         *,
@@ -58,7 +59,7 @@ class Simulation:
         graphs: bool = True,
     ) -> None:
         integrator = SemiImplicitEuler() if integrator is None else integrator
-        if not isinstance(model, Model):
+        if not isinstance(model, Environments):
             raise TypeError(f"model must come from Scene.build, got {model!r}")
         if not isinstance(integrator, Integrator):
             raise TypeError(
@@ -67,9 +68,9 @@ class Simulation:
         self.model = model
         self.integrator = integrator
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
-        rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.types.real))
+        rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.parts[0].types.real))
         self.crossing_steps = _at_least_one("crossing_steps", crossing_steps)
-        if self.crossing_steps > 1 and not model.sweeps:
+        if self.crossing_steps > 1 and not model.parts[0].sweeps:
             warnings.warn(
                 f"crossing_steps = {self.crossing_steps} divides no step: no contact of the scene has swept=True",
                 ContactWarning,
@@ -80,19 +81,21 @@ class Simulation:
         self.distance_cache = bool(distance_cache)
         self.graphs = bool(graphs)
         self._advised = False
-        part = self.dt / self.crossing_steps
-        hint = ", or take graphs=False" if self.graphs and model.device.is_cpu else ""
-        require(self._stepping, model.envs, "to step them, ", hint)
-        # Steps go from one buffer to the other and back; between calls the state is always in the model's.
-        self.layout = Layout(model.device)
-        self._buffers = declare_buffers(self.layout, model, (self.dt, part, part - self.dt, self.dt - part))
-        self.layout.allocate(model.envs)
-        self.times = Times(*(broadcast(memory, model.envs) for memory in self._buffers.times.values()))
-        self._prepared: tuple[int, Crew | None] = (-1, None)
+        launched = ", or take graphs=False" if any(device.is_cpu for device in model.devices) else ""
+        require(self._stepping, model.envs, "to step them, ", launched if self.graphs else "")
+        self._buffers = [Buffers(part, self.dt, self.crossing_steps) for part in model.parts]
+        for part, buffers in zip(model.parts, self._buffers, strict=True):
+            buffers.allocate(part.envs)
+        self._prepared: tuple[tuple[int, ...], Crew | None] = ((), None)
 
     @property
-    def state(self) -> Any:
-        """The current state; see ``Model``."""
+    def times(self) -> Times:
+        """Lengths of steps, on the device of the first part of the model."""
+        return self._buffers[0].times
+
+    @property
+    def state(self) -> State:
+        """The current state; see ``Model``. That of a model on several devices is in ``model.parts``."""
         return self.model.state
 
     @property
@@ -111,16 +114,15 @@ class Simulation:
 
     def _stepping(self, envs: int) -> Footprint:
         """Returns what this simulation would take if it had ``envs`` environments, beside the model."""
-        needs = stepping_needs(
-            self.model,
-            envs,
+        parts = self.model.parts
+        return stepping_footprint(
+            list(zip(parts, spread(envs, len(parts)), strict=False)),
             self.integrator,
             crossing_steps=self.crossing_steps,
             threads=self.threads,
             distance_cache=self.distance_cache,
             graphs=self.graphs,
         )
-        return Footprint(envs, str(self.model.device), tuple(needs))
 
     def reset(self, env_mask: ArrayLike | None = None) -> None:
         """Puts environments back to their initial state, with empty history.
@@ -141,27 +143,36 @@ class Simulation:
             self._advised = True
             for sentence in advice(model, self.dt):
                 warnings.warn(sentence, ContactWarning, stacklevel=2)
-        model.at_start = False
-        revision, crew = self._prepared
-        if crew is None or revision != model.revision:
+        for part in model.parts:
+            part.untouched = False
+        revisions = tuple(part.revision for part in model.parts)
+        prepared, crew = self._prepared
+        if crew is None or prepared != revisions:
             crew = Crew(self._slices(), self.threads)
-            self._prepared = (model.revision, crew)
-        before = model.time
+            self._prepared = (revisions, crew)
+        before = [part.elapsed for part in model.parts]
         for done in crew.step(count):
-            model.time = before + done * self.dt
+            for part, elapsed in zip(model.parts, before, strict=True):
+                part.elapsed = elapsed + done * self.dt
 
     def _slices(self) -> list[Slice]:
-        model = self.model
+        parts = self.model.parts
+        on_threads = on_cpu((part, part.envs) for part in parts)
+        return [
+            piece
+            for part, buffers in zip(parts, self._buffers, strict=True)
+            for piece in self._slices_of(part, buffers, slice_size(part, part.envs, on_threads, self.threads))
+        ]
+
+    def _slices_of(self, model: Model, buffers: Buffers, size: int) -> list[Slice]:
         # On the CPU a slice is stepped by one thread, so the order is the same in any case.
         queued = model.device.is_cuda
         ordered = self.deterministic or not queued
-        size = slice_size(model, model.envs, self.threads)
         return [
             Slice(
                 Span(model, first, min(size, model.envs - first), self.distance_cache, ordered, queued),
                 self.integrator,
-                self.times,
-                self._buffers.other,
+                buffers,
                 parts=self.crossing_steps,
                 captured=self.graphs,
             )

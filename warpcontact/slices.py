@@ -6,10 +6,12 @@ time, and replayed; launches and replays compute the same.
 
 import threading
 from dataclasses import dataclass
-from typing import Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpcontact.arrays import Layout, broadcast, per_env
 from warpcontact.integrators import Integrator
 from warpcontact.schedule import (
     Span,
@@ -19,6 +21,10 @@ from warpcontact.schedule import (
     step_stages,
     turn_stage,
 )
+
+if TYPE_CHECKING:
+    from warpcontact.draft import PartDraft
+    from warpcontact.model import Model
 
 # Steps in a graph, the most first; whatever is asked for is made up of these. An odd one ends in the other buffer
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, and slices are many.
@@ -39,6 +45,37 @@ class Times:
     longer: wp.array
 
 
+class Buffers:
+    """What steps of a model need on its device; there once it is allocated.
+
+    Args:
+        model: The model, or what is drawn up of it.
+        dt: Length of a step [s].
+        parts: Parts into which a step with a crossing is divided.
+
+    Attributes:
+        layout: What is to lie on the device.
+        times: Lengths of steps.
+        other: A second state. Steps go from the model's to it and back; between calls the state is in the model's.
+    """
+
+    def __init__(self, model: "Model | PartDraft", dt: float = 0.0, parts: int = 1) -> None:
+        self.layout = Layout(model.device)
+        self.times = Times(None, None, None, None)
+        self.other = self.layout.struct("stepping", model.types.State, per_env(model.body_count))
+        # Kept alive: the times share their memory.
+        self._lengths = SimpleNamespace()
+        part = dt / parts
+        lengths = {"whole": dt, "part": part, "shorter": part - dt, "longer": dt - part}
+        for name, length in lengths.items():
+            self.layout.content("stepping", self._lengths, name, [[length]], model.types.real)
+
+    def allocate(self, envs: int) -> None:
+        """Makes them for ``envs`` environments."""
+        self.layout.allocate(envs)
+        self.times = Times(**{name: broadcast(memory, envs) for name, memory in vars(self._lengths).items()})
+
+
 @dataclass(frozen=True)
 class _Step:
     """The launches of a step from one buffer to the other, and those of a part of it."""
@@ -56,32 +93,37 @@ class Slice:
     Args:
         span: The environments.
         integrator: The scheme.
-        times: Lengths of steps.
-        other: The other buffer of the state.
+        buffers: What steps need on the device.
         parts: Parts into which a step with a crossing is divided.
         captured: Whether steps are captured and replayed.
 
     Attributes:
         envs: Number of environments.
+        device: Their device.
+        captured: Whether steps are replayed: on a GPU nothing is then waited for.
         graph_steps: Steps in its graphs, the most first.
     """
 
     def __init__(
-        self, span: Span, integrator: Integrator, times: Times, other: Any, *, parts: int, captured: bool
+        self, span: Span, integrator: Integrator, buffers: Buffers, *, parts: int, captured: bool
     ) -> None:
         model = span.model
         self.envs = span.count
-        self._device = model.device
+        self.device = model.device
         self._parts = parts
         divides = model.sweeps and parts > 1
         self._mark = wp.zeros(1, dtype=wp.int32, device=model.device) if divides else None
-        own = model.arrays.state
+        # Where the host looks at it.
+        self._seen = self._mark
+        if divides and model.device.is_cuda:
+            self._seen = wp.zeros(1, dtype=wp.int32, device="cpu", pinned=True)
+        own, other = model.arrays.state, buffers.other
         self._steps = [
-            self._prepare(span, integrator, times, *buffers) for buffers in ((own, other), (other, own))
+            self._prepare(span, integrator, buffers.times, *way) for way in ((own, other), (other, own))
         ]
         self._wait, self._wake = (turn_stage(span, back=back) for back in (False, True))
         # What is decided on the host cannot be captured.
-        self._captured = captured and not divides
+        self.captured = captured and not divides
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
         self._graphs: dict[int, wp.Graph] = {}
 
@@ -108,25 +150,25 @@ class Slice:
 
     def graph(self, steps: int) -> list[wp.Launch]:
         """Returns the launches of the graph of ``steps`` steps, none if nothing is captured."""
-        if not self._captured:
+        if not self.captured:
             return []
         found = [launch for number in range(steps) for launch in self._steps[number % 2].whole]
         return found + (self._steps[0].back if steps % 2 else [])
 
     def capture(self, count: int) -> None:
         """Captures what ``step(count)`` will replay. Not while other threads step."""
-        if not self._captured:
+        if not self.captured:
             return
         for steps in self.graph_steps:
             if count >= steps and steps not in self._graphs:
-                with _capturing, wp.ScopedCapture(device=self._device) as capture:
+                with _capturing, wp.ScopedCapture(device=self.device) as capture:
                     _launch(self.graph(steps))
                 self._graphs[steps] = capture.graph
             count %= steps
 
     def step(self, count: int) -> None:
         """Takes ``count`` steps; the state is in the model's buffer before and after."""
-        if self._captured:
+        if self.captured:
             for steps in self.graph_steps:
                 while count >= steps:
                     wp.capture_launch(self._graphs[steps])
@@ -142,7 +184,7 @@ class Slice:
         if self._mark is not None:
             self._mark.zero_()
         _launch(self._steps[way].whole)
-        if self._mark is None or not self._mark.numpy()[0]:
+        if not self._crossed():
             return
         # Environments with a crossing have not moved on. The others wait.
         _launch(self._wait)
@@ -153,6 +195,16 @@ class Slice:
             _launch(self._steps[1 - way].back)
         _launch(self._steps[way].resume)
         _launch(self._wake)
+
+    def _crossed(self) -> bool:
+        """Whether a surface was crossed in the step just taken; waits for no other device than its own."""
+        if self._mark is None or self._seen is None:
+            return False
+        if self._seen is not self._mark:
+            # Of a GPU wp.array.numpy() would change the default device of the process while other threads step.
+            wp.copy(self._seen, self._mark)
+            wp.synchronize_stream(self.device)
+        return bool(self._seen.numpy()[0])
 
 
 def _launch(launches: list[wp.Launch]) -> None:

@@ -1,22 +1,20 @@
 """What stepping takes beside the model: a second buffer of the state, and the prepared launches and graphs."""
 
 import ctypes
-from dataclasses import dataclass
-from types import SimpleNamespace
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import warp as wp
 
-from warpcontact.arrays import Layout, per_env
 from warpcontact.available import HOST
 from warpcontact.crew import available_threads
-from warpcontact.footprint import Need
+from warpcontact.footprint import Footprint, Need, total
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.schedule import Span
-from warpcontact.slices import Slice, Times
+from warpcontact.slices import Buffers, Slice
 
 if TYPE_CHECKING:
-    from warpcontact.draft import Draft
+    from warpcontact.draft import PartDraft
     from warpcontact.model import Model
 
 # Of the cache of a core that a slice may fill, and what a contact and a body take of it; measured.
@@ -42,64 +40,59 @@ class _Tally(Span):
         return [kernel] if items else []
 
 
-@dataclass(frozen=True)
-class Buffers:
-    """The arrays of a simulation.
+def slice_size(model: "Model | PartDraft", envs: int, on_cpu: int, threads: int) -> int:
+    """Returns how many environments a slice has: as many as fit into the cache of a core, and enough slices.
 
-    Attributes:
-        other: A state that steps go to and come back from.
-        times: Lengths of steps (1, 1) by name, in the order in which they were given, once they are allocated.
+    Args:
+        model: What is sliced.
+        envs: Number of its environments.
+        on_cpu: Number of environments that the threads have to step, of all parts.
+        threads: The threads.
     """
-
-    other: Any
-    times: dict[str, wp.array]
-
-
-def declare_buffers(layout: Layout, model: "Model | Draft", lengths: tuple[float, ...] = (0.0,) * 4) -> Buffers:
-    """Declares the arrays of a simulation with steps of these lengths [s]."""
-    times = SimpleNamespace()
-    for number, length in enumerate(lengths):
-        layout.content("stepping", times, f"of_{number}", [[length]], model.types.real)
-    return Buffers(layout.struct("stepping", model.types.State, per_env(model.body_count)), vars(times))
-
-
-def slice_size(model: "Model | Draft", envs: int, threads: int) -> int:
-    """Returns how many environments a slice has: as many as fit into the cache of a core, and enough slices."""
     if model.device.is_cuda:
         return envs
     per_slice = CONTACT_BYTES * model.contact_count + BODY_BYTES * model.body_count
-    return max(1, min(CACHE_BYTES // per_slice, LARGEST_SLICE, -(-envs // threads)))
+    return max(1, min(CACHE_BYTES // per_slice, LARGEST_SLICE, -(-on_cpu // threads)))
 
 
-def stepping_needs(
-    model: "Model | Draft",
-    envs: int,
+def on_cpu(shares: Iterable[tuple["Model | PartDraft", int]]) -> int:
+    """Returns how many environments are on the CPU, of parts with a number of environments each."""
+    return sum(envs for part, envs in shares if part.device.is_cpu)
+
+
+def stepping_footprint(
+    shares: Sequence[tuple["Model | PartDraft", int]],
     integrator: Integrator | None = None,
     *,
     crossing_steps: int = 1,
     threads: int | None = None,
     distance_cache: bool = True,
     graphs: bool = True,
-) -> list[Need]:
-    """Returns what a ``Simulation`` takes that steps ``envs`` environments; the options are those of its class."""
-    layout = Layout(model.device)
-    buffers = declare_buffers(layout, model)
-    # Nothing is launched, so that a draft does as well.
-    queued = model.device.is_cuda
-    span = _Tally(cast("Model", model), 0, 1, distance_cache, ordered=not queued, queued=queued)
-    times = Times(None, None, None, None)
-    one = Slice(
-        span, integrator or SemiImplicitEuler(), times, buffers.other, parts=crossing_steps, captured=graphs
-    )
-    size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
-    for steps in one.graph_steps:
-        if graph := one.graph(steps):
-            size += GRAPH_BYTES + int(CAPTURED * sum(map(_argument_bytes, graph)))
+) -> Footprint:
+    """Returns what a ``Simulation`` takes beside the model; the options are those of its class.
+
+    ``shares`` are the parts of the model, each with how many environments it has.
+    """
     threads = available_threads() if threads is None else threads
-    slices = -(-envs // slice_size(model, envs, threads))
-    # The first environments of each thread make its slice longer.
-    grows = size / slice_size(model, LARGEST_SLICE * threads, threads) if slices > threads else 0.0
-    return [*layout.needs(envs), Need("launches", HOST, slices * size, grows)]
+    on_threads = on_cpu(shares)
+    footprints = []
+    for part, envs in shares:
+        buffers = Buffers(part)
+        # Nothing is launched, so that a draft does as well.
+        queued = part.device.is_cuda
+        span = _Tally(cast("Model", part), 0, 1, distance_cache, ordered=not queued, queued=queued)
+        one = Slice(span, integrator or SemiImplicitEuler(), buffers, parts=crossing_steps, captured=graphs)
+        size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
+        for steps in one.graph_steps:
+            if graph := one.graph(steps):
+                size += GRAPH_BYTES + int(CAPTURED * sum(map(_argument_bytes, graph)))
+        length = slice_size(part, envs, on_threads, threads)
+        # The first environments of each thread make its slice longer.
+        longest = slice_size(part, envs, LARGEST_SLICE * threads, threads)
+        grows = size / longest if part.device.is_cpu and on_threads > threads * length else 0.0
+        launches = Need("launches", HOST, -(-envs // length) * size, grows)
+        footprints.append(Footprint(envs, str(part.device), (*buffers.layout.needs(envs), launches)))
+    return total(footprints)
 
 
 def _argument_bytes(kernel: wp.Kernel) -> int:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.optimize import elementwise
 from scipy.special import ellipe, ellipk
 from warpcontact.kernels.formula import check_values, parameter
 from warpcontact.kernels.laws.base import Law
@@ -80,6 +79,8 @@ def elliptic_stiffness(
         return (axis_ratio**2 * second - first) / (first - second) - ratio
 
     # The ratio of the axes lies between the root and the first power of that of the radii.
+    from scipy.optimize import elementwise  # takes half a second, and few ask
+
     axes = elementwise.find_root(excess, (1.0 + 1.0e-9, 2.0 * ratio))
     m = 1.0 - float(axes.x) ** -2
     combined = 1.0 / (1.0 / short + 1.0 / long)

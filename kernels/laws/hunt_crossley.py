@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.optimize import elementwise
 from scipy.special import lambertw
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.laws.base import Law, power
@@ -43,6 +42,8 @@ def damping_factor_of_restitution(restitution: np.ndarray) -> np.ndarray:
     far_from_one = np.minimum(e, 1.0 - SERIES_RANGE)
     upper = np.log1p(-0.75 * (1.0 - far_from_one) * far_from_one)
     lower = -2.0 - 1.0 / far_from_one
+    from scipy.optimize import elementwise  # takes half a second, and few ask
+
     result = elementwise.find_root(excess, (lower, upper), args=(far_from_one,))
     if not np.all(result.success):
         raise RuntimeError("no damping factor found for some restitution")

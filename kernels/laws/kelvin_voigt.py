@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.optimize import elementwise
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.laws.base import Law, stepped_dashpot
 
@@ -28,6 +27,8 @@ def damping_ratio_of_restitution(restitution: np.ndarray) -> np.ndarray:
     restitution = np.asarray(restitution, dtype=np.float64)
     # For large ξ, e → 1/(4 ξ²); twice that root encloses the solution for every e.
     upper = 1.0 + 1.0 / np.sqrt(restitution)
+    from scipy.optimize import elementwise  # takes half a second, and few ask
+
     result = elementwise.find_root(
         lambda ratio, e: restitution_of_damping_ratio(ratio) - e,
         (np.zeros_like(restitution), upper),

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.optimize import elementwise
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.laws.base import Law
 
@@ -46,6 +45,8 @@ class KuwabaraKono(Law):
         """Returns the law that has ``restitution`` at ``speed`` [m/s] for the effective ``mass`` [kg]."""
         if not 0.05 <= restitution <= 1.0:
             raise ValueError(f"restitution must be at least 0.05 and at most 1, got {restitution:g}")
+        from scipy.optimize import elementwise  # takes half a second, and few ask
+
         root = elementwise.find_root(
             lambda a, e: restitution_of_viscosity(a) - e, (0.0, 10.0), args=(restitution,)
         )

@@ -18,7 +18,7 @@ from warpcontact.benchmark.limits import limits
 from warpcontact.benchmark.report import BenchReport, WorkFigures
 from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simulation
 from warpcontact.benchmark.works import DT, STEPS, WORKS, Work
-from warpcontact.build import find_device
+from warpcontact.devices import find_device
 from warpcontact.simulation import Simulation
 
 #: Environments unless told: enough that all cores, or all of a GPU, have something to do.
@@ -149,7 +149,7 @@ def _finish(entry: _Entry, device: str, precision: str) -> WorkFigures:
     """Measures what is left of a work: the limits at its present state, and one environment alone."""
     sim = entry.sim
     envs = sim.model.envs
-    least = limits(sim.model, entry.work, sim.threads)
+    least = limits(sim.model.parts[0], entry.work, sim.threads)
     alone = simulation(entry.work, 1, device, precision)
     run_seconds(alone, STEPS)
     alone_s = seconds_of_runs(alone, STEPS, ALONE_SECONDS)

@@ -43,11 +43,16 @@ def simulation(work: Work, envs: int, device: str, precision: str = "float32", *
 def run_seconds(sim: Simulation, steps: int) -> float:
     """Returns how long ``steps`` steps from the start take [s], without the way back to the start."""
     sim.reset()
-    wp.synchronize_device(sim.model.device)
+    _wait(sim)
     start = time.perf_counter()
     sim.step(steps)
-    wp.synchronize_device(sim.model.device)
+    _wait(sim)
     return time.perf_counter() - start
+
+
+def _wait(sim: Simulation) -> None:
+    for device in sim.model.devices:
+        wp.synchronize_device(device)
 
 
 def seconds_of_runs(sim: Simulation, steps: int, at_least: float) -> float:

@@ -16,9 +16,9 @@ from scipy.interpolate import PchipInterpolator
 from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.compare import samples
+from warpcontact.environments import Environments
 from warpcontact.kernels.laws.base import Law
 from warpcontact.meshes import grid
-from warpcontact.model import Model
 from warpcontact.scene import Scene, Template
 from warpcontact.simulation import Simulation
 from warpcontact.status import Status
@@ -237,7 +237,7 @@ def _index(chosen: Mapping[str, Any], label: str) -> int:
     return list(chosen).index(label)
 
 
-def _left(model: Model, chosen: Sequence[Case]) -> NDArray[np.bool_]:
+def _left(model: Environments, chosen: Sequence[Case]) -> NDArray[np.bool_]:
     """Returns which spheres are free and on their way out, (law, env)."""
     gone = []
     for k, case in enumerate(chosen):
@@ -267,7 +267,7 @@ def _works(laws: Mapping[str, Law], depths: Array, impact: Impact) -> dict[str, 
     return works
 
 
-def _model(laws: Mapping[str, Law], height: Array, speeds: Array, depth: float, impact: Impact) -> Model:
+def _model(laws: Mapping[str, Law], height: Array, speeds: Array, depth: float, impact: Impact) -> Environments:
     """Returns spheres for impacts of ``depth``, lowest points at ``height``, going down at ``speeds`` (env,)."""
     radius = RADIUS * depth
     scene = Scene(gravity=(0.0, 0.0, 0.0))

@@ -16,10 +16,10 @@ from warpcontact._version import __version__
 from warpcontact.checks import Array
 from warpcontact.compare import samples
 from warpcontact.compare.labels import notes, settings
+from warpcontact.environments import Environments
 from warpcontact.kernels.frictions.base import Friction
 from warpcontact.kernels.laws.hooke import Hooke
 from warpcontact.meshes import grid
-from warpcontact.model import Model
 from warpcontact.recorder import Recorder
 from warpcontact.scene import Scene, Template
 from warpcontact.simulation import Simulation
@@ -147,8 +147,9 @@ def swings(
             simulation.step()
         # Place and speed of this frame, as a step with that speed would have made them.
         state[0, ..., 0], state[1, ..., 0] = (sizes * place[frame])[:, None], (sizes * speeds[frame])[:, None]
-        simulation.state.body_position.assign(state[0])
-        simulation.state.body_linear_velocity.assign(state[1])
+        for part, own in model.shares():
+            part.state.body_position.assign(state[0, own])
+            part.state.body_linear_velocity.assign(state[1, own])
         recorder.take(frame * dt)
     recording = recorder.finish({})
     coefficient = np.array([-recording[name].values[..., 0].T / load for name in forces])
@@ -237,7 +238,7 @@ def _settling(chosen: Mapping[str, Friction], load: float, device: str) -> float
     return 30.0 * max(_yield_distances(chosen, load, device).values())
 
 
-def _slide(model: Model, duration: float, fastest: float) -> None:
+def _slide(model: Environments, duration: float, fastest: float) -> None:
     """Slides for ``duration`` [s], in steps that grow from what is short at the highest speed [m/s]."""
     time = SHORTEST / fastest
     Simulation(model, time).step()
@@ -247,7 +248,7 @@ def _slide(model: Model, duration: float, fastest: float) -> None:
         time += dt
 
 
-def _model(chosen: Mapping[str, Friction], load: float, velocity: Array, device: str) -> Model:
+def _model(chosen: Mapping[str, Friction], load: float, velocity: Array, device: str) -> Environments:
     """Returns spheres pressed on a plate with ``load`` [N] that slide with ``velocity`` (env, 3) [m/s]."""
     scene = Scene(gravity=(0.0, 0.0, -load / HEAVY))
     plate = scene.add_surface(grid((1.0e4, 1.0e4)), name="plate")

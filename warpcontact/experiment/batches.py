@@ -40,9 +40,11 @@ class Batches:
         self.simulation = simulation
         self.plan = plan
         self.settings = settings
-        parameters = simulation.model.parameters
+        model = simulation.model
         # As all environments take them: for a few, a shape may mean something else.
-        self.values = {name: parameters[name].parse(values, plan.envs) for name, values in varied.items()}
+        self.values = {
+            name: model.find_parameter(name).parse(values, plan.envs) for name, values in varied.items()
+        }
         self.frozen: list[int] = []
         self.wall_time = 0.0
         self._said: set[str] = set()

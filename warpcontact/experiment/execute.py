@@ -15,6 +15,7 @@ import warp as wp
 
 from warpcontact._version import __version__
 from warpcontact.checks import Array
+from warpcontact.environments import Environments
 from warpcontact.experiment import result
 from warpcontact.experiment.batches import Batches, opened
 from warpcontact.experiment.notices import Notices
@@ -23,7 +24,6 @@ from warpcontact.experiment.result import Copy, Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.toml import to_toml
 from warpcontact.health import Health
-from warpcontact.model import Model
 from warpcontact.recorder import Recording
 from warpcontact.simulation import Simulation
 
@@ -53,7 +53,7 @@ class Job:
     notices: Notices
 
 
-def execute(model: Model, job: Job) -> Run:
+def execute(model: Environments, job: Job) -> Run:
     """Runs ``job`` and writes the results; if interrupted, only ``run.json`` is left, which says so.
 
     Args:
@@ -75,7 +75,7 @@ def execute(model: Model, job: Job) -> Run:
         raise
 
 
-def _first_summary(model: Model, job: Job) -> dict[str, Any]:
+def _first_summary(model: Environments, job: Job) -> dict[str, Any]:
     settings = job.settings
     laws = {name: hashlib.sha256(content).hexdigest() for name, content in job.copy.files.items()}
     return {
@@ -91,7 +91,7 @@ def _first_summary(model: Model, job: Job) -> dict[str, Any]:
         },
         "machine": platform.platform(),
         "host": platform.node(),
-        "device": str(model.device) if model.device.is_cpu else f"{model.device} ({model.device.name})",
+        "device": ", ".join(str(one) if one.is_cpu else f"{one} ({one.name})" for one in model.devices),
         "precision": settings.precision,
         "seed": settings.seed,
         "envs": settings.envs,
@@ -112,7 +112,7 @@ def _execute(simulation: Simulation, run: "_AtOnce | _InBatches", job: Job, summ
         files[name] = folder / name
         files[name].write_bytes(content)
 
-    job.say(f"compiling for {simulation.model.device}")
+    job.say(f"compiling for {', '.join(map(str, simulation.model.devices))}")
     simulation.step()  # compiles what is not in the cache; the time of the run is then that of stepping
     simulation.reset()
     files["recording"] = folder / result.RECORDING

@@ -1,12 +1,13 @@
 """Experiments: a scene, what varies between its environments, how long, and what is recorded."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from warpcontact.build import draw_up
 from warpcontact.draft import Draft
+from warpcontact.environments import Environments
 from warpcontact.experiment import result
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FileMesh
@@ -23,6 +24,7 @@ from warpcontact.experiment.variation import Draw, truncated
 from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import whole_steps
+from warpcontact.split_model import SplitModel
 
 # Frames of a recording for which nothing else is asked.
 FRAMES = 100
@@ -99,12 +101,13 @@ class Experiment:
         problems.stop(self.source)
         return scene
 
-    def model(self, envs: int | None = None, device: str = "auto") -> Model:
+    def model(self, envs: int | None = None, device: str | Sequence[str] = "auto") -> Model | SplitModel:
         """Builds the environments, each with its own values of what varies.
 
         Args:
             envs: Number of environments; ``None``: that of the experiment.
-            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if there is one.
+            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any; ``"cuda"``: all GPUs, or a
+                list of devices, over which the environments are split.
 
         Raises:
             ExperimentError: If there is no such device, or a value is out of range.
@@ -139,7 +142,7 @@ class Experiment:
         out: str | PathLike[str],
         *,
         envs: int | None = None,
-        device: str = "auto",
+        device: str | Sequence[str] = "auto",
         duration: float | None = None,
         overwrite: bool = False,
         progress: bool | None = None,
@@ -156,7 +159,8 @@ class Experiment:
         Args:
             out: The folder; made if there is none.
             envs: Number of environments; ``None``: that of the experiment.
-            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: a GPU if there is one.
+            device: ``"cpu"``, ``"cuda:0"``, …; ``"auto"``: one GPU if there is any; ``"cuda"``: all GPUs, or a
+                list of devices, over which the environments are split.
             duration: Simulated time [s]; ``None``: that of the experiment.
             overwrite: Whether the files of an earlier run in the folder may be replaced.
             progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
@@ -183,7 +187,7 @@ class Experiment:
         self,
         folder: Path,
         copy: result.Copy,
-        device: str,
+        device: str | Sequence[str],
         progress: bool | None,
         batch: int | None,
         say: Callable[[str], None],
@@ -204,7 +208,7 @@ class Experiment:
         self,
         *,
         envs: int | None = None,
-        device: str = "auto",
+        device: str | Sequence[str] = "auto",
         duration: float | None = None,
         batch: int | None = None,
     ) -> Plan:
@@ -217,14 +221,14 @@ class Experiment:
             changed = self.changed(envs=envs, duration=duration)
             return make_plan(changed._draft(device), changed._size, changed.settings, changed._values, batch)
 
-    def _draft(self, device: str) -> Draft:
+    def _draft(self, device: str | Sequence[str]) -> Draft:
         """Prepares the environments on ``device``."""
         try:
             return draw_up(self.scene(), device, self.settings.precision)
         except ValueError as error:
             raise ExperimentError(self.source, [str(error)]) from None
 
-    def _build(self, device: str) -> Model:
+    def _build(self, device: str | Sequence[str]) -> Model | SplitModel:
         """Builds all environments on ``device``."""
         model = self._draft(device).build(self.settings.envs)
         for name, values in self._values.items():
@@ -243,7 +247,7 @@ class Experiment:
             self._check_with(model, parts, problems)
         problems.stop(self.source)
 
-    def _check_with(self, model: Model, parts: Parts, problems: Problems) -> None:
+    def _check_with(self, model: Environments, parts: Parts, problems: Problems) -> None:
         """Checks what needs to know parameters and readings, and fills in what follows from them."""
         present = set(model.scene.element_names())
 
@@ -270,7 +274,7 @@ class Experiment:
             self._size = recording_size(model, readings, self._values, settings.envs)
 
     @staticmethod
-    def _interval(model: Model, settings: Settings, problems: Problems) -> float:
+    def _interval(model: Environments, settings: Settings, problems: Problems) -> float:
         """Returns the time between frames [s]."""
         every = settings.record.every
         if every is None:
@@ -302,7 +306,7 @@ def default_interval(settings: Settings) -> float:
     return float(f"{steps * settings.dt:.12g}")
 
 
-def default_readings(model: Model) -> list[str]:
+def default_readings(model: Environments) -> list[str]:
     """Returns the readings of an experiment that names none: gap and force of single points, and the energy."""
     single = [contact.name for contact in model.scene.contacts if contact.points.single]
     return [f"{name}.{key}" for name in single for key in ("gap", "normal_force")] + ["scene.kinetic_energy"]

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from warpcontact.available import HOST, Room
 from warpcontact.checks import Array
-from warpcontact.draft import Draft
+from warpcontact.draft import Draft, PartDraft
+from warpcontact.environments import Environments
 from warpcontact.experiment.result import CHUNK
 from warpcontact.experiment.schema import Settings
 from warpcontact.footprint import (
@@ -19,9 +20,9 @@ from warpcontact.footprint import (
     rooms_of,
     said,
     shortage,
+    total,
     usable,
 )
-from warpcontact.model import Model
 from warpcontact.recorder import Recorder, RecordingSize
 from warpcontact.simulation import frame_count, recorded_steps
 
@@ -79,7 +80,7 @@ class Plan:
 def make_plan(
     draft: Draft, size: RecordingSize, settings: Settings, varied: Mapping[str, Array], batch: int | None
 ) -> Plan:
-    """Returns how the experiment runs on the device of ``draft``.
+    """Returns how the experiment runs on the devices of ``draft``.
 
     Args:
         draft: Its scene, ready to be built.
@@ -92,15 +93,18 @@ def make_plan(
         MemoryError: If ``batch`` environments do not fit; says how many do.
     """
     frames = frame_count(*recorded_steps(settings.duration, settings.record.every, settings.dt))
-    device = str(draft.device)
+
+    def recording(part: PartDraft, envs: int) -> Footprint:
+        device = str(part.device)
+        needs = [*part.measures_needs(part.device, size.measured, envs), *size.needs(device, envs, frames)]
+        return Footprint(envs, device, tuple(needs))
 
     def footprint(envs: int) -> Footprint:
         writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, frames) // 2)
         drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames))
         return draft.memory(envs, varied, crossing_steps=settings.crossing_steps).with_needs(
             [
-                *draft.measures_needs(draft.device, size.measured, envs),
-                *size.needs(device, envs, frames),
+                *total(recording(part, own) for part, own in draft.shares(envs)).needs,
                 Need("values", HOST, sum(values.nbytes for values in varied.values())),
                 Need("writing", HOST, max(writing, drawing)),
             ]
@@ -114,7 +118,7 @@ def make_plan(
     elif batch is not None and most < wanted and (room := shortage(footprint(wanted), rooms)) is not None:
         takes = footprint(wanted)
         advice = f"at most {most} at once" if most else "not even one environment"
-        message = f"batch {batch}: {said(takes, room)}; {advice} fits on {device}"
+        message = f"batch {batch}: {said(takes, room)}; {advice} fits on {takes.device}"
         raise MemoryShortage(message, takes.on(room.place), usable(room), most)
     chosen = batch_size(most, settings.envs) if most else 0
     return Plan(settings.envs, chosen, footprint(chosen or 1), size.on_host(settings.envs, frames), rooms)
@@ -130,17 +134,19 @@ def batch_size(most: int, envs: int) -> int:
     return -(-equal // grain) * grain
 
 
-def recording_size(model: Model, readings: Collection[str], varied: Collection[str], envs: int) -> RecordingSize:
+def recording_size(
+    model: Environments, readings: Collection[str], varied: Collection[str], envs: int
+) -> RecordingSize:
     """Returns what the recording of ``envs`` environments takes, from a model of any number of them."""
     return Recorder(model, readings, 1, poses=True, parameters=kept(model, varied, envs)).size()
 
 
-def kept(model: Model, varied: Collection[str], envs: int) -> list[str]:
+def kept(model: Environments, varied: Collection[str], envs: int) -> list[str]:
     """Returns the parameters that a recording of ``envs`` environments keeps because some vary.
 
     These and all that are stored with them, as they have a value per environment then, too.
     """
     if envs == 1:
         return list(varied)
-    fields = {id(model.parameters[name].field) for name in varied}
-    return [*varied, *(name for name, one in model.parameters.items() if id(one.field) in fields)]
+    fields = {id(model.find_parameter(name).field) for name in varied}
+    return [*varied, *(name for name in model if id(model.find_parameter(name).field) in fields)]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from warpcontact import meshes
+from warpcontact.environments import Environments
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FormulaSettings, own_class
 from warpcontact.experiment.errors import Problems
@@ -15,11 +16,10 @@ from warpcontact.experiment.own import blame
 from warpcontact.experiment.reading import Parts
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.laws import Hooke
-from warpcontact.model import Model
 from warpcontact.scene import Scene, Template
 
 
-def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Model | None:
+def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Environments | None:
     """Returns a model of what is sound; ``None`` if there is none.
 
     Args:
@@ -53,7 +53,7 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Mod
     return model
 
 
-def _built(scene: Scene, precision: str) -> tuple[Model | None, Exception | None]:
+def _built(scene: Scene, precision: str) -> tuple[Environments | None, Exception | None]:
     """Returns a model of one environment, or why there is none."""
     if not scene.bodies:
         return None, None

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array
+from warpcontact.environments import Environments
 from warpcontact.experiment.errors import Problems, key_path, suggestion
 from warpcontact.experiment.schema import SolidSphere, VariationSettings
-from warpcontact.model import Model
 from warpcontact.parameters import Parameter
 
 # How the two numbers or vectors a, b of an entry become rows for n environments.
@@ -59,7 +59,7 @@ class Draw:
 
     Args:
         variation: What varies.
-        model: Model of the same scene, of any number of environments; it is not changed.
+        model: Environments of the same scene, of any number of environments; it is not changed.
         envs: Number of environments; ``None``: unknown, so that lists may be of any length.
         seed: Seed of the experiment.
         unsound: Tells of the name of a parameter whether its element has problems of its own.
@@ -72,7 +72,7 @@ class Draw:
     def __init__(
         self,
         variation: Mapping[str, VariationSettings],
-        model: Model,
+        model: Environments,
         envs: int | None,
         seed: int,
         problems: Problems,
@@ -98,7 +98,7 @@ class Draw:
             if not self.unsound(name):
                 self.problems.add(path, f"is not the name of a parameter{self._hint(name)}")
             return
-        parameter = self.model.parameters[name]
+        parameter = self.model.find_parameter(name)
         kind, problems_before = entry.kind, len(self.problems.lines)
         if entry.solid_sphere is not None:
             values = self._solid_sphere(f"{path}.{kind}", name, entry.solid_sphere)
@@ -162,7 +162,7 @@ class Draw:
             if not self.unsound(source):
                 self.problems.add(path, f"must be a number or the name of a parameter{self._hint(source)}")
             return None
-        parameter = self.model.parameters[source]
+        parameter = self.model.find_parameter(source)
         if parameter.tail or not parameter.single:
             self.problems.add(path, f"must be a parameter that is one number, got {source!r}")
             return None
@@ -183,7 +183,7 @@ class Draw:
         for surface in self.model.scene.surfaces:
             if name == f"{surface.name}.mesh":
                 return f": {surface.name!r} has one mesh; give it several as mesh = [{{ … }}, {{ … }}]"
-        known = list(self.model.parameters)
+        known = list(self.model)
         element, last = name.partition(".")[0], name.rpartition(".")[2]
         # The part in between is what one forgets: feet.mu for feet.friction.mu.
         alike = [other for other in known if other.startswith(f"{element}.") and other.endswith(f".{last}")]

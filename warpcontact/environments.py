@@ -1,0 +1,242 @@
+"""What can be done with many environments of one scene, on whatever devices they are."""
+
+import difflib
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from warpcontact.checks import Array
+from warpcontact.footprint import Footprint, total
+from warpcontact.health import Health
+from warpcontact.parameters import Parameter
+from warpcontact.readings import Reading
+from warpcontact.scene import Scene
+from warpcontact.stepping import stepping_footprint
+
+if TYPE_CHECKING:
+    from warpcontact.model import Model, State
+
+
+class Environments(ABC):
+    """Many environments of one scene, in parts side by side: the interface of ``Model`` and of ``SplitModel``.
+
+    Attributes:
+        scene: The scene they were built from.
+        envs: Their number.
+        first_env: Number of the first, 0 unless they are a batch of more.
+        precision: ``"float32"`` or ``"float64"``.
+    """
+
+    scene: Scene
+    envs: int
+    first_env: int
+    precision: str
+
+    @property
+    @abstractmethod
+    def parts(self) -> tuple["Model", ...]:
+        """The models, each on one device, that make up the environments, in their order."""
+
+    @property
+    @abstractmethod
+    def state(self) -> "State":
+        """The current state, where all environments are on one device: arrays (envs, bodies)."""
+
+    def shares(self) -> Iterator[tuple["Model", slice]]:
+        """Iterates over the parts, each with the environments of the whole that it has."""
+        for part in self.parts:
+            first = part.first_env - self.first_env
+            yield part, slice(first, first + part.envs)
+
+    @property
+    def devices(self) -> tuple[wp.Device, ...]:
+        """The Warp device of each part."""
+        return tuple(part.device for part in self.parts)
+
+    # Steps and complete resets of the whole set clock and start of all parts alike.
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the last complete reset [s]."""
+        return max(part.elapsed for part in self.parts)
+
+    @property
+    def at_start(self) -> bool:
+        """Whether the state is still the initial one, which then follows its parameters."""
+        return all(part.untouched for part in self.parts)
+
+    def __getitem__(self, name: str) -> Array:
+        """Returns a copy of parameter ``name``, (envs, …). That of a state is the initial one."""
+        self.find_parameter(name)
+        return np.concatenate([part.parameters[name].read(part.envs) for part in self.parts])
+
+    def __setitem__(self, name: str, value: ArrayLike) -> None:
+        """Sets parameter ``name`` from one value or one per environment.
+
+        A parameter of the state is the initial one; before the first step it sets the current one, too.
+
+        Raises:
+            KeyError: If there is no such parameter.
+            ValueError: If the value is not allowed; nothing is changed then.
+        """
+        self.assign(name, self.find_parameter(name).parse(value, self.envs))
+
+    def assign(self, name: str, values: Array) -> None:
+        """Sets parameter ``name`` from what ``Parameter.parse`` returned, (1 or envs, 1 or items, …).
+
+        Raises:
+            KeyError: If there is no such parameter.
+            ValueError: If the values do not fit into the precision of the device; nothing is changed then.
+        """
+        self.find_parameter(name)
+        shared = len(values) == 1
+        changed = [(part, part.parameters[name], own) for part, own in self.shares()]
+        before = [parameter.field.copy() for _, parameter, _ in changed]
+        try:
+            for part, parameter, own in changed:
+                parameter.field.assign(
+                    parameter.items, values if shared else values[own], part.envs, shared=shared
+                )
+            # All of it before any is sent: that a value does not fit the device shows here.
+            contents = [[upload.content() for upload in parameter.uploads] for _, parameter, _ in changed]
+            for (part, parameter, _), content in zip(changed, contents, strict=True):
+                part.send(parameter.uploads, content)
+        except Exception:
+            for (part, parameter, _), earlier in zip(changed, before, strict=True):
+                parameter.field.restore(earlier)
+                part.send(parameter.uploads, [upload.content() for upload in parameter.uploads])
+            raise
+        if self.at_start and any(part.starts_from(parameter) for part, parameter, _ in changed):
+            self.reset()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.parts[0].parameters
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterates over the names of all parameters."""
+        return iter(self.parts[0].parameters)
+
+    def find_parameter(self, name: str) -> Parameter:
+        """Returns what is known of parameter ``name``; the values are those of the first part.
+
+        Raises:
+            KeyError: If there is none; the message says what may have been meant.
+        """
+        parameters = self.parts[0].parameters
+        if name in parameters:
+            return parameters[name]
+        if name in self.parts[0].readings:
+            raise KeyError(f"{name!r} is a reading, not a parameter; use model.reading({name!r})")
+        element, _, quantity = name.rpartition(".")
+        for contact in self.scene.contacts:
+            for part, formula in contact.template.formulas.items():
+                if element == f"{contact.name}.{part}" and quantity in formula.__dataclass_fields__:
+                    raise KeyError(
+                        f"no parameter {name!r}: the {type(formula).__name__} of {contact.name!r} was made "
+                        f"without {quantity}; it has {', '.join(formula.parameters())}"
+                    )
+        return _look_up("parameter", name, parameters)
+
+    def varies(self, name: str) -> bool:
+        """Whether each environment has a value of its own of parameter ``name``, be they equal or not."""
+        fields = [part.parameters[name].field for part in self.parts]
+        first = fields[0].values[0]
+        return any(not field.shared or (field.values[0] != first).any() for field in fields)
+
+    def reset(self, env_mask: ArrayLike | None = None) -> None:
+        """Puts environments back to their initial state, with empty history.
+
+        Args:
+            env_mask: Booleans (envs,) of the environments to reset; ``None``: all.
+        """
+        if env_mask is None:
+            mask = np.ones(self.envs, dtype=bool)
+        else:
+            mask = np.asarray(env_mask)
+            if mask.dtype != bool or mask.shape != (self.envs,):
+                raise ValueError(
+                    f"env_mask must be {self.envs} booleans, got shape {mask.shape} of {mask.dtype} values"
+                )
+        for part, own in self.shares():
+            if mask[own].any():
+                part.restart(mask[own])
+        if mask.all():
+            for part in self.parts:
+                part.untouched = True
+                part.elapsed = 0.0
+
+    def evaluate(self) -> None:
+        """Computes contacts and wrenches of the current state; changes neither state nor history."""
+        for part in self.parts:
+            part.prepare({"contacts"})
+
+    def find_reading(self, name: str) -> Reading:
+        """Returns what is known of reading ``name``; its array is that of the first part.
+
+        Raises:
+            KeyError: If there is none; the message suggests the nearest name.
+        """
+        return _look_up("reading", name, self.parts[0].readings)
+
+    @property
+    def reading_names(self) -> tuple[str, ...]:
+        """Names of all readings."""
+        return tuple(self.parts[0].readings)
+
+    def reading(self, name: str) -> NDArray[Any]:
+        """Measures ``name`` at the current state.
+
+        Returns:
+            A new array (envs,), or (envs, item) for a set of points, with a last axis for vectors.
+
+        Raises:
+            KeyError: If there is no such reading.
+        """
+        needs = {*self.find_reading(name).needs}
+        # All parts are at work before the first is waited for.
+        for part in self.parts:
+            part.prepare(needs)
+        return self.measured(name)
+
+    def measured(self, name: str) -> NDArray[Any]:
+        """Returns reading ``name`` as it was computed last, in a new array."""
+        # On the CPU what is read is a view of memory that the next step overwrites; this copies it.
+        values = [part.readings[name].array(part.arrays).numpy() for part in self.parts]
+        return self.find_reading(name).finish(np.concatenate(values))
+
+    def health(self) -> Health:
+        """Returns which environments are frozen."""
+        return Health.of_status(np.concatenate([part.arrays.status.numpy() for part in self.parts]))
+
+    def memory(self) -> Footprint:
+        """Returns what the environments take of memory as they are, and a simulation that steps them.
+
+        That is the arrays of the model with what was measured so far, and a ``Simulation`` with default options;
+        recordings come on top. ``print(model.memory())`` tells what for, where and how much.
+        """
+        stepping = stepping_footprint([(part, part.envs) for part in self.parts])
+        return self.footprint().with_needs(stepping.needs)
+
+    def footprint(self) -> Footprint:
+        """Returns what the model alone takes of memory."""
+        return total(Footprint(part.envs, str(part.device), tuple(part.needs())) for part in self.parts)
+
+    def __repr__(self) -> str:
+        first = self.parts[0]
+        return (
+            f"<{type(self).__name__} of {self.envs} environments: {first.body_count} bodies, "
+            f"{first.contact_count} contacts, {self.precision} on {', '.join(map(str, self.devices))}>"
+        )
+
+
+def _look_up(kind: str, name: str, table: dict[str, Any]) -> Any:
+    try:
+        return table[name]
+    except KeyError:
+        close = difflib.get_close_matches(name, table, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(table) or 'none'}"
+        raise KeyError(f"no {kind} {name!r}; {hint}") from None
