@@ -100,15 +100,16 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     start_of = dict(zip(contacts, starts, strict=False))
 
     bodies, each, parts = per_env(len(scene.bodies)), per_env(starts[-1]), per_env(blocks.count)
+    records = starts[-1] > 1  # a few of many contacts are near; of one contact neighbours are those of other envs
     arrays = SimpleNamespace(
         model=t.Model(),
         initial=t.State(),
         state=layout.struct("state", t.State, bodies),
         wrenches=layout.struct("state", t.Wrenches, bodies),
-        history=layout.struct("contacts", t.History, each, records=True),
-        contacts=layout.struct("contacts", t.Contacts, each, records=True),
+        history=layout.struct("contacts", t.History, each, records=records),
+        contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
-        cache=_cache(t, layout, len(contacts), blocks.count, starts[-1]),
+        cache=_cache(t, layout, len(contacts), blocks.count, starts[-1], records),
         status=None,
         time=None,
         instant=None,
@@ -145,7 +146,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     )
 
 
-def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int) -> Any:
+def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int, records: bool) -> Any:
     shapes = {name: per_env(sets) for name in t.Cache.vars if name.startswith("set_")}
     faces = per_env(contacts * types.REMEMBERED)
     queued = layout.device.is_cuda
@@ -153,7 +154,7 @@ def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts:
         "cache",
         t.Cache,
         per_env(contacts),
-        records=True,
+        records=records,
         **shapes,
         # What blocks look through lies by contact.
         wake=per_env(contacts),
