@@ -244,7 +244,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 # Wherever rounding matters, the choice is looked at again.
                 unsure = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
                 inside = inner(model, foot)
-                doubtful = inside or foot.distance < reach + unsure or model.patch_doubtful[patch]
+                doubtful = inside or foot.distance < reach + unsure or model.patch_thin[patch] > real(0.0)
                 doubtful = doubtful or wp.abs(foot.distance - seen) < unsure or (option & LATCHED) != 0
                 keep = cached and (inside or foot.distance < reach + model.patch_skin[patch])
                 if cached:

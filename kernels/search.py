@@ -165,12 +165,12 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def faces_about(model: Model, patch: int, p: vec3, reach: real):
-        """Faces within ``reach`` as float32 tells, which has to be wide enough for that.
+        """Faces within ``reach``, which has to be wide enough for rounding, and some others.
 
-        On fine meshes those in a box would be many more.
+        In float32 a point of a thin face is taken for its nearest that is not, but it is one of the face.
         """
         centre = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-        return wp.mesh_query_sphere(model.patch_mesh[patch], centre, wp.float32(reach))
+        return wp.mesh_query_sphere(model.patch_mesh[patch], centre, wp.float32(reach + model.patch_thin[patch]))
 
     @wp.func
     def nearest_of_all(model: Model, patch: int, p: vec3, first: Foot, margin: real):

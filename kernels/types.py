@@ -123,7 +123,7 @@ def structs(real: type) -> SimpleNamespace:
         patch_surface: wp.array(dtype=wp.int32)  # [patch]
         patch_face_start: wp.array(dtype=wp.int32)  # [patch + 1] first row in the tables below
         patch_slack: wp.array(dtype=real)  # [patch] how far a float32 query may be off, unit of the mesh
-        patch_doubtful: wp.array(dtype=wp.bool)  # [patch] whether that is more than rounding
+        patch_thin: wp.array(dtype=real)  # [patch] longest edge of faces where that is not rounding; 0: none
         patch_skin: wp.array(dtype=real)  # [patch] how much farther faces are remembered than the nearest
         patch_sides: wp.array(dtype=wp.int32)  # [patch] SIDES_*: where a point keeps the side that it is on
         patch_wall_start: wp.array(dtype=wp.int32)  # [patch + 1] first row of its walls

@@ -166,7 +166,7 @@ def upload_patches(made: Patches, model: Any, layout: Layout, t: SimpleNamespace
     send("patch_face_start", starts, wp.int32)
     errors = [_query_error(patch) for patch in patches]
     send("patch_slack", [slack for slack, _ in errors], t.real)
-    send("patch_doubtful", [doubtful for _, doubtful in errors], wp.bool)
+    send("patch_thin", [thin for _, thin in errors], t.real)
     send("patch_skin", [patch.skin for patch in patches], t.real)
     send("patch_sides", [patch.sides.kind for patch in patches], wp.int32)
     walls = [patch.sides for patch in patches]
@@ -249,8 +249,8 @@ def _neighbors(edge: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]) -
     return neighbor.reshape(edge.shape)
 
 
-def _query_error(patch: Patch) -> tuple[float, bool]:
-    """Returns how far the float32 query may be off, and whether this is more than rounding.
+def _query_error(patch: Patch) -> tuple[float, float]:
+    """Returns how far the float32 query may be off, and the longest edge of the faces where this is not rounding.
 
     The query's areas lose ε (length/height)² of the length along a triangle, and at most its height in distance.
     """
@@ -262,4 +262,4 @@ def _query_error(patch: Patch) -> tuple[float, bool]:
     lost = epsilon * longest * (longest / height) ** 2
     rounding = 16.0 * epsilon * (np.abs(corner).max() + longest)
     slack = float((np.minimum(lost, height) + rounding).max())
-    return slack, bool((lost > rounding).any())
+    return slack, float(longest[lost > rounding].max(initial=0.0))
