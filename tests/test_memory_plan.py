@@ -182,15 +182,15 @@ def test_one_environment_more_takes_as_much_as_is_said(device):
 
 
 def test_a_footprint_says_what_for_and_where(device):
-    model = ball_scene().build(4096, device)
+    model = ball_scene().build(16384, device)
     memory = model.memory()
     text = str(memory)
     for purpose in ("state", "contacts", "cache", "surfaces", "parameters", "stepping", "launches"):
         assert memory.of(purpose) > 0
         assert f"  {purpose}" in text
-    assert text.startswith("4096 environments on ")
+    assert text.startswith("16384 environments on ")
     assert "MiB" in repr(memory)
-    assert memory.of("surfaces") <= memory.fixed_bytes < memory.bytes_per_env * 4096
+    assert memory.of("surfaces") <= memory.fixed_bytes < memory.bytes_per_env * 16384
     assert " in any case" in text
     if model.device.is_cpu:
         assert memory.device_bytes == 0  # there is one memory, the host's

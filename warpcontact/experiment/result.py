@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import xarray as xr
-import zarr
 
 from warpcontact._version import __version__
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, ShapeMesh, own_class
@@ -235,6 +234,8 @@ def add_to_recording(recording: xr.Dataset, path: Path, *, new: bool) -> None:
 
 def complete_recording(path: Path, attributes: Mapping[str, Any]) -> None:
     """Adds attributes to a store, and all metadata in one place, where xarray looks for it first."""
+    import zarr
+
     zarr.open_group(path, mode="r+").attrs.update(attributes)
     with warnings.catch_warnings():
         # Others may pass over it.
