@@ -17,10 +17,11 @@ if TYPE_CHECKING:
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
-    from warpcontact.kernels import frictions, laws
+    from warpcontact.kernels import frictions, laws, motions
     from warpcontact.kernels.formula import memory, parameter
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
+    from warpcontact.kernels.motions.base import Motion
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
     from warpcontact.recorder import Recording
@@ -45,6 +46,7 @@ _HOME = {
     "MeshError": "warpcontact.meshes",
     "MeshReport": "warpcontact.meshes",
     "Model": "warpcontact.model",
+    "Motion": "warpcontact.kernels.motions.base",
     "Points": "warpcontact.elements",
     "Recording": "warpcontact.recorder",
     "Scene": "warpcontact.scene",
@@ -63,6 +65,7 @@ _HOME = {
     "load_mesh": "warpcontact.meshes",
     "memory": "warpcontact.kernels.formula",
     "meshes": "warpcontact.meshes",
+    "motions": "warpcontact.kernels.motions",
     "parameter": "warpcontact.kernels.formula",
     "sample_surface": "warpcontact.meshes",
 }
@@ -81,6 +84,7 @@ __all__ = [
     "MeshError",
     "MeshReport",
     "Model",
+    "Motion",
     "Points",
     "Recording",
     "Scene",
@@ -100,6 +104,7 @@ __all__ = [
     "load_mesh",
     "memory",
     "meshes",
+    "motions",
     "parameter",
     "sample_surface",
 ]

@@ -13,6 +13,7 @@ from warpcontact.devices import spread
 from warpcontact.footprint import Footprint, Need, require, total
 from warpcontact.groups import Group, compile_group
 from warpcontact.model import Model
+from warpcontact.motions import Drive
 from warpcontact.of_scene import OfScene
 from warpcontact.parameters import Parameters, needs_of
 from warpcontact.readings import Reading
@@ -34,6 +35,7 @@ class PartDraft(OfScene):
         arrays: The arrays, once they are built.
         parameters: The parameters.
         groups: The contacts by the code of their laws and frictions.
+        drives: The bodies that follow functions of time, by class.
         blocks: The contacts by what lies together.
         readings: What can be measured.
         meshes: What is searched, once it is built.
@@ -48,6 +50,7 @@ class PartDraft(OfScene):
     arrays: SimpleNamespace
     parameters: Parameters
     groups: list[Group]
+    drives: list[Drive]
     blocks: Blocks
     readings: dict[str, Reading]
     meshes: list[wp.Mesh]
@@ -61,10 +64,12 @@ class PartDraft(OfScene):
         """Returns the model of ``envs`` environments; once.
 
         Raises:
-            TypeError: If a law or friction does not compile.
+            TypeError: If a law, friction or motion does not compile.
         """
         for group in self.groups:
             compile_group(group, self.device, self.types.real)
+        for drive in self.drives:
+            drive.compile(self.device, self.types.real)
         self.layout.allocate(envs)
         return Model(
             scene=self.scene,
@@ -77,6 +82,7 @@ class PartDraft(OfScene):
             parameters=self.parameters.by_name,
             uploads=self.parameters.uploads,
             groups=self.groups,
+            drives=self.drives,
             blocks=self.blocks,
             readings=self.readings,
             meshes=self.meshes,

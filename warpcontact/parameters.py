@@ -272,7 +272,7 @@ def pack(struct: Any, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
     items = max(column.shape[1] for column in columns.values())
     packed = np.zeros((envs, items), dtype=struct.numpy_dtype())
     for name, column in columns.items():
-        packed[name] = rounded(name, column, packed.dtype[name])
+        packed[name] = rounded(name, column, packed.dtype[name].base)
     return packed
 
 

@@ -28,8 +28,10 @@ from warpcontact.elements import (
     needs_radius,
 )
 from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.motions import Free, Motion
 from warpcontact.meshes import Mesh, SurfaceSamples
 from warpcontact.meshes.groups import face_mask
+from warpcontact.start import check_start
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
@@ -62,6 +64,7 @@ class Scene:
         linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
         angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
         *,
+        motion: Motion | None = None,
         name: str | None = None,
         color: ArrayLike | None = None,
     ) -> Body:
@@ -75,6 +78,9 @@ class Scene:
             orientation: Initial rotation body → world, quaternion (x, y, z, w).
             linear_velocity: Initial velocity of the centre of mass, world [m/s].
             angular_velocity: Initial angular velocity, world axes [rad/s].
+            motion: How it may move, of ``wc.motions`` or your own ``wc.Motion``; ``None``: free. Axes and anchors
+                are those of the initial pose, in the world. On a hinge or a ball the linear velocity follows from
+                the angular one and may be left out.
             name: Name in parameters and readings; made up if not given.
             color: Display colour, RGB in 0…1.
 
@@ -99,8 +105,10 @@ class Scene:
             ),
             linear_velocity=checks.numbers(f"{name}.linear_velocity", linear_velocity, (3,), limits("m/s")),
             angular_velocity=checks.numbers(f"{name}.angular_velocity", angular_velocity, (3,), limits("rad/s")),
+            motion=Free() if motion is None else motion,
             color=checks.color(f"{name}.color", color),
         )
+        check_start(body)
         self.bodies.append(body)
         self._elements[name] = body
         return body

@@ -13,10 +13,10 @@ from warpcontact.build import PRECISIONS
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
     FileMesh,
+    FormulaTable,
     Section,
     ShapeMesh,
     SurfaceMesh,
-    TemplateFormula,
     formula_model,
     mesh_model,
     settings_model,
@@ -68,6 +68,7 @@ class BodySettings(Section):
     orientation: Quaternion = NO_ROTATION
     linear_velocity: Annotated[tuple[float, ...], q.velocity] = ORIGIN
     angular_velocity: Annotated[tuple[float, ...], q.angular_velocity] = ORIGIN
+    motion: FormulaTable | None = None
     color: Color | None = None
 
 
@@ -120,10 +121,10 @@ class TemplateSettings(Section):
     """``[[template]]``: a law, and frictions against sliding, rolling and spinning, that contacts share."""
 
     name: Name
-    law: TemplateFormula = Field(description="{ type = …, and its parameters }")
-    friction: TemplateFormula = settings_model(Frictionless)(type="Frictionless")
-    rolling: TemplateFormula | None = None
-    torsion: TemplateFormula | None = None
+    law: FormulaTable = Field(description="{ type = …, and its parameters }")
+    friction: FormulaTable = settings_model(Frictionless)(type="Frictionless")
+    rolling: FormulaTable | None = None
+    torsion: FormulaTable | None = None
 
 
 class ContactOptions(Section):
@@ -241,6 +242,10 @@ SECTIONS: dict[str, type[Section]] = {
     "contact": ContactSettings,
     "surface_contact": SurfaceContactSettings,
 }
+
+
+#: Those with laws, frictions and motions.
+FORMULA_SECTIONS = ("template", "body")
 
 
 def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Section]:

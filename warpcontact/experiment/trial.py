@@ -14,8 +14,10 @@ from warpcontact.experiment.catalogue import FormulaSettings, own_class
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.own import blame
 from warpcontact.experiment.reading import Parts
+from warpcontact.experiment.schema import FORMULA_SECTIONS
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.laws import Hooke
+from warpcontact.kernels.motions import Motion
 from warpcontact.scene import Scene, Template
 
 
@@ -23,7 +25,7 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     """Returns a model of what is sound; ``None`` if there is none.
 
     Args:
-        parts: What there is; templates with a class that does not work are taken out.
+        parts: What there is; templates and bodies with a class that does not work are taken out.
         folder: Folder to which the names of mesh files are relative.
         loaded: Meshes that were read before; filled.
         problems: Receives what is wrong.
@@ -32,13 +34,13 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     scene = Assembler(parts, folder, loaded).scene(problems)
     model, error = _built(scene, precision)
     # What the model contains works. The rest, or everything if there is none, is tried piece by piece.
-    working = set() if model is None else {type(f) for c in scene.contacts for f in vars(c.template).values()}
+    working = set() if model is None else _classes(scene)
     faults = 0
-    for i, key, formula in list(_own_formulas(parts)):
+    for section, i, key, formula in list(_own_formulas(parts)):
         fault = None if type(formula) in working else _fault(key, formula, precision)
         if fault is not None:
-            problems.add(f"template[{i}].{key}", f": {fault}")
-            parts.entries["template"].pop(i, None)
+            problems.add(f"{section}[{i}].{key}", f": {fault}")
+            parts.entries[section].pop(i, None)
             faults += 1
     if faults and model is None:
         # Once more without them, so that the other problems are found, too; those of the parts are known.
@@ -65,17 +67,29 @@ def _built(scene: Scene, precision: str) -> tuple[Environments | None, Exception
         return None, error
 
 
-def _own_formulas(parts: Parts) -> Iterator[tuple[int, str, Formula]]:
-    """Iterates over the formulas that are not of the library: number of the template, key, formula."""
-    for i, entry in parts.entries["template"].items():
-        for key, table in entry:
-            if isinstance(table, FormulaSettings) and own_class(table.type)[0]:
-                yield i, key, table.make()
+def _classes(scene: Scene) -> set[type[Formula]]:
+    """Returns the classes of all formulas in ``scene``."""
+    formulas = [f for contact in scene.contacts for f in contact.template.formulas.values()]
+    return {type(formula) for formula in (*formulas, *(body.motion for body in scene.bodies))}
+
+
+def _own_formulas(parts: Parts) -> Iterator[tuple[str, int, str, Formula]]:
+    """Iterates over the formulas that are not of the library: section, number of the entry, key, formula."""
+    for section in FORMULA_SECTIONS:
+        for i, entry in parts.entries[section].items():
+            for key, table in entry:
+                if isinstance(table, FormulaSettings) and own_class(table.type)[0]:
+                    yield section, i, key, table.make()
 
 
 def _fault(key: str, formula: Formula, precision: str) -> str | None:
-    """Returns why ``formula``, as ``key`` of a template, cannot be computed or compiled; ``None`` if it can."""
+    """Returns why ``formula``, as ``key`` of its table, cannot be computed or compiled; ``None`` if it can."""
     cls = type(formula)
+    if isinstance(formula, Motion):
+        scene = Scene()
+        scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), motion=formula)
+        _, failure = _built(scene, precision)
+        return None if failure is None else _told(failure, cls)
     values = {name: np.full((1, 1), value) for name, value in formula.parameters(area=1.0).items()}
     try:
         missing = set(cls.device_names()) - set(cls.coefficients(values))
@@ -95,10 +109,13 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
     _, failure = _built(scene, precision)
     if failure is None:
         return None
+    text = _told(failure, cls)
+    return text if key == "law" else re.sub(r"^law Hooke with |^In the law, .*\n", "", text, flags=re.MULTILINE)
+
+
+def _told(failure: Exception, cls: type[Formula]) -> str:
+    """Returns in words why a model with a formula of class ``cls`` could not be built."""
     # That a formula does not compile is said in full by what compiles it, in names of modules that nobody knows.
     if isinstance(failure, TypeError):
-        text = str(failure).replace(f"{cls.__module__}.", "")
-        return (
-            text if key == "law" else re.sub(r"^law Hooke with |^In the law, .*\n", "", text, flags=re.MULTILINE)
-        )
+        return str(failure).replace(f"{cls.__module__}.", "")
     return blame(failure, cls)
