@@ -16,11 +16,11 @@ from warpcontact.blocks import Blocks, make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
 from warpcontact.devices import find_devices
 from warpcontact.draft import Draft, PartDraft
+from warpcontact.drives import add_motions
 from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
-from warpcontact.motions import add_motions
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.readings import readings_of

@@ -10,10 +10,10 @@ import warp as wp
 from warpcontact.arrays import Layout
 from warpcontact.blocks import Blocks
 from warpcontact.devices import spread
+from warpcontact.drives import Drive
 from warpcontact.footprint import Footprint, Need, require, total
 from warpcontact.groups import Group, compile_group
 from warpcontact.model import Model
-from warpcontact.motions import Drive
 from warpcontact.of_scene import OfScene
 from warpcontact.parameters import Parameters, needs_of
 from warpcontact.readings import Reading

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, broadcast
 from warpcontact.blocks import Blocks
+from warpcontact.drives import Drive
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, Need, require
 from warpcontact.groups import Group
-from warpcontact.motions import Drive
 from warpcontact.of_scene import MEASURES, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.readings import Reading
