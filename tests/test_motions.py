@@ -36,25 +36,24 @@ def test_a_pendulum_keeps_its_period_and_energy_over_a_thousand_periods(device):
     start = 2.0  # rad
     period = 4.0 * np.sqrt(ABOUT_AXIS / (MASS * G * LENGTH)) * ellipk(np.sin(start / 2.0) ** 2)
     model = pendulum(start, device=device)
-    late, swing = [], []
+    ahead, swing = [], []
     for steps in (200, 400):
         model.reset()
         sim = wc.Simulation(model, dt=period / steps)
         names = ["arm.kinetic_energy", "arm.potential_energy"]
         first = energy(sim.run(2 * period, names))
         sim.step(998 * steps - steps // 4)
-        # A quarter of a period early it hangs straight down: the way still to go tells the time.
+        # A quarter of a period early it hangs straight down: the way from there tells the time.
         hanging = np.remainder(model.reading("arm.angle")[0] + start + np.pi, 2 * np.pi) - np.pi
         # From rest the scheme is half a step ahead.
-        late.append((hanging / model.reading("arm.angle_rate")[0] + 0.5 * sim.dt) / (1000 * period))
-        print(late, hanging, sim.dt, period)
+        ahead.append((hanging / model.reading("arm.angle_rate")[0] - 0.5 * sim.dt) / (1000 * period))
         last = energy(sim.run(2 * period, names))
         np.testing.assert_allclose([last.min(), last.max()], [first.min(), first.max()], atol=2e-3 * np.ptp(first))
         swing.append(np.ptp(first))
     # The scheme is conjugate to one of second order: the period is off by dt², 0.04 of one in a thousand with 200
-    # steps each, half a step of offset on top; the energy swings by dt.
-    assert abs(late[0]) < 1e-4
-    np.testing.assert_allclose(late[0] / late[1], 4.0, rtol=0.1)
+    # steps each; the energy swings by dt.
+    assert abs(ahead[0]) < 1e-4
+    np.testing.assert_allclose(ahead[0] / ahead[1], 4.0, rtol=0.05)
     np.testing.assert_allclose(swing[0] / swing[1], 2.0, rtol=0.05)
 
 
@@ -189,7 +188,6 @@ def test_nothing_drifts_in_a_hundred_thousand_steps_of_float32(device):
         np.testing.assert_allclose(pinned, anchor, atol=2e-7)
     along = model.reading("hinge.position")[0] @ axis
     np.testing.assert_allclose(along, np.dot(place, axis), rtol=1e-12)
-    # From 1e-4 s on, a fall of 490 m.
     assert model.reading("slider.position")[0, 2] < -400.0
     first = scene.build(device=device)
     for name in ("slider", "plane"):
