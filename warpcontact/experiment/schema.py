@@ -282,6 +282,9 @@ SECTIONS: dict[str, type[Section]] = {
     "bushing": BushingSettings,
 }
 
+#: Those of them whose tables may name classes of a user's own.
+FORMULA_SECTIONS = ("template", "spring_damper")
+
 
 def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Section]:
     """Returns the type of the table at ``location``, a place in ``raw`` as pydantic gives it."""
