@@ -136,7 +136,7 @@ class Environments(ABC):
         owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
         for owner, formulas in owners.items():
             for part, formula in formulas.items():
-                if element == f"{owner}.{part}" and quantity in formula.__dataclass_fields__:
+                if element == f"{owner}.{part}" and quantity in formula.varying():
                     raise KeyError(
                         f"no parameter {name!r}: the {type(formula).__name__} of {owner!r} was made "
                         f"without {quantity}; it has {', '.join(formula.parameters())}"

@@ -15,6 +15,7 @@ from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, Need, require
 from warpcontact.groups import Group
+from warpcontact.motions import Drive
 from warpcontact.of_scene import MEASURES, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.readings import Reading
@@ -86,6 +87,7 @@ class Model(Environments, OfScene):
         uploads: list[Upload],
         groups: list[Group],
         couplings: list[CouplingSet],
+        drives: list[Drive],
         blocks: Blocks,
         readings: dict[str, Reading],
         meshes: list[wp.Mesh],
@@ -99,6 +101,7 @@ class Model(Environments, OfScene):
         self.arrays = arrays
         self.groups = groups
         self.couplings = couplings
+        self.drives = drives
         self.blocks = blocks
         self.parameters = parameters
         self.first_env = 0
@@ -150,7 +153,11 @@ class Model(Environments, OfScene):
 
     def starts_from(self, parameter: Parameter) -> bool:
         """Whether ``parameter`` says where the state begins."""
-        return any(upload.struct is self.arrays.initial for upload in parameter.uploads)
+        starts = [self.arrays.initial, *(drive.arrays for drive in self.drives)]
+        return any(
+            upload.attribute == "body_motion" or any(upload.struct is start for start in starts)
+            for upload in parameter.uploads
+        )
 
     def restart(self, mask: NDArray[np.bool_]) -> None:
         """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
@@ -187,6 +194,23 @@ class Model(Environments, OfScene):
                 )
         for couplings in self.couplings:
             couplings.restart(chosen, self.envs)
+        if self.moves:
+            self._start_motions(chosen)
+
+    def _start_motions(self, chosen: wp.array) -> None:
+        """Takes off velocities that joints do not allow, and puts what follows a function of time to its start."""
+        from warpcontact.kernels.motions import driven, project
+
+        a, real = self.arrays, self.types.real
+        shape = (self.envs, self.body_count)
+        wp.launch(project.kernel(real), dim=shape, inputs=[chosen, a.model, a.state], device=self.device)
+        for drive in self.drives:
+            wp.launch(
+                driven.start(drive.motion, real),
+                dim=(self.envs, drive.count),
+                inputs=[chosen, a.time, a.model, *drive.inputs, a.state],
+                device=self.device,
+            )
 
     def _evaluate(self) -> None:
         if self._evaluation[0] != self.revision:
@@ -204,6 +228,10 @@ class Model(Environments, OfScene):
             self._measure_bodies()
         if "points" in needs:
             self._measure_points()
+        if "reactions" in needs:
+            self._measure_reactions()
+        if "coordinates" in needs:
+            self._measure_coordinates()
 
     def make_measures(self, needs: Set[str]) -> None:
         """Allocates what readings are measured into, by their ``needs``, if it is not there yet.
@@ -241,6 +269,28 @@ class Model(Environments, OfScene):
         kernel = measures.points(self.types.real)
         inputs = [a.model, a.state, a.contacts]
         wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.points], device=self.device)
+
+    def _measure_reactions(self) -> None:
+        from warpcontact.kernels.motions import driven, measures
+
+        a, real = self.arrays, self.types.real
+        for drive in self.drives:
+            wp.launch(
+                driven.accelerate(drive.motion, real),
+                dim=(self.envs, drive.count),
+                inputs=[a.time, a.model, *drive.inputs],
+                outputs=[a.reactions.linear, a.reactions.angular],
+                device=self.device,
+            )
+        inputs, shape = [a.model, a.state, a.wrenches], (self.envs, self.body_count)
+        wp.launch(measures.reactions(real), dim=shape, inputs=inputs, outputs=[a.reactions], device=self.device)
+
+    def _measure_coordinates(self) -> None:
+        from warpcontact.kernels.motions import measures
+
+        a, shape = self.arrays, (self.envs, self.body_count)
+        kernel = measures.coordinates(self.types.real)
+        wp.launch(kernel, dim=shape, inputs=[a.model, a.state], outputs=[a.coordinates], device=self.device)
 
     def group_of(self, contact: Contact) -> tuple[Group, int]:
         """Returns the group that ``contact`` is computed in, and the index of its first item there."""

@@ -2,7 +2,8 @@
 
 Each stage reads what earlier ones wrote:
 
-    travel → closest point → couplings → contact force (one launch per law) → wrenches → integrate → sweep → finish
+    travel → closest point → couplings → contact force (one launch per law) → wrenches → integrate, motions → sweep
+    → finish
     → history
 """
 
@@ -13,6 +14,7 @@ import warp as wp
 
 from warpcontact.kernels import history, integrate, near, queues, sweep, travel, wrenches
 from warpcontact.kernels.closest_point import KNOWN, LISTED, SEARCH
+from warpcontact.kernels.motions import driven, step
 from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
@@ -168,8 +170,11 @@ def step_stages(
     a, real = model.arrays, model.types.real
     launches = force_stages(span, state_in, dt)
     launches += span.prepare(
-        integrator.kernel(real), model.body_count, [a.status, dt, a.model, state_in, a.wrenches, state_out]
+        integrator.kernel(real, model.moves),
+        model.body_count,
+        [a.status, dt, a.model, state_in, a.wrenches, state_out],
     )
+    launches += motion_stages(span, integrator, dt, state_in, state_out)
     if model.sweeps:
         marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark
         launches += span.prepare(
@@ -191,15 +196,52 @@ def step_stages(
     return launches
 
 
+def motion_stages(
+    span: Span, integrator: "Integrator", dt: wp.array, state_in: Any, state_out: Any
+) -> list[wp.Launch]:
+    """Returns the launches that step the bodies that are not free; none if all are."""
+    model = span.model
+    a, real = model.arrays, model.types.real
+    if not model.moves:
+        return []
+    launches = span.prepare(
+        integrator.motions(real),
+        model.constrained_count,
+        [a.status, dt, a.model, a.constrained, state_in, a.wrenches, state_out],
+    )
+    for drive in model.drives:
+        launches += span.prepare(
+            driven.follow(drive.motion, real),
+            drive.count,
+            [a.status, dt, a.time, a.model, *drive.inputs, state_out],
+        )
+    return launches
+
+
 def change_stages(span: Span, integrator: "Integrator", change: wp.array, state: Any) -> list[wp.Launch]:
     """Returns the launches that ready ``state`` for steps longer by ``change`` [env, 0] than those before [s]."""
     model = span.model
-    a, kernel = model.arrays, integrator.change_step(model.types.real)
+    a, real = model.arrays, model.types.real
+    kernel = integrator.change_step(real, model.moves)
     if kernel is None:
         return []
-    return force_stages(span, state, model.no_step) + span.prepare(
+    launches = force_stages(span, state, model.no_step) + span.prepare(
         kernel, model.body_count, [a.status, change, a.model, a.wrenches, state]
     )
+    if not model.moves:
+        return launches
+    launches += span.prepare(
+        step.change_step(real),
+        model.constrained_count,
+        [a.status, change, a.model, a.constrained, a.wrenches, state],
+    )
+    for drive in model.drives:
+        launches += span.prepare(
+            driven.change_step(drive.motion, real),
+            drive.count,
+            [a.status, change, a.time, a.model, *drive.inputs, state],
+        )
+    return launches
 
 
 def accept_stages(span: Span, dt: wp.array, state_in: Any, state_out: Any) -> list[wp.Launch]:
