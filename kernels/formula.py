@@ -42,6 +42,39 @@ def parameter(
     return dataclasses.field(default=default, metadata=limits)
 
 
+def table(unit: str, meaning: str) -> Any:
+    """Declares a table of a formula: values over the distance, linear in between and held outside.
+
+    Instances take it as pairs (distance [m], value), at least two, with increasing distances. The device function
+    gets the row that the distance is in as its last argument, with ``start`` [m], ``value`` there, ``slope`` and
+    ``integral``, the area below the table from its first distance to ``start``. A formula has one at most.
+
+    Args:
+        unit: SI unit of the values.
+        meaning: What they are, in a few words.
+    """
+    limits = {"unit": unit, "meaning": meaning, "table": True}
+    return dataclasses.field(metadata=limits)
+
+
+def table_values(name: str, value: Any, unit: str) -> tuple[tuple[float, float], ...]:
+    """Returns ``value`` as pairs of numbers, or raises ``ValueError``."""
+    wanted = f"{name} must be pairs (distance [m], value [{unit}]), at least two, with increasing distances"
+    try:
+        pairs = np.asarray(value)
+    except ValueError:  # rows of different length
+        pairs = np.empty(0, object)
+    if pairs.dtype.kind not in "iuf" or pairs.ndim != 2 or pairs.shape[1] != 2 or len(pairs) < 2:
+        raise ValueError(f"{wanted}, got {value!r}")
+    pairs = pairs.astype(np.float64)
+    if not np.isfinite(pairs).all():
+        raise ValueError(f"{wanted}, got {pairs[~np.isfinite(pairs).all(axis=1)][0].tolist()}")
+    down = np.flatnonzero(np.diff(pairs[:, 0]) <= 0.0)
+    if len(down):
+        raise ValueError(f"{wanted}, got {pairs[down[0], 0]:g} before {pairs[down[0] + 1, 0]:g}")
+    return tuple((float(x), float(y)) for x, y in pairs)
+
+
 @dataclasses.dataclass(frozen=True)
 class Memory:
     """A quantity that a formula remembers for every contact; zero when the contact begins."""
@@ -91,7 +124,7 @@ def check_values(name: str, values: np.ndarray, limits: Mapping[str, Any]) -> No
     raise ValueError(f"{entry} must be {rule}, got {values[tuple(where)]:g}{unit}")
 
 
-@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter,))
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter, table))
 class Formula:
     """Base of laws and frictions. Subclasses become frozen dataclasses with keyword-only parameters."""
 
@@ -107,8 +140,12 @@ class Formula:
     exactly_one_of: ClassVar[tuple[str, ...]] = ()
     #: Names of the device coefficients; the parameters themselves if empty.
     device: ClassVar[tuple[str, ...]] = ()
-    #: What it is of a contact, as in the names of its parameters in a model; a friction may be others, too.
+    #: What it is part of, and what it is of that, as in the names of its parameters in a model; a friction of a
+    #: contact may be others, too.
+    element: ClassVar[str] = "contact"
     part: ClassVar[str] = "law"
+    #: Whether it may have a table.
+    may_have_table: ClassVar[bool] = False
     #: The device function.
     force: ClassVar[wp.Function]
     #: What it remembers, by name.
@@ -140,14 +177,29 @@ class Formula:
                     f"{cls.__name__}.{field.name} must be declared with wc.parameter: "
                     f"{field.name}: float = wc.parameter(unit, meaning, default=…)"
                 )
+        tables = [field.name for field in dataclasses.fields(cls) if "table" in field.metadata]
+        if len(tables) > int(cls.may_have_table):
+            most = "one table at most" if cls.may_have_table else "no table"
+            raise TypeError(f"{cls.__name__} can have {most}, got {', '.join(tables)}")
         for name in ("force", "advance"):
             if isinstance(vars(cls).get(name), wp.Function):
                 cls._check_function(name)
 
     @classmethod
+    def number_fields(cls) -> list[dataclasses.Field]:
+        """Returns the fields that are numbers, each a parameter of a model."""
+        return [field for field in dataclasses.fields(cls) if "table" not in field.metadata]
+
+    @classmethod
+    def table_field(cls) -> dataclasses.Field | None:
+        """Returns the field that is a table, if there is one."""
+        return next((field for field in dataclasses.fields(cls) if "table" in field.metadata), None)
+
+    @classmethod
     def arguments(cls) -> str:
         """Returns what ``force`` takes, in words."""
-        return "(coefficients, state, memory)" if cls.memories else "(coefficients, state)"
+        more = [", memory"] * bool(cls.memories) + [", row"] * (cls.table_field() is not None)
+        return f"(coefficients, state{''.join(more)})"
 
     @classmethod
     def _check_function(cls, name: str) -> None:
@@ -155,7 +207,7 @@ class Formula:
         function = getattr(cls, name)
         if name == "advance" and not cls.memories:
             raise TypeError(f"{cls.__name__}.advance has nothing to advance; declare what it remembers: wc.memory")
-        wanted = 3 if cls.memories else 2
+        wanted = cls.arguments().count(",") + 1
         if len(inspect.signature(function.func).parameters) != wanted:
             raise TypeError(f"{cls.__name__}.{name} must take {wanted} arguments, {cls.arguments()}")
         if not any(isinstance(node, ast.Return) and node.value for node in ast.walk(function.adj.tree)):
@@ -167,6 +219,10 @@ class Formula:
         for name in ("force", "advance") if cls.memories else ("force",):
             if not isinstance(getattr(cls, name, None), wp.Function):
                 raise TypeError(f"{cls.__name__}.{name} must be a wp.func of {cls.arguments()}")
+        if (field := cls.table_field()) is not None:
+            unit = field.metadata["unit"]
+            values = table_values(f"{cls.__name__}.{field.name}", getattr(self, field.name), unit)
+            object.__setattr__(self, field.name, values)
         given = self.parameters()
         if self.exactly_one_of:
             chosen = [name for name in self.exactly_one_of if name in given]
@@ -186,13 +242,13 @@ class Formula:
             if values.ndim != 0:
                 raise ValueError(
                     f"{type(self).__name__}.{name} must be one number, got shape {values.shape}; values per "
-                    f"environment are set on the model: model['<contact>.{self.part}.{name}'] = values"
+                    f"environment are set on the model: model['<{self.element}>.{self.part}.{name}'] = values"
                 )
             check_values(f"{type(self).__name__}.{name}", values, limits)
 
     def parameters(self, area: Any = None) -> dict[str, Any]:
         """Returns the parameters that have a value; an area that was left to the points is ``area``."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        values = {field.name: getattr(self, field.name) for field in self.number_fields()}
         if self.takes_area:
             values["area"] = area
         return {name: value for name, value in values.items() if value is not None}
@@ -215,7 +271,7 @@ class Formula:
     @classmethod
     def device_names(cls) -> tuple[str, ...]:
         """Returns the names of the coefficients that ``force`` sees."""
-        return cls.device or tuple(field.name for field in dataclasses.fields(cls))
+        return cls.device or tuple(field.name for field in cls.number_fields())
 
     @classmethod
     def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -36,6 +36,14 @@ RIM_OUTER = 2  # rim="outer"
 HERTZ_PATCH = 4  # the arm of torsion follows from the overlap
 SWEPT = 8  # a point that crosses the surface within a step is caught
 
+# Status of a spring-damper or bushing.
+COUPLING_ACTIVE = 0
+COUPLING_SLACK = 1  # tension_only, and not stretched
+COUPLING_BROKEN = 2
+COUPLING_OUTSIDE = 3  # of its table, the ends of which are held
+COUPLING_NO_DIRECTION = 4  # its ends are in one place, and nothing is known of where they came from
+COUPLING_DISABLED = 5
+
 # Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its corners.
 FEATURE_COUNT = 7
 # Bits of a feature.
@@ -106,6 +114,8 @@ def structs(real: type) -> SimpleNamespace:
         body_inertia: wp.array2d(dtype=mat33)  # B, about the centre of mass [kg·m²]
         body_inverse_inertia: wp.array2d(dtype=mat33)  # B [1/(kg·m²)]
         body_round: wp.array2d(dtype=wp.bool)  # whether the inertia is the same about all axes
+        body_external_force: wp.array2d(dtype=vec3)  # [env, body] at the centre of mass, W [N]
+        body_external_torque: wp.array2d(dtype=vec3)  # [env, body] W [N·m]
         # Points
         point_body: wp.array(dtype=wp.int32)  # [point] body or WORLD
         point_position: wp.array2d(dtype=vec3)  # [env, point], B (or W, from its anchor) [m]
@@ -150,6 +160,10 @@ def structs(real: type) -> SimpleNamespace:
         block_center: wp.array2d(dtype=vec3)  # [env, block] in the middle of its points, as they are given [m]
         body_block_start: wp.array(dtype=wp.int32)  # [body + 1] first of its blocks in the list
         body_block: wp.array(dtype=wp.int32)  # 2 × block + 0 as the points' body, 1 as the surface's
+        # Ends of couplings: 2 × coupling, 2 × coupling + 1
+        end_point: wp.array(dtype=wp.int32)  # [end] index of its point
+        body_end_start: wp.array(dtype=wp.int32)  # [body + 1] first of its ends in the list
+        body_end: wp.array(dtype=wp.int32)  # ends by body
 
     @wp.struct
     class State:
@@ -239,6 +253,13 @@ def structs(real: type) -> SimpleNamespace:
         direction: wp.array2d(dtype=vec3)  # [env, contact × REMEMBERED] its slope there, unit or zero, S
 
     @wp.struct
+    class Ends:
+        """What couplings do to the bodies at their ends; of an end on the world it is what the world holds."""
+
+        force: wp.array2d(dtype=vec3)  # [env, end] on what the end is fixed to, W [N]
+        torque: wp.array2d(dtype=vec3)  # [env, end] about the centre of mass (world: the anchor), W [N·m]
+
+    @wp.struct
     class Wrenches:
         force: wp.array2d(dtype=vec3)  # [env, body], W [N]
         torque: wp.array2d(dtype=vec3)  # [env, body] about the centre of mass, W [N·m]
@@ -277,6 +298,7 @@ def structs(real: type) -> SimpleNamespace:
         Contacts=Contacts,
         Near=Near,
         Cache=Cache,
+        Ends=Ends,
         Wrenches=Wrenches,
         Touch=Touch,
         Slip=Slip,

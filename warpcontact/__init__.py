@@ -17,10 +17,11 @@ if TYPE_CHECKING:
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
-    from warpcontact.kernels import frictions, laws
-    from warpcontact.kernels.formula import memory, parameter
+    from warpcontact.kernels import frictions, laws, springs
+    from warpcontact.kernels.formula import memory, parameter, table
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
+    from warpcontact.kernels.springs.base import Damper, Spring
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
     from warpcontact.recorder import Recording
@@ -36,6 +37,7 @@ _HOME = {
     "Body": "warpcontact.elements",
     "Contact": "warpcontact.elements",
     "ContactWarning": "warpcontact.advice",
+    "Damper": "warpcontact.kernels.springs.base",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
     "Friction": "warpcontact.kernels.frictions.base",
@@ -50,6 +52,7 @@ _HOME = {
     "Scene": "warpcontact.scene",
     "Simulation": "warpcontact.simulation",
     "SplitModel": "warpcontact.split_model",
+    "Spring": "warpcontact.kernels.springs.base",
     "Status": "warpcontact.status",
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
@@ -65,6 +68,8 @@ _HOME = {
     "meshes": "warpcontact.meshes",
     "parameter": "warpcontact.kernels.formula",
     "sample_surface": "warpcontact.meshes",
+    "springs": "warpcontact.kernels.springs",
+    "table": "warpcontact.kernels.formula",
 }
 
 __all__ = [
@@ -72,6 +77,7 @@ __all__ = [
     "Body",
     "Contact",
     "ContactWarning",
+    "Damper",
     "Experiment",
     "ExperimentError",
     "Friction",
@@ -86,6 +92,7 @@ __all__ = [
     "Scene",
     "Simulation",
     "SplitModel",
+    "Spring",
     "Status",
     "Surface",
     "SurfaceSamples",
@@ -102,6 +109,8 @@ __all__ = [
     "meshes",
     "parameter",
     "sample_surface",
+    "springs",
+    "table",
 ]
 
 

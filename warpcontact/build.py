@@ -14,6 +14,7 @@ from warpcontact import elements as limits_of
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks, make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
+from warpcontact.couplings.sets import make_sets
 from warpcontact.devices import find_devices
 from warpcontact.draft import Draft, PartDraft
 from warpcontact.frames import placed
@@ -106,6 +107,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         initial=t.State(),
         state=layout.struct("state", t.State, bodies),
         wrenches=layout.struct("state", t.Wrenches, bodies),
+        ends=layout.struct("couplings", t.Ends, per_env(2 * len(scene.couplings))),
         history=layout.struct("contacts", t.History, each, records=records),
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
@@ -130,6 +132,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         parameter.uploads.extend(following)
     meshes = upload_patches(common.patches, arrays.model, layout, t)
     _add_contacts(contacts, start_of, common.patches.of_contact, arrays, layout, parameters, t)
+    couplings = make_sets(scene, arrays, layout, parameters, t)
     groups = [make_group(group, start_of[group[0]], blocks, layout, parameters, t.real) for group in common.groups]
     return PartDraft(
         scene=scene,
@@ -140,8 +143,9 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         arrays=arrays,
         parameters=parameters,
         groups=groups,
+        couplings=couplings,
         blocks=blocks,
-        readings=readings_of(scene, start_of, groups),
+        readings=readings_of(scene, start_of, groups, couplings),
         meshes=meshes,
     )
 
@@ -197,6 +201,8 @@ def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
         if key == "position":
             _add_remainder(parameters, field, uploads, arrays.initial, t)
     _add_orientation(parameters, bodies, arrays.initial, "body_orientation", t)
+    for key, unit in (("external_force", "N"), ("external_torque", "N·m")):
+        _add_vector(parameters, bodies, key, unit, model, f"body_{key}", t)
 
 
 def _add_points(

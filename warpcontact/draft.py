@@ -9,6 +9,7 @@ import warp as wp
 
 from warpcontact.arrays import Layout
 from warpcontact.blocks import Blocks
+from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.devices import spread
 from warpcontact.footprint import Footprint, Need, require, total
 from warpcontact.groups import Group, compile_group
@@ -34,6 +35,7 @@ class PartDraft(OfScene):
         arrays: The arrays, once they are built.
         parameters: The parameters.
         groups: The contacts by the code of their laws and frictions.
+        couplings: The couplings by their code.
         blocks: The contacts by what lies together.
         readings: What can be measured.
         meshes: What is searched, once it is built.
@@ -48,6 +50,7 @@ class PartDraft(OfScene):
     arrays: SimpleNamespace
     parameters: Parameters
     groups: list[Group]
+    couplings: list[CouplingSet]
     blocks: Blocks
     readings: dict[str, Reading]
     meshes: list[wp.Mesh]
@@ -61,10 +64,12 @@ class PartDraft(OfScene):
         """Returns the model of ``envs`` environments; once.
 
         Raises:
-            TypeError: If a law or friction does not compile.
+            TypeError: If a law, a friction or a spring does not compile.
         """
         for group in self.groups:
             compile_group(group, self.device, self.types.real)
+        for couplings in self.couplings:
+            couplings.compile(self.device)
         self.layout.allocate(envs)
         return Model(
             scene=self.scene,
@@ -77,6 +82,7 @@ class PartDraft(OfScene):
             parameters=self.parameters.by_name,
             uploads=self.parameters.uploads,
             groups=self.groups,
+            couplings=self.couplings,
             blocks=self.blocks,
             readings=self.readings,
             meshes=self.meshes,

@@ -99,6 +99,8 @@ class Body:
     orientation: Array
     linear_velocity: Array
     angular_velocity: Array
+    external_force: Array
+    external_torque: Array
     color: Array | None
 
 

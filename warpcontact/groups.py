@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks
+from warpcontact.formula_errors import explained
 from warpcontact.kernels import contact_force
 from warpcontact.kernels.contact_force import Parts, group_structs
 from warpcontact.kernels.formula import Formula, coefficient_struct
@@ -100,37 +101,18 @@ def compile_group(group: Group, device: wp.Device, real: type) -> None:
     Raises:
         TypeError: If a law or friction does not compile.
     """
-    parts = group.parts
-    try:
-        group.kernel.module.load(device, block_dim=None if device.is_cuda else 1)
-    except Exception as error:
-        text = str(error).replace("\\n", "\n")
-        hint = ""
-        if "types must be the same" in text:
-            hint = (
-                "\nConstants take the precision of the simulation when written as type(c.delta)(1.5) in a law, "
-                "type(s.speed)(1.5) in a friction."
-            )
-        elif "array_store" in text:
-            hint = "\nThe force of a law is a number, that of a friction a vector."
-        present = {part: formula for part, formula in parts._asdict().items() if formula is not Frictionless}
-        named = " with ".join(f"{part} {formula.__name__}" for part, formula in present.items())
-        raise TypeError(
-            f"{named} does not compile in {real.__name__}: {text}\n"
-            + "\n".join(_what_is_there(part, formula, real) for part, formula in present.items())
-            + hint
-        ) from error
-
-
-def _what_is_there(part: str, formula: type[Formula], real: type) -> str:
-    """Returns in words what the functions of ``formula`` are given."""
     t = structs(real)
-    state, seen = ("c", t.Touch) if part == "law" else ("s", t.Slip)
-    given = {"p": formula.device_names() or ("nothing",), state: tuple(seen.vars)}
-    if formula.memories:
-        given["m"] = (*formula.memories, "elapsed")
-    parts = [f"{letter} has {', '.join(names)}" for letter, names in given.items()]
-    return f"In the {part}, {'; '.join(parts)}."
+    parts = group.parts._asdict()
+    present = {part: formula for part, formula in parts.items() if formula is not Frictionless}
+    with explained(
+        present,
+        real,
+        lambda part: ("c", t.Touch) if part == "law" else ("s", t.Slip),
+        "\nConstants take the precision of the simulation when written as type(c.delta)(1.5) in a law, "
+        "type(s.speed)(1.5) in a friction.",
+        "\nThe force of a law is a number, that of a friction a vector.",
+    ):
+        group.kernel.module.load(device, block_dim=None if device.is_cuda else 1)
 
 
 def _add_formula(

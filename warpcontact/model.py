@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, broadcast
 from warpcontact.blocks import Blocks
+from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, Need, require
 from warpcontact.groups import Group
@@ -43,6 +44,19 @@ class State:
     body_angular_velocity: wp.array
 
 
+@dataclass(frozen=True)
+class External:
+    """Forces from outside on all bodies: Warp arrays (envs, bodies), to be written between steps.
+
+    Attributes:
+        force: Force at the centre of mass, world [N].
+        torque: Torque, world axes [N·m].
+    """
+
+    force: wp.array
+    torque: wp.array
+
+
 class Model(Environments, OfScene):
     """Many environments of one scene on a device. Made by ``Scene.build``.
 
@@ -71,6 +85,7 @@ class Model(Environments, OfScene):
         parameters: dict[str, Parameter],
         uploads: list[Upload],
         groups: list[Group],
+        couplings: list[CouplingSet],
         blocks: Blocks,
         readings: dict[str, Reading],
         meshes: list[wp.Mesh],
@@ -83,6 +98,7 @@ class Model(Environments, OfScene):
         self.layout = layout
         self.arrays = arrays
         self.groups = groups
+        self.couplings = couplings
         self.blocks = blocks
         self.parameters = parameters
         self.first_env = 0
@@ -97,6 +113,7 @@ class Model(Environments, OfScene):
         # Step of 0 [env, 0]: for the forces of an instant.
         self.no_step = broadcast(arrays.instant, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
+        self._handed_out = False
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
         self.send(uploads, (upload.content() for upload in uploads))
         self._state = State(**{name: getattr(arrays.state, name) for name in types.State.vars})
@@ -111,6 +128,25 @@ class Model(Environments, OfScene):
     def state(self) -> State:
         """The current state: arrays (envs, bodies)."""
         return self._state
+
+    @property
+    def external(self) -> External:
+        """Forces from outside as arrays, to be written between steps without a copy.
+
+        From the first look at them each environment has its own. To set ``<body>.external_force`` or
+        ``<body>.external_torque`` afterwards writes all of its array anew.
+        """
+        if not self._handed_out:
+            self._handed_out = True
+            for quantity in ("external_force", "external_torque"):
+                name = f"{self.scene.bodies[0].name}.{quantity}"
+                self.assign(name, self[name][:, None])
+        model = self.arrays.model
+        return External(force=model.body_external_force, torque=model.body_external_torque)
+
+    def _is_pushed(self) -> bool:
+        names = [f"{self.scene.bodies[0].name}.{quantity}" for quantity in ("external_force", "external_torque")]
+        return self._handed_out or any(bool(self.parameters[name].field.values.any()) for name in names)
 
     def starts_from(self, parameter: Parameter) -> bool:
         """Whether ``parameter`` says where the state begins."""
@@ -149,6 +185,8 @@ class Model(Environments, OfScene):
                     inputs=[chosen, memory],
                     device=self.device,
                 )
+        for couplings in self.couplings:
+            couplings.restart(chosen, self.envs)
 
     def _evaluate(self) -> None:
         if self._evaluation[0] != self.revision:
@@ -215,6 +253,10 @@ class Model(Environments, OfScene):
         for upload, content in zip(uploads, contents, strict=True):
             if upload.send(content, self.envs):
                 self.revision += 1
+        # Steps without them do not look for them.
+        if self.pushed != (pushed := self._is_pushed()):
+            self.pushed = pushed
+            self.revision += 1
         # What was known of distances may not hold for other radii, poses or meshes.
         cache = self.arrays.cache
         for known in (cache.set_wake, cache.block_wake, cache.wake, cache.faces):

@@ -37,6 +37,11 @@ class OfScene:
         """Whether any contact stays with what it touched."""
         return self.sweeps or any(contact.entry == "latched" for contact in self.scene.contacts)
 
+    @cached_property
+    def pushed(self) -> bool:
+        """Whether there are forces from outside."""
+        return any(body.external_force.any() or body.external_torque.any() for body in self.scene.bodies)
+
     def measures_needs(self, device: wp.Device, needs: Collection[str], envs: int) -> list[Need]:
         """Returns what ``envs`` environments take that readings with these ``needs`` are measured into."""
         layout = Layout(device)

@@ -267,12 +267,12 @@ def needs_of(
 
 
 def pack(struct: Any, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-    """Returns a structured array for a Warp struct from one array (1 or envs, items) per field."""
+    """Returns a structured array for a Warp struct from one array (1 or envs, items, …) per field."""
     envs = max(len(column) for column in columns.values())
     items = max(column.shape[1] for column in columns.values())
     packed = np.zeros((envs, items), dtype=struct.numpy_dtype())
     for name, column in columns.items():
-        packed[name] = rounded(name, column, packed.dtype[name])
+        packed[name] = rounded(name, column, packed.dtype[name].base)
     return packed
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from warpcontact.groups import Group
 from warpcontact.scene import Contact, Scene
 from warpcontact.status import Status
+
+if TYPE_CHECKING:
+    from warpcontact.couplings.coupling_set import CouplingSet
 
 AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
 
@@ -21,7 +24,7 @@ _BODY_STATE = {
     "angular_velocity": ("body_angular_velocity", "rad/s", "angular velocity, world axes"),
 }
 _BODY_WRENCH = {
-    "force": ("force", "N", "sum of the contact forces, world"),
+    "force": ("force", "N", "sum of all forces but gravity, world"),
     "torque": ("torque", "N·m", "sum of their moments about the centre of mass, world axes"),
 }
 # In float64 whatever the precision: sums, and places far from the origin.
@@ -76,13 +79,16 @@ class Reading:
         return values.sum(axis=axis) if self.total else values
 
 
-def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[Group]) -> dict[str, Reading]:
+def readings_of(
+    scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[Group], couplings: "Sequence[CouplingSet]"
+) -> dict[str, Reading]:
     """Returns all readings of a scene by name.
 
     Args:
         scene: The scene.
         start_of: Where a contact's values begin.
         groups: What its contacts are computed in.
+        couplings: Its couplings.
     """
     table: dict[str, Reading] = {}
 
@@ -131,6 +137,8 @@ def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[
                 )
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
             add(f"{contact.name}.{key}", unit, meaning, column("history", attribute, items), items=count)
+    for couplings_of_code in couplings:
+        table.update((reading.name, reading) for reading in couplings_of_code.readings())
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
         array = column("bodies", attribute, slice(0, len(scene.bodies)))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
+from warpcontact.couplings.adding import Couplings
+from warpcontact.couplings.elements import Coupling
 from warpcontact.elements import (
     AREA,
     KAPPA,
@@ -35,11 +37,11 @@ if TYPE_CHECKING:
     from warpcontact.model import Model
     from warpcontact.split_model import SplitModel
 
-_LISTS = ("bodies", "surfaces", "points", "contacts")
+_LISTS = ("bodies", "surfaces", "points", "contacts", "couplings")
 
 
-class Scene:
-    """Bodies, surfaces, points and contacts of one environment; ``build`` makes many of it.
+class Scene(Couplings):
+    """Bodies, surfaces, points, contacts and couplings of one environment; ``build`` makes many of it.
 
     Args:
         gravity: Acceleration of gravity, world axes [m/s²].
@@ -51,6 +53,7 @@ class Scene:
         self.surfaces: list[Surface] = []
         self.points: list[Points] = []
         self.contacts: list[Contact] = []
+        self.couplings: list[Coupling] = []
         self._elements: dict[str, Any] = {}
 
     def add_body(
@@ -62,6 +65,8 @@ class Scene:
         linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
         angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
         *,
+        external_force: ArrayLike = (0.0, 0.0, 0.0),
+        external_torque: ArrayLike = (0.0, 0.0, 0.0),
         name: str | None = None,
         color: ArrayLike | None = None,
     ) -> Body:
@@ -75,6 +80,8 @@ class Scene:
             orientation: Initial rotation body → world, quaternion (x, y, z, w).
             linear_velocity: Initial velocity of the centre of mass, world [m/s].
             angular_velocity: Initial angular velocity, world axes [rad/s].
+            external_force: Force from outside at the centre of mass, world axes [N].
+            external_torque: Torque from outside, world axes [N·m].
             name: Name in parameters and readings; made up if not given.
             color: Display colour, RGB in 0…1.
 
@@ -99,6 +106,8 @@ class Scene:
             ),
             linear_velocity=checks.numbers(f"{name}.linear_velocity", linear_velocity, (3,), limits("m/s")),
             angular_velocity=checks.numbers(f"{name}.angular_velocity", angular_velocity, (3,), limits("rad/s")),
+            external_force=checks.numbers(f"{name}.external_force", external_force, (3,), limits("N")),
+            external_torque=checks.numbers(f"{name}.external_torque", external_torque, (3,), limits("N·m")),
             color=checks.color(f"{name}.color", color),
         )
         self.bodies.append(body)

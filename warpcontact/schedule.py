@@ -2,7 +2,8 @@
 
 Each stage reads what earlier ones wrote:
 
-    travel → closest point → contact force (one launch per law) → wrenches → integrate → sweep → finish → history
+    travel → closest point → couplings → contact force (one launch per law) → wrenches → integrate → sweep → finish
+    → history
 """
 
 from dataclasses import dataclass
@@ -93,8 +94,12 @@ def force_stages(span: Span, state: Any, step: wp.array) -> list[wp.Launch]:
             model.blocks.count,
             [a.status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near],
         )
+    for couplings in model.couplings:
+        launches += couplings.force_stages(span, state)
+    sources = (bool(model.couplings), model.pushed)
     if not span.ordered:
-        launches += span.prepare(wrenches.clear(real), model.body_count, [a.status, a.wrenches])
+        kernel = wrenches.clear(real, *sources)
+        launches += span.prepare(kernel, model.body_count, [a.status, a.model, a.ends, a.wrenches])
     for group in model.groups:
         launches += span.prepare(
             group.kernel,
@@ -117,7 +122,8 @@ def force_stages(span: Span, state: Any, step: wp.array) -> list[wp.Launch]:
             ],
         )
     if span.ordered:
-        launches += span.prepare(wrenches.add_up(real), model.body_count, [a.status, a.model, a.near, a.wrenches])
+        kernel = wrenches.add_up(real, *sources)
+        launches += span.prepare(kernel, model.body_count, [a.status, a.model, a.near, a.ends, a.wrenches])
     return launches
 
 
@@ -215,6 +221,8 @@ def accept_stages(span: Span, dt: wp.array, state_in: Any, state_out: Any) -> li
                 group.block_count,
                 [a.status, a.model, a.near, group.first_block, group.first, kept, memory],
             )
+    for couplings in model.couplings:
+        launches += couplings.accept_stages(span)
     return launches
 
 

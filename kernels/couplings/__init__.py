@@ -1,1 +1,1 @@
-"""Device code of the couplings: force elements between points of bodies and of the world."""
+"""Device code of couplings: force elements between two points, which need no search."""

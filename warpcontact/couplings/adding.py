@@ -1,0 +1,194 @@
+"""How couplings are added to a scene. All input is checked here."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact import checks
+from warpcontact.checks import Array
+from warpcontact.couplings.elements import (
+    BREAK_FORCE,
+    DAMPING,
+    LENGTH,
+    STIFFNESS,
+    TURN_DAMPING,
+    TURN_STIFFNESS,
+    Bushing,
+    Coupling,
+    SpringDamper,
+)
+from warpcontact.elements import Points
+from warpcontact.frames import placed
+from warpcontact.kernels.springs import Damper, Linear, Spring, Undamped, Viscous
+
+
+class Couplings:
+    """The couplings of a ``Scene``, and how to add them."""
+
+    couplings: list[Coupling]
+    _elements: dict[str, Any]
+
+    def add_spring_damper(
+        self,
+        point_a: Points,
+        point_b: Points,
+        *,
+        stiffness: float | None = None,
+        damping: float | None = None,
+        law: Spring | None = None,
+        damper: Damper | None = None,
+        rest_length: float | None = None,
+        tension_only: bool = False,
+        break_force: float = math.inf,
+        enabled: bool = True,
+        name: str | None = None,
+        color: ArrayLike | None = None,
+        visible: bool = True,
+    ) -> SpringDamper:
+        """Adds a spring and a damper side by side, along the line between two points.
+
+        It pulls its ends together with f = f_e(x) + k_d ẋ, where x is their distance; it pushes where that is
+        negative. Where the ends are in one place the direction is the last one known.
+
+        Args:
+            point_a: From ``add_point``.
+            point_b: From ``add_point``, on another body; one of both may be of the world.
+            stiffness: Stiffness of a linear spring, f_e = k (x − x₀) [N/m].
+            damping: Damping coefficient k_d [N·s/m].
+            law: In place of ``stiffness``, a spring of ``wc.springs`` or your own ``wc.Spring``.
+            damper: In place of ``damping``, a damper of ``wc.springs`` or your own ``wc.Damper``.
+            rest_length: Length x₀ at which a linear spring is without force [m]; ``None``: the distance of the
+                points in the scene.
+            tension_only: Whether it is a rope: it does not push, and is without force and damping while it is
+                not stretched.
+            break_force: Force of either sign beyond which it breaks, for good [N].
+            enabled: Whether it acts.
+            name: Name in parameters and readings; made up if not given.
+            color: Display colour, RGB in 0…1.
+            visible: Whether it is drawn.
+
+        Raises:
+            ValueError: If a value is out of range, or both ends are fixed to the same body.
+        """
+        name = checks.new_name("spring_damper", name, self._elements)
+        self._check_ends(name, point_a, point_b)
+        if (stiffness is None) == (law is None):
+            raise ValueError(f"{name} must have exactly one of stiffness and law, got {_count(stiffness, law)}")
+        if damping is not None and damper is not None:
+            raise ValueError(f"{name} must have at most one of damping and damper, got both")
+        for key, value, kind in (("law", law, Spring), ("damper", damper, Damper)):
+            wrong = not isinstance(value, kind) or (key == "law" and isinstance(value, Damper))
+            if value is not None and wrong:
+                raise TypeError(f"{name}.{key} must be an instance of wc.{kind.__name__}, got {value!r}")
+        if law is None:
+            law = Linear(stiffness=float(checks.numbers(f"{name}.stiffness", stiffness, (), STIFFNESS)))  # type: ignore[arg-type]
+        plain_damper = damping is not None
+        if damping is not None:
+            damper = Viscous(damping=float(checks.numbers(f"{name}.damping", damping, (), DAMPING)))
+        if rest_length is None:
+            rest_length = float(np.linalg.norm(_place(point_b) - _place(point_a)))
+        coupling = SpringDamper(
+            name=name,
+            point_a=point_a,
+            point_b=point_b,
+            law=law,
+            damper=Undamped() if damper is None else damper,
+            rest_length=checks.numbers(f"{name}.rest_length", rest_length, (), LENGTH),
+            tension_only=np.array(float(bool(tension_only))),
+            break_force=checks.numbers(f"{name}.break_force", break_force, (), BREAK_FORCE),
+            plain_law=stiffness is not None,
+            plain_damper=plain_damper,
+            enabled=np.array(float(bool(enabled))),
+            color=checks.color(f"{name}.color", color),
+            visible=bool(visible),
+        )
+        return self._add_coupling(coupling)
+
+    def add_bushing(
+        self,
+        point_a: Points,
+        point_b: Points,
+        *,
+        stiffness: ArrayLike = (0.0, 0.0, 0.0),
+        damping: ArrayLike = (0.0, 0.0, 0.0),
+        turn_stiffness: ArrayLike = (0.0, 0.0, 0.0),
+        turn_damping: ArrayLike = (0.0, 0.0, 0.0),
+        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        enabled: bool = True,
+        name: str | None = None,
+        color: ArrayLike | None = None,
+        visible: bool = True,
+    ) -> Bushing:
+        """Adds springs and dampers along three axes and about them, between two points and their bodies.
+
+        The axes are fixed to the first body. The bushing is without force where both points are in one place and
+        the bodies stand to each other as in the scene. Turns enter as the rotation vector from there, which is
+        exact for equal stiffnesses and for small turns.
+
+        Args:
+            point_a: From ``add_point``.
+            point_b: From ``add_point``, on another body; one of both may be of the world.
+            stiffness: Along the axes, 3 numbers [N/m].
+            damping: Along the axes, 3 numbers [N·s/m].
+            turn_stiffness: About the axes, 3 numbers [N·m/rad].
+            turn_damping: About the axes, 3 numbers [N·m·s/rad].
+            orientation: Rotation from the axes of the bushing to the first body, quaternion (x, y, z, w).
+            enabled: Whether it acts.
+            name: Name in parameters and readings; made up if not given.
+            color: Display colour, RGB in 0…1.
+            visible: Whether it is drawn.
+
+        Raises:
+            ValueError: If a value is out of range, or both ends are fixed to the same body.
+        """
+        name = checks.new_name("bushing", name, self._elements)
+        self._check_ends(name, point_a, point_b)
+        coupling = Bushing(
+            name=name,
+            point_a=point_a,
+            point_b=point_b,
+            stiffness=checks.numbers(f"{name}.stiffness", stiffness, (3,), STIFFNESS),
+            damping=checks.numbers(f"{name}.damping", damping, (3,), DAMPING),
+            turn_stiffness=checks.numbers(f"{name}.turn_stiffness", turn_stiffness, (3,), TURN_STIFFNESS),
+            turn_damping=checks.numbers(f"{name}.turn_damping", turn_damping, (3,), TURN_DAMPING),
+            orientation=checks.unit_quaternions(
+                f"{name}.orientation", checks.numbers(f"{name}.orientation", orientation, (4,))
+            ),
+            enabled=np.array(float(bool(enabled))),
+            color=checks.color(f"{name}.color", color),
+            visible=bool(visible),
+        )
+        return self._add_coupling(coupling)
+
+    def _add_coupling(self, coupling: Any) -> Any:
+        self.couplings.append(coupling)
+        self._elements[coupling.name] = coupling
+        return coupling
+
+    def _check_ends(self, name: str, point_a: Points, point_b: Points) -> None:
+        """Raises ``ValueError`` if these are not two points of this scene, on different bodies."""
+        for key, point in (("point_a", point_a), ("point_b", point_b)):
+            if not isinstance(point, Points) or self._elements.get(point.name) is not point:
+                raise ValueError(f"{name}.{key} must come from add_point of this scene, got {point!r}")
+            if not point.single:
+                raise ValueError(
+                    f"{name}.{key} must be one point, from add_point, got the {len(point.positions)} points of "
+                    f"{point.name!r}"
+                )
+        if point_a.body is point_b.body:
+            where = f"body {point_a.body.name!r}" if point_a.body else "the world"
+            raise ValueError(f"{name}: point_a and point_b are both fixed to {where}; one must move")
+
+
+def _place(point: Points) -> Array:
+    """Returns where a point is in the scene, world [m]."""
+    place = point.places
+    if point.body is not None:
+        place = placed(place, point.body.position, point.body.orientation)
+    return place[0]
+
+
+def _count(*values: object) -> str:
+    return "none" if all(value is None for value in values) else "both"
