@@ -91,8 +91,25 @@ def mean_slackness(h: real, v: real, weight: real):
 
 
 @wp.func
+def mean_tension(h: real, v: real, weight: real):
+    """∫ |t| ds over the line."""
+    v_2 = v + weight
+    t_1 = size(h, v)
+    t_2 = size(h, v_2)
+    first = t_1
+    if v > zero or v_2 < zero:
+        first = (v + v_2) * (h * h + v * v + v_2 * v_2) / (v_2 * t_2 + v * t_1)
+    elif weight > zero:
+        first = (v_2 * t_2 - v * t_1) / weight
+    second = zero
+    if h > zero:
+        second = h * h * mean_slackness(h, v, weight)
+    return half * (first + second)
+
+
+@wp.func
 def span(h: real, v: real, weight: real, give: real):
-    """Where end 2 of the line is; also of a part of a line, by the tension at its beginning and its weight."""
+    """Where the upper end is; also of a part of a line, by ``v`` at its beginning, its weight and its length."""
     total = size(h, v) + size(h, v + weight)
     if total == zero:
         return vec2()

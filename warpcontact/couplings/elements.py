@@ -7,6 +7,10 @@ from warpcontact.elements import Body, Points
 from warpcontact.kernels.springs import Damper, Spring
 
 LENGTH = limits("m", at_least=0.0)
+LINE_LENGTH = limits("m", above=0.0)
+MASS_PER_LENGTH = limits("kg/m", at_least=0.0)
+AXIAL_STIFFNESS = limits("N", above=0.0)
+FLOOR = limits("m")
 BREAK_FORCE = limits("N", above=0.0, may_be_infinite=True)
 STIFFNESS = limits("N/m", at_least=0.0)
 DAMPING = limits("N·s/m", at_least=0.0)
@@ -43,6 +47,16 @@ class SpringDamper(Coupling):
     # Whether stiffness and damping were given as numbers, and are called so in a model.
     plain_law: bool
     plain_damper: bool
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Catenary(Coupling):
+    """An elastic line under its own weight."""
+
+    length: Array  # unstretched [m]
+    mass_per_length: Array  # [kg/m]
+    axial_stiffness: Array  # EA [N]
+    floor: Array | None  # height of the floor along the vertical [m]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
