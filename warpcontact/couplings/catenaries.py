@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact import elements as limits_of
@@ -11,11 +12,12 @@ from warpcontact.arrays import per_env
 from warpcontact.couplings import elements
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import Catenary
-from warpcontact.kernels.couplings import catenary
+from warpcontact.kernels.couplings import catenary, line_measures
 from warpcontact.parameters import Field, pack
 
 if TYPE_CHECKING:
     from warpcontact.arrays import Layout
+    from warpcontact.model import Model
     from warpcontact.parameters import Parameters
     from warpcontact.schedule import Span
 
@@ -102,6 +104,29 @@ class CatenarySet(CouplingSet):
         """Starts its lines anew."""
         kernel, inputs = catenary.forget(self.types.real), [chosen, self._held, self._lines]
         wp.launch(kernel, dim=(envs, self.count), inputs=inputs, device=chosen.device)
+
+    def shape(self, model: "Model", item: int, count: int) -> NDArray[np.float64]:
+        """Returns where points of a line were when it was computed last, (envs, count, 3), world [m]."""
+        points = wp.zeros((model.envs, count), dtype=wp.vec3d, device=model.device)
+        kernel = line_measures.shapes(self.types.real, self.floored)
+        self._measure(model, kernel, item, points)
+        return points.numpy()
+
+    def stiffness(self, model: "Model", item: int) -> NDArray[np.float64]:
+        """Returns the derivatives of the force on end b by its place likewise, (envs, 3, 3), world [N/m]."""
+        rates = wp.zeros(model.envs, dtype=wp.mat33d, device=model.device)
+        kernel = line_measures.stiffness(self.types.real, self.floored)
+        self._measure(model, kernel, item, rates)
+        return rates.numpy()
+
+    def _measure(self, model: "Model", kernel: wp.Kernel, item: int, target: wp.array) -> None:
+        a = model.arrays
+        inputs = [a.model, a.state, self.first, item, self._owner.settings, self._found]
+        wp.launch(kernel, dim=target.shape, inputs=inputs, outputs=[target], device=model.device)
+
+    def failures(self, item: int) -> NDArray[np.int32]:
+        """Returns in how many steps since reset no solution of a line was found, (envs,)."""
+        return self._lines.failures.numpy()[:, item]
 
 
 class _Owner:
