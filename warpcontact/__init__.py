@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes
     from warpcontact.advice import ContactWarning
     from warpcontact.benchmark import BenchReport, bench
+    from warpcontact.couplings.elements import Bushing, SpringDamper
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
@@ -28,15 +29,17 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.split_model import SplitModel
-    from warpcontact.status import Status
+    from warpcontact.status import CouplingStatus, Status
     from warpcontact.usd import export_usd
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
     "BenchReport": "warpcontact.benchmark",
     "Body": "warpcontact.elements",
+    "Bushing": "warpcontact.couplings.elements",
     "Contact": "warpcontact.elements",
     "ContactWarning": "warpcontact.advice",
+    "CouplingStatus": "warpcontact.status",
     "Damper": "warpcontact.kernels.springs.base",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
@@ -53,6 +56,7 @@ _HOME = {
     "Simulation": "warpcontact.simulation",
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
+    "SpringDamper": "warpcontact.couplings.elements",
     "Status": "warpcontact.status",
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
@@ -75,8 +79,10 @@ _HOME = {
 __all__ = [
     "BenchReport",
     "Body",
+    "Bushing",
     "Contact",
     "ContactWarning",
+    "CouplingStatus",
     "Damper",
     "Experiment",
     "ExperimentError",
@@ -93,6 +99,7 @@ __all__ = [
     "Simulation",
     "SplitModel",
     "Spring",
+    "SpringDamper",
     "Status",
     "Surface",
     "SurfaceSamples",

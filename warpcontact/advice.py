@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.checks import Array
+from warpcontact.couplings.advice import coupling_advice
 from warpcontact.friction_advice import LOOKED_AT, friction_advice
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
@@ -24,7 +25,7 @@ class ContactWarning(UserWarning):
 
 
 def advice(model: "Environments", dt: float) -> list[str]:
-    """Returns what to say about the start of a model, a sentence or two per contact.
+    """Returns what to say about the start of a model, a sentence or two per contact or coupling.
 
     Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
     steeply a friction rises; nothing is said of laws that do not tell their elastic part. Of a set of points as
@@ -55,7 +56,7 @@ def advice(model: "Environments", dt: float) -> list[str]:
         # The energy of all overlaps, as speed.
         energy = (stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)).sum(axis=1, keepdims=True)
         sentences += _about_overlap(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
-    return sentences
+    return sentences + coupling_advice(model, dt)
 
 
 def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array) -> Array:

@@ -134,11 +134,13 @@ class Environments(ABC):
         if name in self.parts[0].readings:
             raise KeyError(f"{name!r} is a reading, not a parameter; use model.reading({name!r})")
         element, _, quantity = name.rpartition(".")
-        for contact in self.scene.contacts:
-            for part, formula in contact.template.formulas.items():
-                if element == f"{contact.name}.{part}" and quantity in formula.__dataclass_fields__:
+        owners = {contact.name: contact.template.formulas for contact in self.scene.contacts}
+        owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
+        for owner, formulas in owners.items():
+            for part, formula in formulas.items():
+                if element == f"{owner}.{part}" and quantity in formula.__dataclass_fields__:
                     raise KeyError(
-                        f"no parameter {name!r}: the {type(formula).__name__} of {contact.name!r} was made "
+                        f"no parameter {name!r}: the {type(formula).__name__} of {owner!r} was made "
                         f"without {quantity}; it has {', '.join(formula.parameters())}"
                     )
         return _look_up("parameter", name, parameters)

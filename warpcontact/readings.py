@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +65,7 @@ class Reading:
             ``"points"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
+        codes: What its numbers stand for.
     """
 
     name: str
@@ -73,6 +75,17 @@ class Reading:
     needs: tuple[str, ...] = ()
     items: int = 0
     total: bool = False
+    codes: type[IntEnum] | None = None
+
+    @property
+    def flags(self) -> dict[str, Any]:
+        """CF attributes that explain its codes; none if they are no codes."""
+        if self.codes is None:
+            return {}
+        return {
+            "flag_values": [int(code) for code in self.codes],
+            "flag_meanings": " ".join(code.name for code in self.codes),
+        }
 
     def finish(self, values: NDArray[Any], axis: int = 1) -> NDArray[Any]:
         """Returns what is reported from what was read; ``axis`` is the item axis."""
@@ -119,7 +132,8 @@ def readings_of(
         add(f"{contact.name}.point", "m", meaning, place, needs=("points",), items=count)
         for key, (attribute, unit, meaning) in _CONTACT.items():
             array = column("contacts", attribute, items)
-            add(f"{contact.name}.{key}", unit, meaning, array, needs=("contacts",), items=count)
+            codes = Status if key == "status" else None
+            add(f"{contact.name}.{key}", unit, meaning, array, needs=("contacts",), items=count, codes=codes)
         group = next(group for group in groups if group.first <= start < group.first + group.count)
         for part, formula in contact.template.formulas.items():
             for key, memory in formula.memories.items():
@@ -143,11 +157,3 @@ def readings_of(
         array = column("bodies", attribute, slice(0, len(scene.bodies)))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)
     return table
-
-
-def status_attributes() -> dict[str, Any]:
-    """Returns the CF attributes that explain the codes of a status."""
-    return {
-        "flag_values": [int(status) for status in Status],
-        "flag_meanings": " ".join(status.name for status in Status),
-    }

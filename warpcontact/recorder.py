@@ -27,7 +27,7 @@ from warpcontact.footprint import (
 )
 from warpcontact.model import Model
 from warpcontact.parameters import Parameter
-from warpcontact.readings import AXES, status_attributes
+from warpcontact.readings import AXES
 from warpcontact.scene import Scene
 
 # Frames wait on the device up to this size, then move to the host in one copy.
@@ -282,9 +282,7 @@ class Recorder:
             values = channel.result[: self.taken]
             if values.ndim > len(dims):
                 dims.append(AXES[values.shape[-1]][0])
-            notes = {"units": reading.unit, "long_name": reading.meaning}
-            if reading.name.endswith(".status"):
-                notes |= status_attributes()
+            notes = {"units": reading.unit, "long_name": reading.meaning, **reading.flags}
             variables[reading.name] = (dims, values, notes)
         for parameter in self.kept:
             variables |= self._parameter_variable(parameter)

@@ -1,4 +1,4 @@
-"""State of a contact, as ``<contact>.status`` reports it."""
+"""State of a contact or a coupling, as ``<contact>.status`` and ``<coupling>.status`` report it."""
 
 from enum import IntEnum
 
@@ -19,3 +19,19 @@ class Status(IntEnum):
     FAR = types.FAR
     WRONG_SIDE = types.WRONG_SIDE
     DISABLED = types.DISABLED
+
+
+class CouplingStatus(IntEnum):
+    """State of a spring-damper or a bushing.
+
+    ACTIVE: acting. SLACK: ``tension_only``, and not stretched. BROKEN: by more than its ``break_force``. OUTSIDE:
+    of the distances of its table, the end of which is held. NO_DIRECTION: its ends are in one place, and nothing
+    is known of where they came from, so that no force acts. DISABLED: not enabled.
+    """
+
+    ACTIVE = types.COUPLING_ACTIVE
+    SLACK = types.COUPLING_SLACK
+    BROKEN = types.COUPLING_BROKEN
+    OUTSIDE = types.COUPLING_OUTSIDE
+    NO_DIRECTION = types.COUPLING_NO_DIRECTION
+    DISABLED = types.COUPLING_DISABLED

@@ -27,7 +27,7 @@ from warpcontact.kernels.types import (
 class SpringParts(NamedTuple):
     """The formulas of a spring-damper, as classes: what the kernel is compiled from."""
 
-    law: type[Spring]
+    spring: type[Spring]
     damper: type[Damper]
 
 
@@ -153,7 +153,7 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
     Model, State, Ends = t.Model, t.State, t.Ends
     Springs, Stretch, Tables = s.Springs, s.Stretch, s.Tables
     Coefficients = coefficient_structs(parts, real)
-    law_force, law_outside = _of_formula(parts.law, real)
+    spring_force, spring_outside = _of_formula(parts.spring, real)
     damper_force, damper_outside = _of_formula(parts.damper, real)
     end = ends.functions(real)
     arm, separation, velocity, pull = end.arm, end.separation, end.velocity, end.pull
@@ -168,7 +168,7 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
         state: State,
         first: wp.int32,  # coupling
         coefficients: Coefficients,
-        law_tables: Tables,
+        spring_tables: Tables,
         damper_tables: Tables,
         springs: Springs,
         ends: Ends,
@@ -199,10 +199,10 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
                 found = COUPLING_NO_DIRECTION
             stretch.rate = wp.dot(direction, apart)
 
-            force = law_force(coefficients.law[env, spring], stretch, law_tables, spring)
+            force = spring_force(coefficients.spring[env, spring], stretch, spring_tables, spring)
             damping = damper_force(coefficients.damper[env, spring], stretch, damper_tables, spring)
             total = force + damping
-            if law_outside(stretch.length, law_tables, spring):
+            if spring_outside(stretch.length, spring_tables, spring):
                 found = wp.max(found, COUPLING_OUTSIDE)
             if damper_outside(stretch.length, damper_tables, spring):
                 found = wp.max(found, COUPLING_OUTSIDE)

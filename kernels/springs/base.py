@@ -7,7 +7,28 @@ import warp as wp
 from warpcontact.kernels.formula import Formula
 
 
-class Spring(Formula):
+class AlongLine(Formula):
+    """What springs and dampers have in common: a force along the line between two points."""
+
+    element: ClassVar[str] = "spring"
+    may_have_table: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if cls.memories:
+            raise TypeError(f"{cls.__name__} declares a memory, and a spring-damper has none")
+
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        """Returns df/dx of a spring, df/dẋ of a damper, for estimates of the time step; ``None``: unknown.
+
+        Args:
+            values: Parameters and ``rest_length``, (n,) each.
+            lengths: Distances, (n,) [m].
+        """
+        return None
+
+
+class Spring(AlongLine):
     """An elastic force f(x) between two points, positive where it pulls them together.
 
     A subclass declares its parameters and a device function::
@@ -28,20 +49,10 @@ class Spring(Formula):
     argument, the row of the table that the distance is in.
     """
 
-    element: ClassVar[str] = "spring"
-    may_have_table: ClassVar[bool] = True
-
-    def __init_subclass__(cls, **keywords: Any) -> None:
-        super().__init_subclass__(**keywords)
-        if cls.memories:
-            raise TypeError(f"{cls.__name__} declares a memory, and a spring-damper has none")
-
-    def stiffness_at(self, rest_length: float, lengths: np.ndarray) -> np.ndarray | None:
-        """Returns df/dx at some distances, for estimates of the time step; ``None``: unknown."""
-        return None
+    part: ClassVar[str] = "spring"
 
 
-class Damper(Spring):
+class Damper(AlongLine):
     """A force of damping between two points, positive where it pulls them together: k_d ẋ with k_d ≥ 0.
 
     Declared like a ``Spring``; its ``force`` uses ``s.rate``.

@@ -2,8 +2,10 @@
 
 from typing import Any
 
+import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter, table
+from warpcontact.kernels.springs import tables
 from warpcontact.kernels.springs.base import Damper, value_at
 
 _MANUAL = "Simcenter STAR-CCM+ manual, spring-damper coupling"
@@ -18,6 +20,9 @@ class Undamped(Damper):
     def force(p: Any, s: Any):
         return type(s.rate)(0.0)
 
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        return np.zeros_like(lengths)
+
 
 class Viscous(Damper):
     """Damping of constant coefficient."""
@@ -31,6 +36,9 @@ class Viscous(Damper):
     @wp.func
     def force(p: Any, s: Any):
         return p.damping * s.rate
+
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        return values["damping"]
 
 
 class PolynomialDamping(Damper):
@@ -49,6 +57,10 @@ class PolynomialDamping(Damper):
         coefficient = p.a + s.extension * (p.b + s.extension * p.c)
         return wp.max(coefficient, type(s.rate)(0.0)) * s.rate
 
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        e = lengths - values["rest_length"]
+        return np.maximum(values["a"] + e * (values["b"] + e * values["c"]), 0.0)
+
 
 class DampingTable(Damper):
     """Damping coefficient over the distance, piecewise linear; held beyond the ends of the table."""
@@ -63,3 +75,6 @@ class DampingTable(Damper):
     @wp.func
     def force(p: Any, s: Any, row: Any):
         return p.scale * value_at(row, s.length) * s.rate
+
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        return values["scale"] * tables.value_of(self.table, lengths)

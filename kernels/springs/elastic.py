@@ -26,8 +26,8 @@ class Linear(Spring):
     def force(p: Any, s: Any):
         return p.stiffness * s.extension
 
-    def stiffness_at(self, rest_length: float, lengths: np.ndarray) -> np.ndarray | None:
-        return np.full_like(lengths, self.stiffness)
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        return values["stiffness"]
 
 
 class Polynomial(Spring):
@@ -60,9 +60,9 @@ class Polynomial(Spring):
     def force(p: Any, s: Any):
         return p.offset + polynomial(p.a, p.b, p.c, s.extension)
 
-    def stiffness_at(self, rest_length: float, lengths: np.ndarray) -> np.ndarray | None:
-        e = lengths - rest_length
-        return self.a + e * (2.0 * self.b + 3.0 * self.c * e)
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        e = lengths - values["rest_length"]
+        return values["a"] + e * (2.0 * values["b"] + 3.0 * values["c"] * e)
 
 
 class StiffnessTable(Spring):
@@ -108,8 +108,8 @@ class StiffnessTable(Spring):
     def force(p: Any, s: Any, row: Any):
         return p.offset + p.scale * area_below(row, s.length)
 
-    def stiffness_at(self, rest_length: float, lengths: np.ndarray) -> np.ndarray | None:
-        return self.scale * tables.value_of(self.table, lengths)
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        return values["scale"] * tables.value_of(self.table, lengths)
 
 
 class ForceTable(Spring):
@@ -127,5 +127,5 @@ class ForceTable(Spring):
     def force(p: Any, s: Any, row: Any):
         return p.scale * value_at(row, s.length)
 
-    def stiffness_at(self, rest_length: float, lengths: np.ndarray) -> np.ndarray | None:
-        return self.scale * tables.row_at(self.table, lengths)[..., 2]
+    def slope(self, values: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray | None:
+        return values["scale"] * tables.row_at(self.table, lengths)[..., 2]

@@ -1,7 +1,7 @@
 """How couplings are added to a scene. All input is checked here."""
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,7 +42,7 @@ class Couplings:
         *,
         stiffness: float | None = None,
         damping: float | None = None,
-        law: Spring | None = None,
+        spring: Spring | None = None,
         damper: Damper | None = None,
         rest_length: float | None = None,
         tension_only: bool = False,
@@ -62,7 +62,7 @@ class Couplings:
             point_b: From ``add_point``, on another body; one of both may be of the world.
             stiffness: Stiffness of a linear spring, f_e = k (x − x₀) [N/m].
             damping: Damping coefficient k_d [N·s/m].
-            law: In place of ``stiffness``, a spring of ``wc.springs`` or your own ``wc.Spring``.
+            spring: In place of ``stiffness``, a spring of ``wc.springs`` or your own ``wc.Spring``.
             damper: In place of ``damping``, a damper of ``wc.springs`` or your own ``wc.Damper``.
             rest_length: Length x₀ at which a linear spring is without force [m]; ``None``: the distance of the
                 points in the scene.
@@ -79,32 +79,31 @@ class Couplings:
         """
         name = checks.new_name("spring_damper", name, self._elements)
         self._check_ends(name, point_a, point_b)
-        if (stiffness is None) == (law is None):
-            raise ValueError(f"{name} must have exactly one of stiffness and law, got {_count(stiffness, law)}")
+        if (stiffness is None) == (spring is None):
+            got = "none" if spring is None else "both"
+            raise ValueError(f"{name}: exactly one of stiffness and spring must be given, got {got}")
         if damping is not None and damper is not None:
-            raise ValueError(f"{name} must have at most one of damping and damper, got both")
-        for key, value, kind in (("law", law, Spring), ("damper", damper, Damper)):
-            wrong = not isinstance(value, kind) or (key == "law" and isinstance(value, Damper))
-            if value is not None and wrong:
+            raise ValueError(f"{name}: damping and damper must not both be given")
+        for key, value, kind in (("spring", spring, Spring), ("damper", damper, Damper)):
+            if value is not None and not isinstance(value, kind):
                 raise TypeError(f"{name}.{key} must be an instance of wc.{kind.__name__}, got {value!r}")
-        if law is None:
-            law = Linear(stiffness=float(checks.numbers(f"{name}.stiffness", stiffness, (), STIFFNESS)))  # type: ignore[arg-type]
-        plain_damper = damping is not None
+        if stiffness is not None:
+            spring = Linear(stiffness=float(checks.numbers(f"{name}.stiffness", stiffness, (), STIFFNESS)))
         if damping is not None:
             damper = Viscous(damping=float(checks.numbers(f"{name}.damping", damping, (), DAMPING)))
         if rest_length is None:
-            rest_length = float(np.linalg.norm(_place(point_b) - _place(point_a)))
+            rest_length = float(np.linalg.norm(place_of(point_b) - place_of(point_a)))
         coupling = SpringDamper(
             name=name,
             point_a=point_a,
             point_b=point_b,
-            law=law,
+            spring=cast(Spring, spring),
             damper=Undamped() if damper is None else damper,
             rest_length=checks.numbers(f"{name}.rest_length", rest_length, (), LENGTH),
             tension_only=np.array(float(bool(tension_only))),
             break_force=checks.numbers(f"{name}.break_force", break_force, (), BREAK_FORCE),
-            plain_law=stiffness is not None,
-            plain_damper=plain_damper,
+            plain_spring=stiffness is not None,
+            plain_damper=damping is not None,
             enabled=np.array(float(bool(enabled))),
             color=checks.color(f"{name}.color", color),
             visible=bool(visible),
@@ -238,13 +237,9 @@ class Couplings:
             raise ValueError(f"{name}: point_a and point_b are both fixed to {where}; one must move")
 
 
-def _place(point: Points) -> Array:
+def place_of(point: Points) -> Array:
     """Returns where a point is in the scene, world [m]."""
     place = point.places
     if point.body is not None:
         place = placed(place, point.body.position, point.body.orientation)
     return place[0]
-
-
-def _count(*values: object) -> str:
-    return "none" if all(value is None for value in values) else "both"

@@ -1,6 +1,7 @@
 """Bushings on a device."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -34,7 +35,7 @@ class BushingSet(CouplingSet):
     """All bushings of a scene."""
 
     couplings: list[Bushing]
-    quantities = {  # noqa: RUF012  a constant of the class
+    quantities: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "displacement": ("displacement", "m", "of the second end from the first, axes of the bushing"),
         "rotation": ("rotation", "rad", "of the second body from rest, rotation vector, axes of the bushing"),
         "force": ("force", "N", "force on the second body, axes of the bushing"),

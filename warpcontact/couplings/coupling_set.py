@@ -1,7 +1,8 @@
 """Couplings of equal code side by side on a device: what the step, resets and readings need of them."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import IntEnum
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -9,6 +10,7 @@ import warp as wp
 
 from warpcontact.couplings.elements import Coupling
 from warpcontact.readings import Reading
+from warpcontact.status import CouplingStatus
 
 if TYPE_CHECKING:
     from warpcontact.arrays import Layout
@@ -30,7 +32,9 @@ class CouplingSet(ABC):
     """
 
     #: What the readings of all kinds tell, and of this kind alone: quantity → (array, unit, meaning).
-    quantities: ClassVar[dict[str, tuple[str, str, str]]]
+    quantities: ClassVar[Mapping[str, tuple[str, str, str]]]
+    #: What the numbers of the quantity ``status`` stand for.
+    codes: ClassVar[type[IntEnum]] = CouplingStatus
 
     def __init__(
         self,
@@ -91,7 +95,8 @@ class CouplingSet(ABC):
                 yield Reading(f"{coupling.name}.force_{end}", "N", meaning, array, needs=("contacts",))
             for quantity, (attribute, unit, meaning) in self.quantities.items():
                 array = self._column(attribute, item)
-                yield Reading(f"{coupling.name}.{quantity}", unit, meaning, array, needs=("contacts",))
+                name, codes = f"{coupling.name}.{quantity}", self.codes if quantity == "status" else None
+                yield Reading(name, unit, meaning, array, needs=("contacts",), codes=codes)
 
     def _column(self, attribute: str, item: int) -> Callable[[SimpleNamespace], wp.array]:
         return lambda _: getattr(self.results, attribute)[:, item]

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from warpcontact.checks import Array, limits
 from warpcontact.elements import Body, Points
+from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.springs import Damper, Spring
 
 LENGTH = limits("m", at_least=0.0)
@@ -34,19 +35,29 @@ class Coupling:
         """What its ends are fixed to; ``None``: the world."""
         return self.point_a.body, self.point_b.body
 
+    @property
+    def formulas(self) -> dict[str, Formula]:
+        """Its formulas by the name of their part."""
+        return {}
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpringDamper(Coupling):
     """A spring and a damper side by side, along the line between two points."""
 
-    law: Spring
+    spring: Spring
     damper: Damper
     rest_length: Array
     tension_only: Array
     break_force: Array
     # Whether stiffness and damping were given as numbers, and are called so in a model.
-    plain_law: bool
+    plain_spring: bool
     plain_damper: bool
+
+    @property
+    def formulas(self) -> dict[str, Formula]:
+        """Spring and damper."""
+        return {"spring": self.spring, "damper": self.damper}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

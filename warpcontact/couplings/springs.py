@@ -1,6 +1,7 @@
 """Spring-dampers on a device."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -29,7 +30,7 @@ class SpringSet(CouplingSet):
     """Spring-dampers that share the code of their elastic part and damping."""
 
     couplings: list[SpringDamper]
-    quantities = {  # noqa: RUF012  a constant of the class
+    quantities: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "length": ("length", "m", "distance of its ends"),
         "rate": ("rate", "m/s", "rate of the length, positive apart"),
         "force": ("force", "N", "force, positive where it pulls its ends together"),
@@ -39,7 +40,7 @@ class SpringSet(CouplingSet):
     @staticmethod
     def key(coupling: SpringDamper) -> SpringParts:
         """Returns the classes of elastic part and damping."""
-        return SpringParts(type(coupling.law), type(coupling.damper))
+        return SpringParts(type(coupling.spring), type(coupling.damper))
 
     @property
     def parts(self) -> SpringParts:
@@ -142,7 +143,7 @@ class SpringSet(CouplingSet):
 
         upload = parameters.upload(self._coefficients, part, struct, content)
         for one, formula, own in zip(self.couplings, formulas, fields, strict=True):
-            plain = one.plain_law if part == "law" else one.plain_damper
+            plain = one.plain_spring if part == "spring" else one.plain_damper
             for name, field in own.items():
                 label = f"{one.name}.{name}" if plain else f"{one.name}.{part}.{name}"
                 parameters.add(label, field, slice(0, 1), formula.limits(name), [upload])

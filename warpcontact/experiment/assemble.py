@@ -10,6 +10,7 @@ from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import (
     ContactOptions,
     ContactSettings,
+    CouplingOptions,
     PointSettings,
     PointsSettings,
     SurfaceContactSettings,
@@ -63,6 +64,8 @@ class Assembler:
             "template": lambda path, entry: self._template(entry),
             "contact": lambda path, entry: self._contact(scene, path, entry, problems),
             "surface_contact": lambda path, entry: self._surface_contact(scene, path, entry, problems),
+            "spring_damper": lambda path, entry: self._coupling(scene.add_spring_damper, path, entry, problems),
+            "bushing": lambda path, entry: self._coupling(scene.add_bushing, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:
@@ -127,10 +130,17 @@ class Assembler:
         targets = self._find_all(path, entry, references, problems)
         return scene.add_surface_contact(*targets, **entry.model_dump(exclude=set(references), exclude_none=True))
 
+    def _coupling(self, add: Callable[..., Any], path: str, entry: CouplingOptions, problems: Problems) -> Any:
+        references = {"point_a": _POINTS, "point_b": _POINTS}
+        targets = self._find_all(path, entry, references, problems)
+        formulas = {key: table.make() for key, table in entry if isinstance(table, FormulaSettings)}
+        options = entry.model_dump(exclude={*references, *formulas}, exclude_none=True)
+        return add(*targets, **options, **formulas)
+
     def _find_all(
         self,
         path: str,
-        entry: ContactOptions,
+        entry: ContactOptions | CouplingOptions,
         references: Mapping[str, tuple[str, tuple[str, ...]]],
         problems: Problems,
     ) -> list[Any]:

@@ -29,7 +29,7 @@ from warpcontact.checks import limits
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.errors import shown, suggestion
 from warpcontact.experiment.own import OwnFiles, blame
-from warpcontact.kernels import frictions, laws
+from warpcontact.kernels import frictions, laws, springs
 from warpcontact.kernels.contact_force import Parts
 from warpcontact.kernels.formula import Formula
 
@@ -188,6 +188,10 @@ def settings_model(formula: type[Formula]) -> type[FormulaSettings]:
     for field in dataclasses.fields(formula):
         if field.name in taken or field.name.startswith("_"):
             raise ValueError(f": {formula.__name__} has a parameter {field.name!r}, which no table can have")
+        if field is formula.table_field():
+            about = f"{field.metadata['meaning']}: pairs [distance [m], value [{field.metadata['unit']}]]"
+            fields[field.name] = (Annotated[Any, q.table(field.metadata["unit"])], Field(description=about))
+            continue
         allowed = formula.limits(field.name)
         default = ... if field.default is dataclasses.MISSING else field.default
         fields[field.name] = (
@@ -203,12 +207,18 @@ def settings_model(formula: type[Formula]) -> type[FormulaSettings]:
     return model
 
 
-#: What the formulas of a template are, by their keys.
-FORMULAS: dict[str, Any] = {part: laws.Law if part == "law" else frictions.Friction for part in Parts._fields}
+#: What the formulas of a template or a spring-damper are, by their keys.
+FORMULAS: dict[str, Any] = {
+    **{part: laws.Law if part == "law" else frictions.Friction for part in Parts._fields},
+    "spring": springs.Spring,
+    "damper": springs.Damper,
+}
 #: The classes that come with the library, by what they are and by name.
 CATALOGUES: dict[Any, dict[str, Any]] = {
     laws.Law: {law.__name__: law for law in laws.CATALOGUE},
     frictions.Friction: {friction.__name__: friction for friction in frictions.CATALOGUE},
+    springs.Spring: {spring.__name__: spring for spring in springs.SPRINGS},
+    springs.Damper: {damper.__name__: damper for damper in springs.DAMPERS},
 }
 _SHAPE_MODELS = {name: _shape_model(name, make) for name, make in SHAPES.items()}
 

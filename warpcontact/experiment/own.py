@@ -1,4 +1,4 @@
-"""Laws and frictions out of a user's own Python file, which an experiment names as ``FILE.py:CLASS``.
+"""Laws, frictions and springs out of a user's own Python file, which an experiment names as ``FILE.py:CLASS``.
 
 Such a file is run as any module is that one imports. It has to lie inside of the folder of the experiment, so that
 an experiment from elsewhere runs nothing but what came with it. What is wrong with a file, or goes wrong in it, is
@@ -26,6 +26,7 @@ from warpcontact.experiment.errors import ExperimentError, shown, suggestion
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction
 from warpcontact.kernels.laws import Law
+from warpcontact.kernels.springs import Damper, Spring
 
 # Modules by file and content: experiments of an unchanged file share its classes, and so its compiled kernels.
 _MODULES: dict[tuple[Path, bytes], ModuleType] = {}
@@ -83,7 +84,7 @@ class OwnFiles:
         Args:
             file: The file, relative to the folder.
             name: Name of the class.
-            bases: What the class may be: ``Law``, ``Friction`` or both.
+            bases: What the class may be: ``Law``, ``Friction``, ``Spring`` or ``Damper``, or several.
 
         Raises:
             ValueError: If there is none; the message continues the key ``type``.
@@ -95,7 +96,7 @@ class OwnFiles:
             hint = suggestion(name, known) or f"; there are: {', '.join(known) or 'none'}"
             raise ValueError(f": {file} has no {_words(bases)} {name!r}{hint}")
         if not _is_formula(given, bases):
-            kinds = [kind for kind in (Law, Friction) if _is_formula(given, (kind,))]
+            kinds = [kind for kind in (Law, Friction, Spring, Damper) if _is_formula(given, (kind,))]
             derived = " or ".join(f"wc.{base.__name__}" for base in bases)
             fact = f"a {_words(kinds)} and no {_words(bases)}" if kinds else f"no class derived from {derived}"
             raise ValueError(f": {name!r} in {file} is {fact}")

@@ -15,6 +15,7 @@ from warpcontact import checks
 from warpcontact.checks import limits
 from warpcontact.elements import AREA
 from warpcontact.experiment.errors import shown
+from warpcontact.kernels.formula import table_values
 from warpcontact.meshes.repair import REPAIRS, steps_of
 from warpcontact.surface_contact import check_amount
 
@@ -210,6 +211,18 @@ def _areas(value: Any) -> tuple[float, ...]:
     return entries
 
 
+def table(unit: str) -> PlainValidator:
+    """Returns the validator of a table over the distance, see ``kernels.formula.table``."""
+
+    def validate(value: Any) -> tuple[tuple[float, float], ...]:
+        try:
+            return table_values("", value, unit)
+        except ValueError as error:
+            raise ValueError(str(error).lstrip()) from None
+
+    return PlainValidator(validate)
+
+
 def _pair(rule: str, holds: Callable[[Any, Any], Any]) -> PlainValidator:
     """Returns the validator of two numbers or vectors for which ``rule`` holds in each component."""
     what = "two numbers, or two lists of numbers of the same length"
@@ -236,6 +249,8 @@ position = numbers((3,), allowed=limits("m"))
 quaternion = numbers((4,), what="a unit quaternion (x, y, z, w)", check=checks.unit_quaternions)
 velocity = numbers((3,), allowed=limits("m/s"))
 angular_velocity = numbers((3,), allowed=limits("rad/s"))
+force = numbers((3,), allowed=limits("N"))
+torque = numbers((3,), allowed=limits("N·m"))
 acceleration = numbers((3,), allowed=limits("m/s²"))
 time = numbers((), allowed=limits("s", above=0.0))
 inertia = numbers((3,), (3, 3), allowed=limits("kg·m²"), what="3 numbers or a 3×3 tensor [kg·m²]", check=_inertia)

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from warpcontact import elements as limits_of
 from warpcontact.build import PRECISIONS
+from warpcontact.couplings import elements as coupling_limits
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
     FileMesh,
@@ -68,6 +69,8 @@ class BodySettings(Section):
     orientation: Quaternion = NO_ROTATION
     linear_velocity: Annotated[tuple[float, ...], q.velocity] = ORIGIN
     angular_velocity: Annotated[tuple[float, ...], q.angular_velocity] = ORIGIN
+    external_force: Annotated[tuple[float, ...], q.force] = ORIGIN
+    external_torque: Annotated[tuple[float, ...], q.torque] = ORIGIN
     color: Color | None = None
 
 
@@ -163,6 +166,39 @@ class SurfaceContactSettings(ContactOptions):
     sides: Annotated[str, q.one_of(SIDES)] = "first"
 
 
+class CouplingOptions(Section):
+    """What all kinds of coupling have."""
+
+    name: Name
+    point_a: str = Field(description="the name of a point")
+    point_b: str = Field(description="the name of a point")
+    enabled: bool = True
+    color: Color | None = None
+    visible: bool = True
+
+
+class SpringDamperSettings(CouplingOptions):
+    """``[[spring_damper]]``: a spring and a damper side by side, along the line between two points."""
+
+    stiffness: Annotated[float | None, q.numbers((), allowed=coupling_limits.STIFFNESS)] = None
+    damping: Annotated[float | None, q.numbers((), allowed=coupling_limits.DAMPING)] = None
+    spring: TemplateFormula | None = None
+    damper: TemplateFormula | None = None
+    rest_length: Annotated[float | None, q.numbers((), allowed=coupling_limits.LENGTH)] = None
+    tension_only: bool = False
+    break_force: Annotated[float | None, q.numbers((), allowed=coupling_limits.BREAK_FORCE)] = None
+
+
+class BushingSettings(CouplingOptions):
+    """``[[bushing]]``: springs and dampers along three axes and about them, between two points."""
+
+    stiffness: Annotated[tuple[float, ...], q.numbers((3,), allowed=coupling_limits.STIFFNESS)] = ORIGIN
+    damping: Annotated[tuple[float, ...], q.numbers((3,), allowed=coupling_limits.DAMPING)] = ORIGIN
+    turn_stiffness: Annotated[tuple[float, ...], q.numbers((3,), allowed=coupling_limits.TURN_STIFFNESS)] = ORIGIN
+    turn_damping: Annotated[tuple[float, ...], q.numbers((3,), allowed=coupling_limits.TURN_DAMPING)] = ORIGIN
+    orientation: Quaternion = NO_ROTATION
+
+
 class SolidSphere(Section):
     """Inertia of a uniform solid sphere, (2/5) m r²."""
 
@@ -226,6 +262,8 @@ class Settings(Section):
     template: Rows[TemplateSettings] = ()
     contact: Rows[ContactSettings] = ()
     surface_contact: Rows[SurfaceContactSettings] = ()
+    spring_damper: Rows[SpringDamperSettings] = ()
+    bushing: Rows[BushingSettings] = ()
     variation: dict[str, VariationSettings] = Field(default_factory=dict)
     record: RecordSettings = Field(default_factory=RecordSettings)
     output: OutputSettings = Field(default_factory=OutputSettings)
@@ -240,6 +278,8 @@ SECTIONS: dict[str, type[Section]] = {
     "template": TemplateSettings,
     "contact": ContactSettings,
     "surface_contact": SurfaceContactSettings,
+    "spring_damper": SpringDamperSettings,
+    "bushing": BushingSettings,
 }
 
 

@@ -16,6 +16,7 @@ from warpcontact.experiment.own import blame
 from warpcontact.experiment.reading import Parts
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.laws import Hooke
+from warpcontact.kernels.springs import Damper, Linear, Spring
 from warpcontact.scene import Scene, Template
 
 
@@ -32,13 +33,13 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     scene = Assembler(parts, folder, loaded).scene(problems)
     model, error = _built(scene, precision)
     # What the model contains works. The rest, or everything if there is none, is tried piece by piece.
-    working = set() if model is None else {type(f) for c in scene.contacts for f in vars(c.template).values()}
+    working = set() if model is None else {type(formula) for formula in _formulas(scene)}
     faults = 0
-    for i, key, formula in list(_own_formulas(parts)):
+    for section, i, key, formula in list(_own_formulas(parts)):
         fault = None if type(formula) in working else _fault(key, formula, precision)
         if fault is not None:
-            problems.add(f"template[{i}].{key}", f": {fault}")
-            parts.entries["template"].pop(i, None)
+            problems.add(f"{section}[{i}].{key}", f": {fault}")
+            parts.entries[section].pop(i, None)
             faults += 1
     if faults and model is None:
         # Once more without them, so that the other problems are found, too; those of the parts are known.
@@ -65,40 +66,57 @@ def _built(scene: Scene, precision: str) -> tuple[Environments | None, Exception
         return None, error
 
 
-def _own_formulas(parts: Parts) -> Iterator[tuple[int, str, Formula]]:
-    """Iterates over the formulas that are not of the library: number of the template, key, formula."""
-    for i, entry in parts.entries["template"].items():
-        for key, table in entry:
-            if isinstance(table, FormulaSettings) and own_class(table.type)[0]:
-                yield i, key, table.make()
+def _formulas(scene: Scene) -> Iterator[Formula]:
+    """Iterates over all formulas of a scene."""
+    for contact in scene.contacts:
+        yield from contact.template.formulas.values()
+    for coupling in scene.couplings:
+        yield from coupling.formulas.values()
+
+
+def _own_formulas(parts: Parts) -> Iterator[tuple[str, int, str, Formula]]:
+    """Iterates over the formulas that are not of the library: section and number, key, formula."""
+    for section in ("template", "spring_damper"):
+        for i, entry in parts.entries[section].items():
+            for key, table in entry:
+                if isinstance(table, FormulaSettings) and own_class(table.type)[0]:
+                    yield section, i, key, table.make()
 
 
 def _fault(key: str, formula: Formula, precision: str) -> str | None:
-    """Returns why ``formula``, as ``key`` of a template, cannot be computed or compiled; ``None`` if it can."""
+    """Returns why ``formula``, as ``key`` of its table, cannot be computed or compiled; ``None`` if it can."""
     cls = type(formula)
     values = {name: np.full((1, 1), value) for name, value in formula.parameters(area=1.0).items()}
+    if along := isinstance(formula, Spring | Damper):
+        values["rest_length"] = np.ones((1, 1))
     try:
-        missing = set(cls.device_names()) - set(cls.coefficients(values))
+        missing = set(cls.device_names()) - set(formula.coefficients(values))
     except Exception as error:
         return blame(error, cls)
     if missing:
         return f"{cls.__name__}.coefficients must return {', '.join(cls.device_names())}, got no {min(missing)}"
     scene = Scene()
-    ground = scene.add_surface(meshes.grid())
     ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0))
-    try:
-        template = Template(**{"law": Hooke(stiffness=1.0), key: formula})
-    except ValueError as error:
-        return str(error)
-    # A set, because it has areas for a formula that asks for them.
-    scene.add_contact(scene.add_points(ball, [(0.0, 0.0, 0.0)], areas=[1.0]), ground, template, radius=0.1)
+    if along:
+        ends = (scene.add_point(None, (0.0, 0.0, 0.0)), scene.add_point(ball, (0.0, 0.0, 0.0)))
+        scene.add_spring_damper(*ends, **{"spring": Linear(stiffness=1.0), key: formula})
+    else:
+        try:
+            template = Template(**{"law": Hooke(stiffness=1.0), key: formula})
+        except ValueError as error:
+            return str(error)
+        # A set, because it has areas for a formula that asks for them.
+        points = scene.add_points(ball, [(0.0, 0.0, 0.0)], areas=[1.0])
+        scene.add_contact(points, scene.add_surface(meshes.grid()), template, radius=0.1)
     _, failure = _built(scene, precision)
     if failure is None:
         return None
     # That a formula does not compile is said in full by what compiles it, in names of modules that nobody knows.
     if isinstance(failure, TypeError):
         text = str(failure).replace(f"{cls.__module__}.", "")
-        return (
-            text if key == "law" else re.sub(r"^law Hooke with |^In the law, .*\n", "", text, flags=re.MULTILINE)
-        )
+        if key in ("law", "spring"):
+            return text
+        helper = "spring Linear" if along else "law Hooke"
+        pattern = rf"^{helper} with |^In the {helper.partition(' ')[0]}, .*\n"
+        return re.sub(pattern, "", text, flags=re.MULTILINE)
     return blame(failure, cls)
