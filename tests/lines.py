@@ -4,7 +4,6 @@ import functools
 
 import numpy as np
 import warp as wp
-
 from warpcontact.kernels.couplings.elastic_line import solve, span
 from warpcontact.kernels.couplings.grounded_line import lift, solve_grounded
 

@@ -44,10 +44,9 @@ def test_the_span_is_that_of_the_tension_integrated_along_the_line(random):
 def test_a_wrong_start_never_leads_to_failure_or_another_answer(random, seed):
     lines, (cold, *_) = random
     rng = np.random.default_rng(seed)
-    warm = np.stack(
-        [10.0 ** rng.uniform(-9, 5, COUNT), rng.normal(size=COUNT) * 10.0 ** rng.uniform(-9, 5, COUNT)], 1
-    )
-    found, off, used, met = free(lines, warm)
+    h = 10.0 ** rng.uniform(-9, 5, COUNT)
+    v = rng.normal(size=COUNT) * 10.0 ** rng.uniform(-9, 5, COUNT)
+    found, off, used, met = free(lines, np.stack([h, v], axis=1))
     assert met.all()
     assert (off <= _allowed(lines)).all()
     assert used.max() <= 20

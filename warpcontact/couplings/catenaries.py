@@ -14,6 +14,7 @@ from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import Catenary
 from warpcontact.kernels.couplings import catenary, line_measures
 from warpcontact.parameters import Field, pack
+from warpcontact.status import LineStatus
 
 if TYPE_CHECKING:
     from warpcontact.arrays import Layout
@@ -45,6 +46,8 @@ class CatenarySet(CouplingSet):
         "status": ("status", "-", "state of the line"),
         "failures": ("failures", "-", "steps in which no solution was found, since reset"),
     }
+
+    codes = LineStatus
 
     @staticmethod
     def key(coupling: Catenary) -> bool:
