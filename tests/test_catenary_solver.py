@@ -100,7 +100,7 @@ def test_a_line_without_weight_is_a_straight_spring_or_slack():
 
 
 def _rising(h, height, weight, give):
-    """Reach, own length and vertical force of a part that hangs between the floor and a height, by its catenary."""
+    """Reach, own length and vertical force of a part that hangs from a height to the floor, by its catenary."""
     more = np.maximum(weight * height, 0.0)
     tension = h + 2 * more / (1 + give * h + np.sqrt((1 + give * h) ** 2 + 2 * give * more))
     v = np.sqrt(tension**2 - h**2)
