@@ -338,3 +338,36 @@ def test_shapes_of_what_is_not_there_are_refused(scattered):
         model.line_shape("lime")
     with pytest.raises(ValueError, match="count must be a whole number of at least 2, got 1"):
         model.line_shape("line", 1)
+
+
+def test_mistakes_in_an_experiment_file_are_told_with_their_keys(tmp_path):
+    file = tmp_path / "moored.toml"
+    file.write_text("""
+        duration = 1.0
+        dt = 1e-3
+        [[body]]
+        name = "buoy"
+        mass = 1.0
+        inertia = [1, 1, 1]
+        [[point]]
+        name = "top"
+        body = "buoy"
+        position = [0, 0, 0]
+        [[catenary]]
+        name = "line"
+        point_a = "anchor"
+        point_b = "top"
+        length = -1
+        axial_stiffness = 1e6
+        flor = 0
+    """)
+    with pytest.raises(wc.ExperimentError) as error:
+        wc.Experiment.from_toml(file)
+    for part in (
+        "catenary[0].length",
+        "greater than 0",
+        "catenary[0].mass_per_length",
+        "catenary[0].flor",
+        "floor",
+    ):
+        assert part in str(error.value)

@@ -122,7 +122,9 @@ def test_a_line_on_a_floor_reaches_as_far_as_its_parts():
     x = reach_1 + reach_2 + rest * (1.0 + give * h)
     lines = np.stack([x, high - low, np.ones(count), give], axis=1)[lies]
     heights = np.stack([low, high], axis=1)[lies]
-    for warm in (None, h[lies] * 10.0 ** rng.uniform(-5, 5, lies.sum())):
+    starts = [None, h[lies], h[lies] * 10.0 ** rng.uniform(-5, 5, lies.sum())]
+    starts.append(grounded(lines, heights)[0][:, 0])
+    for warm in starts:
         found, used, met = grounded(lines, heights, warm)
         assert met.all()
         assert used.max() <= 20

@@ -96,10 +96,9 @@ def solve_grounded(warm: real, x: real, height_1: real, height_2: real, weight: 
             high = h
         rate = give + (fall(h, hanging_1, give) + fall(h, hanging_2, give)) / weight
         better = h - off / rate
-        if better <= low and off > zero:
-            better = low + real(0.1) * (h - low)
-        elif better >= high:
-            better = half * (low + high)
-        if h + better > zero:
+        if better > low and better < high:
+            # Once it is met, a last step that is not looked at.
             h = better
+        elif met == 0:
+            h = wp.where(off > zero, low + real(0.1) * (h - low), half * (low + high))
     return h, used, met == 1
