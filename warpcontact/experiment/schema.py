@@ -299,6 +299,9 @@ SECTIONS: dict[str, type[Section]] = {
     "catenary": CatenarySettings,
 }
 
+#: Those of them whose tables may name classes of a user's own.
+FORMULA_SECTIONS = ("template", "spring_damper")
+
 
 def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Section]:
     """Returns the type of the table at ``location``, a place in ``raw`` as pydantic gives it."""

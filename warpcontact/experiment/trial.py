@@ -14,6 +14,7 @@ from warpcontact.experiment.catalogue import FormulaSettings, own_class
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.own import blame
 from warpcontact.experiment.reading import Parts
+from warpcontact.experiment.schema import FORMULA_SECTIONS
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.laws import Hooke
 from warpcontact.kernels.springs import Damper, Linear, Spring
@@ -76,7 +77,7 @@ def _formulas(scene: Scene) -> Iterator[Formula]:
 
 def _own_formulas(parts: Parts) -> Iterator[tuple[str, int, str, Formula]]:
     """Iterates over the formulas that are not of the library: section and number, key, formula."""
-    for section in ("template", "spring_damper"):
+    for section in FORMULA_SECTIONS:
         for i, entry in parts.entries[section].items():
             for key, table in entry:
                 if isinstance(table, FormulaSettings) and own_class(table.type)[0]:
