@@ -44,6 +44,16 @@ COUPLING_OUTSIDE = 3  # of its table, the ends of which are held
 COUPLING_NO_DIRECTION = 4  # its ends are in one place, and nothing is known of where they came from
 COUPLING_DISABLED = 5
 
+# Status of a catenary.
+LINE_HANGING = 0  # its length is longer than the distance of its ends
+LINE_TAUT = 1  # shorter: it is stretched
+LINE_FOLDED = 2  # its ends are above one another, and it hangs from both
+LINE_GROUNDED = 3  # a part of it rests on the floor
+LINE_SUNK = 4  # an end lies below the floor, and is taken to be on it
+LINE_LOOSE = 5  # without weight, and not stretched
+LINE_DISABLED = 6
+LINE_FAILED = 7  # no solution was found: the forces are those of the last iterate
+
 # Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its corners.
 FEATURE_COUNT = 7
 # Bits of a feature.

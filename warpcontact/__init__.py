@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes
     from warpcontact.advice import ContactWarning
     from warpcontact.benchmark import BenchReport, bench
-    from warpcontact.couplings.elements import Bushing, SpringDamper
+    from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.split_model import SplitModel
-    from warpcontact.status import CouplingStatus, Status
+    from warpcontact.status import CouplingStatus, LineStatus, Status
     from warpcontact.usd import export_usd
 
 # Where each public name lives; a module stands for itself.
@@ -38,6 +38,7 @@ _HOME = {
     "BenchReport": "warpcontact.benchmark",
     "Body": "warpcontact.elements",
     "Bushing": "warpcontact.couplings.elements",
+    "Catenary": "warpcontact.couplings.elements",
     "Contact": "warpcontact.elements",
     "ContactWarning": "warpcontact.advice",
     "CouplingStatus": "warpcontact.status",
@@ -47,6 +48,7 @@ _HOME = {
     "Friction": "warpcontact.kernels.frictions.base",
     "Health": "warpcontact.health",
     "Law": "warpcontact.kernels.laws.base",
+    "LineStatus": "warpcontact.status",
     "Mesh": "warpcontact.meshes",
     "MeshError": "warpcontact.meshes",
     "MeshReport": "warpcontact.meshes",
@@ -83,6 +85,7 @@ __all__ = [
     "BenchReport",
     "Body",
     "Bushing",
+    "Catenary",
     "Contact",
     "ContactWarning",
     "CouplingStatus",
@@ -92,6 +95,7 @@ __all__ = [
     "Friction",
     "Health",
     "Law",
+    "LineStatus",
     "Mesh",
     "MeshError",
     "MeshReport",

@@ -10,6 +10,8 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array
+from warpcontact.couplings.catenaries import CatenarySet
+from warpcontact.couplings.elements import Catenary
 from warpcontact.footprint import Footprint, total
 from warpcontact.health import Health
 from warpcontact.parameters import Parameter
@@ -209,6 +211,63 @@ class Environments(ABC):
         # On the CPU what is read is a view of memory that the next step overwrites; this copies it.
         values = [part.readings[name].array(part.arrays).numpy() for part in self.parts]
         return self.find_reading(name).finish(np.concatenate(values))
+
+    def line_shape(self, name: str, count: int = 50) -> NDArray[np.float64]:
+        """Returns where a catenary is at the current state, to be drawn.
+
+        Args:
+            name: Its name.
+            count: Number of points, evenly along its unstretched length from end a to end b, at least 2.
+
+        Returns:
+            Places (envs, count, 3), world [m]. More of a line on the floor than it takes is drawn straight.
+
+        Raises:
+            KeyError: If there is no such catenary.
+        """
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 2:
+            raise ValueError(f"count must be a whole number of at least 2, got {count!r}")
+        self.evaluate()
+        return np.concatenate([lines.shape(part, item, count) for part, lines, item in self._lines(name)])
+
+    def line_stiffness(self, name: str) -> NDArray[np.float64]:
+        """Returns the derivative of the force on end b of a catenary by the place of that end.
+
+        Of an end that lies on the floor, as it slides there.
+
+        Args:
+            name: Its name.
+
+        Returns:
+            Symmetric matrices (envs, 3, 3), world [N/m].
+
+        Raises:
+            KeyError: If there is no such catenary.
+        """
+        self.evaluate()
+        return np.concatenate([lines.stiffness(part, item) for part, lines, item in self._lines(name)])
+
+    def _lines(self, name: str) -> "list[tuple[Model, CatenarySet, int]]":
+        """Returns each part with the set that has the catenary, and its place there."""
+        _look_up("catenary", name, {one.name: one for one in self.scene.couplings if isinstance(one, Catenary)})
+        return [
+            (part, lines, item)
+            for part in self.parts
+            for lines in part.couplings
+            if isinstance(lines, CatenarySet)
+            for item, one in enumerate(lines.couplings)
+            if one.name == name
+        ]
+
+    def failed_lines(self) -> dict[str, int]:
+        """Returns in how many environments a catenary was without a solution since reset; of those that were."""
+        counts = {}
+        for one in self.scene.couplings:
+            if isinstance(one, Catenary):
+                failures = [lines.failures(item) for _, lines, item in self._lines(one.name)]
+                if failed := int(np.count_nonzero(np.concatenate(failures))):
+                    counts[one.name] = failed
+        return counts
 
     def health(self) -> Health:
         """Returns which environments are frozen."""

@@ -222,6 +222,7 @@ class Simulation:
         start = self.time
         recorder.take(start)
         frozen = len(self.model.health().frozen)
+        failed = self.model.failed_lines()
         done = 0
         bar_of_run = (
             contextlib.nullcontext(progress)
@@ -245,6 +246,14 @@ class Simulation:
         health = self.model.health()
         if len(health.frozen) > frozen:
             warnings.warn(str(health), RuntimeWarning, stacklevel=2)
+        for line, count in self.model.failed_lines().items():
+            if count > failed.get(line, 0):
+                warnings.warn(
+                    f"catenary {line!r} was without a solution in some steps of {count} of {self.model.envs} "
+                    f"environments; {line}.failures has their number",
+                    RuntimeWarning,
+                    stacklevel=2,
+                )
         return recorder.finish(
             {
                 "dt": self.dt,

@@ -1,4 +1,4 @@
-"""State of a contact or a coupling, as ``<contact>.status`` and ``<coupling>.status`` report it."""
+"""State of a contact, a coupling or a line, as ``<contact>.status`` and ``<coupling>.status`` report it."""
 
 from enum import IntEnum
 
@@ -35,3 +35,22 @@ class CouplingStatus(IntEnum):
     OUTSIDE = types.COUPLING_OUTSIDE
     NO_DIRECTION = types.COUPLING_NO_DIRECTION
     DISABLED = types.COUPLING_DISABLED
+
+
+class LineStatus(IntEnum):
+    """State of a catenary.
+
+    HANGING: longer than the distance of its ends. TAUT: shorter, and stretched. FOLDED: its ends are above one
+    another, and it hangs from both. GROUNDED: a part of it rests on the floor. SUNK: an end lies below the floor,
+    and is taken to be on it. LOOSE: without weight and not stretched. DISABLED: not enabled. FAILED: no solution
+    was found, and the forces are those of the last iterate.
+    """
+
+    HANGING = types.LINE_HANGING
+    TAUT = types.LINE_TAUT
+    FOLDED = types.LINE_FOLDED
+    GROUNDED = types.LINE_GROUNDED
+    SUNK = types.LINE_SUNK
+    LOOSE = types.LINE_LOOSE
+    DISABLED = types.LINE_DISABLED
+    FAILED = types.LINE_FAILED

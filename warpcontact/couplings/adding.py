@@ -9,13 +9,18 @@ from numpy.typing import ArrayLike
 from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.couplings.elements import (
+    AXIAL_STIFFNESS,
     BREAK_FORCE,
     DAMPING,
+    FLOOR,
     LENGTH,
+    LINE_LENGTH,
+    MASS_PER_LENGTH,
     STIFFNESS,
     TURN_DAMPING,
     TURN_STIFFNESS,
     Bushing,
+    Catenary,
     Coupling,
     SpringDamper,
 )
@@ -155,6 +160,57 @@ class Couplings:
             orientation=checks.unit_quaternions(
                 f"{name}.orientation", checks.numbers(f"{name}.orientation", orientation, (4,))
             ),
+            enabled=np.array(float(bool(enabled))),
+            color=checks.color(f"{name}.color", color),
+            visible=bool(visible),
+        )
+        return self._add_coupling(coupling)
+
+    def add_catenary(
+        self,
+        point_a: Points,
+        point_b: Points,
+        *,
+        length: float,
+        mass_per_length: float,
+        axial_stiffness: float,
+        floor: float | None = None,
+        enabled: bool = True,
+        name: str | None = None,
+        color: ArrayLike | None = None,
+        visible: bool = True,
+    ) -> Catenary:
+        """Adds an elastic line that hangs between two points under its own weight, such as a mooring line.
+
+        It is in equilibrium at every instant: it has no inertia, damping or bending of its own. It pulls at its
+        ends with the tension that the catenary has there, slack or taut.
+
+        Args:
+            point_a: From ``add_point``.
+            point_b: From ``add_point``, on another body; one of both may be of the world.
+            length: Unstretched length [m].
+            mass_per_length: Mass per unstretched length; in a fluid, less that of the fluid it displaces [kg/m].
+            axial_stiffness: EA, the tension over the strain [N]; EA/L is the stiffness of the whole line.
+            floor: Height above the origin, against gravity, of a level floor without friction on which the line
+                may rest [m]; ``None``: there is none. An end below it is taken to be on it.
+            enabled: Whether it acts.
+            name: Name in parameters and readings; made up if not given.
+            color: Display colour, RGB in 0…1.
+            visible: Whether it is drawn.
+
+        Raises:
+            ValueError: If a value is out of range, or both ends are fixed to the same body.
+        """
+        name = checks.new_name("catenary", name, self._elements)
+        self._check_ends(name, point_a, point_b)
+        coupling = Catenary(
+            name=name,
+            point_a=point_a,
+            point_b=point_b,
+            length=checks.numbers(f"{name}.length", length, (), LINE_LENGTH),
+            mass_per_length=checks.numbers(f"{name}.mass_per_length", mass_per_length, (), MASS_PER_LENGTH),
+            axial_stiffness=checks.numbers(f"{name}.axial_stiffness", axial_stiffness, (), AXIAL_STIFFNESS),
+            floor=None if floor is None else checks.numbers(f"{name}.floor", floor, (), FLOOR),
             enabled=np.array(float(bool(enabled))),
             color=checks.color(f"{name}.color", color),
             visible=bool(visible),

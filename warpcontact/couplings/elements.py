@@ -8,6 +8,10 @@ from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.springs import Damper, Spring
 
 LENGTH = limits("m", at_least=0.0)
+LINE_LENGTH = limits("m", above=0.0)
+MASS_PER_LENGTH = limits("kg/m", at_least=0.0)
+AXIAL_STIFFNESS = limits("N", above=0.0)
+FLOOR = limits("m")
 BREAK_FORCE = limits("N", above=0.0, may_be_infinite=True)
 STIFFNESS = limits("N/m", at_least=0.0)
 DAMPING = limits("N·s/m", at_least=0.0)
@@ -54,6 +58,16 @@ class SpringDamper(Coupling):
     def formulas(self) -> dict[str, Formula]:
         """Spring and damper."""
         return {"spring": self.spring, "damper": self.damper}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Catenary(Coupling):
+    """An elastic line under its own weight."""
+
+    length: Array  # unstretched [m]
+    mass_per_length: Array  # [kg/m]
+    axial_stiffness: Array  # EA [N]
+    floor: Array | None  # height of the floor along the vertical [m]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpcontact.couplings.bushings import BushingSet
+from warpcontact.couplings.catenaries import CatenarySet
 from warpcontact.couplings.coupling_set import CouplingSet, ends_by_body
-from warpcontact.couplings.elements import Bushing, Coupling, SpringDamper
+from warpcontact.couplings.elements import Bushing, Catenary, Coupling, SpringDamper
 from warpcontact.couplings.springs import SpringSet
 
 if TYPE_CHECKING:
@@ -16,7 +17,11 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
 
 #: What couplings of a kind are on a device.
-SETS: dict[type[Coupling], type[CouplingSet]] = {SpringDamper: SpringSet, Bushing: BushingSet}
+SETS: dict[type[Coupling], type[CouplingSet]] = {
+    SpringDamper: SpringSet,
+    Bushing: BushingSet,
+    Catenary: CatenarySet,
+}
 
 
 def make_sets(

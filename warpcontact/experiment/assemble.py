@@ -67,6 +67,7 @@ class Assembler:
             "surface_contact": lambda path, entry: self._surface_contact(scene, path, entry, problems),
             "spring_damper": lambda path, entry: self._coupling(scene.add_spring_damper, path, entry, problems),
             "bushing": lambda path, entry: self._coupling(scene.add_bushing, path, entry, problems),
+            "catenary": lambda path, entry: self._coupling(scene.add_catenary, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:

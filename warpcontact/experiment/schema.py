@@ -200,6 +200,21 @@ class BushingSettings(CouplingOptions):
     orientation: Quaternion = NO_ROTATION
 
 
+class CatenarySettings(CouplingOptions):
+    """``[[catenary]]``: an elastic line that hangs between two points under its own weight."""
+
+    length: Annotated[float, q.numbers((), allowed=coupling_limits.LINE_LENGTH)] = Field(
+        description="unstretched length [m]"
+    )
+    mass_per_length: Annotated[float, q.numbers((), allowed=coupling_limits.MASS_PER_LENGTH)] = Field(
+        description="mass per unstretched length [kg/m]"
+    )
+    axial_stiffness: Annotated[float, q.numbers((), allowed=coupling_limits.AXIAL_STIFFNESS)] = Field(
+        description="tension over strain [N]"
+    )
+    floor: Annotated[float | None, q.numbers((), allowed=coupling_limits.FLOOR)] = None
+
+
 class SolidSphere(Section):
     """Inertia of a uniform solid sphere, (2/5) m r²."""
 
@@ -265,6 +280,7 @@ class Settings(Section):
     surface_contact: Rows[SurfaceContactSettings] = ()
     spring_damper: Rows[SpringDamperSettings] = ()
     bushing: Rows[BushingSettings] = ()
+    catenary: Rows[CatenarySettings] = ()
     variation: dict[str, VariationSettings] = Field(default_factory=dict)
     record: RecordSettings = Field(default_factory=RecordSettings)
     output: OutputSettings = Field(default_factory=OutputSettings)
@@ -281,6 +297,7 @@ SECTIONS: dict[str, type[Section]] = {
     "surface_contact": SurfaceContactSettings,
     "spring_damper": SpringDamperSettings,
     "bushing": BushingSettings,
+    "catenary": CatenarySettings,
 }
 
 
