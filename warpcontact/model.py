@@ -1,6 +1,6 @@
 """A built scene: parameters, state and memory of many environments on one device."""
 
-from collections.abc import Iterable, Set
+from collections.abc import Collection, Iterable, Set
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from warpcontact.arrays import Layout, broadcast
 from warpcontact.blocks import Blocks
 from warpcontact.environments import Environments
-from warpcontact.footprint import Footprint, Need, require
+from warpcontact.footprint import Need
 from warpcontact.groups import Group
 from warpcontact.of_scene import MEASURES, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
@@ -158,8 +158,7 @@ class Model(Environments, OfScene):
             launch.launch()
 
     def prepare(self, needs: Set[str]) -> None:
-        """Computes what readings of the current state need, by their ``needs``."""
-        self.make_measures(needs)
+        """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
         if "contacts" in needs or "points" in needs:
             self._evaluate()
         if "bodies" in needs:
@@ -167,23 +166,12 @@ class Model(Environments, OfScene):
         if "points" in needs:
             self._measure_points()
 
-    def make_measures(self, needs: Set[str]) -> None:
-        """Allocates what readings are measured into, by their ``needs``, if it is not there yet.
-
-        Raises:
-            MemoryError: If that is more than there is.
-        """
-        missing = [name for name in MEASURES if name in needs and getattr(self.arrays, name) is None]
-        if not missing:
-            return
-
-        def footprint(envs: int) -> Footprint:
-            return Footprint(envs, str(self.device), tuple(self.measures_needs(self.device, missing, envs)))
-
-        require(footprint, self.envs)
-        for name in missing:
-            setattr(self.arrays, name, MEASURES[name](self.layout, self))
+    def add_measures(self, names: Collection[str]) -> None:
+        """Allocates those of ``MEASURES`` with ``names`` that are not there yet."""
+        made = {name: MEASURES[name](self.layout, self) for name in names if getattr(self.arrays, name) is None}
         self.layout.allocate(self.envs)
+        for name, arrays in made.items():
+            setattr(self.arrays, name, arrays)
 
     def needs(self) -> list[Need]:
         """Returns what its arrays take, on the device and on the host."""

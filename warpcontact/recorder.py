@@ -199,8 +199,7 @@ class Recorder:
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
         readings = [model.find_reading(name) for name in dict.fromkeys(wanted)]
         self.needs = {need for reading in readings for need in reading.needs}
-        for part in model.parts:
-            part.make_measures(self.needs)
+        model.make_measures(self.needs)
         self.channels = [_Channel(model, reading.name) for reading in readings]
         self.times = np.zeros(frames)
         self.taken = 0
