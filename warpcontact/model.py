@@ -96,6 +96,8 @@ class Model(Environments, OfScene):
         self._meshes = meshes  # kept alive: a kernel only holds their ids
         # Step of 0 [env, 0]: for the forces of an instant.
         self.no_step = broadcast(arrays.instant, envs)
+        # Status [env] of environments that are all active: a frozen one can be measured as well.
+        self._all_active = broadcast(arrays.active, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
         self.send(uploads, (upload.content() for upload in uploads))
@@ -153,7 +155,8 @@ class Model(Environments, OfScene):
     def _evaluate(self) -> None:
         if self._evaluation[0] != self.revision:
             everything = Span(self, 0, self.envs, cached=False, ordered=True)
-            self._evaluation = (self.revision, force_stages(everything, self.arrays.state, self.no_step))
+            stages = force_stages(everything, self.arrays.state, self.no_step, self._all_active)
+            self._evaluation = (self.revision, stages)
         for launch in self._evaluation[1]:
             launch.launch()
 
