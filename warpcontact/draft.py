@@ -9,6 +9,7 @@ import warp as wp
 
 from warpcontact.arrays import Layout
 from warpcontact.blocks import Blocks
+from warpcontact.captures import beside_captures
 from warpcontact.devices import spread
 from warpcontact.footprint import Footprint, Need, require, total
 from warpcontact.groups import Group, compile_group
@@ -57,6 +58,7 @@ class PartDraft(OfScene):
         """Returns what ``envs`` environments would take; ``varied`` are to have a value in each."""
         return self.layout.needs(envs) + needs_of(self.parameters.by_name, self.parameters.uploads, envs, varied)
 
+    @beside_captures()
     def build(self, envs: int) -> Model:
         """Returns the model of ``envs`` environments; once.
 

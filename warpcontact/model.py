@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, broadcast
 from warpcontact.blocks import Blocks
+from warpcontact.captures import beside_captures
 from warpcontact.environments import Environments
 from warpcontact.footprint import Need
 from warpcontact.groups import Group
@@ -118,6 +119,7 @@ class Model(Environments, OfScene):
         """Whether ``parameter`` says where the state begins."""
         return any(upload.struct is self.arrays.initial for upload in parameter.uploads)
 
+    @beside_captures()
     def restart(self, mask: NDArray[np.bool_]) -> None:
         """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
         from warpcontact.kernels import reset
@@ -160,6 +162,7 @@ class Model(Environments, OfScene):
         for launch in self._evaluation[1]:
             launch.launch()
 
+    @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
         """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
         if "contacts" in needs or "points" in needs:
@@ -169,6 +172,7 @@ class Model(Environments, OfScene):
         if "points" in needs:
             self._measure_points()
 
+    @beside_captures()
     def add_measures(self, names: Collection[str]) -> None:
         """Allocates those of ``MEASURES`` with ``names`` that are not there yet."""
         made = {name: MEASURES[name](self.layout, self) for name in names if getattr(self.arrays, name) is None}
@@ -201,6 +205,7 @@ class Model(Environments, OfScene):
         group = next(group for group in self.groups if group.parts == contact.template.parts)
         return group, sum(other.count for other in own[: own.index(contact)])
 
+    @beside_captures()
     def send(self, uploads: Iterable[Upload], contents: Iterable[NDArray[Any]]) -> None:
         """Puts the content of each of ``uploads`` into its array on the device."""
         for upload, content in zip(uploads, contents, strict=True):

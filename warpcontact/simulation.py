@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
+from warpcontact.captures import beside_captures
 from warpcontact.crew import Crew, available_threads
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, require
@@ -153,6 +154,7 @@ class Simulation:
             for part, elapsed in zip(model.parts, before, strict=True):
                 part.elapsed = elapsed + done * self.dt
 
+    @beside_captures()
     def _slices(self) -> list[Slice]:
         parts = self.model.parts
         on_threads = on_cpu((part, part.envs) for part in parts)
