@@ -117,6 +117,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         time=None,
         instant=None,
         constrained=None,
+        active=None,
         bodies=None,  # measures, allocated by the first reading that needs them
         points=None,
         reactions=None,
@@ -125,6 +126,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     layout.array("state", arrays, "status", wp.int32, per_env())
     layout.array("state", arrays, "time", wp.float64, per_env())
     layout.array("state", arrays, "instant", t.real, fixed(1, 1))
+    layout.array("state", arrays, "active", wp.int32, fixed(1))
     gravity = Field(scene.gravity[None])
     upload = parameters.upload(arrays.model, "gravity", t.vec3, lambda: gravity.values)
     parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [upload], tail=(3,))

@@ -9,6 +9,7 @@ import warp as wp
 
 from warpcontact.arrays import Layout
 from warpcontact.blocks import Blocks
+from warpcontact.captures import beside_captures
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.devices import spread
 from warpcontact.footprint import Footprint, Need, require, total
@@ -63,6 +64,7 @@ class PartDraft(OfScene):
         """Returns what ``envs`` environments would take; ``varied`` are to have a value in each."""
         return self.layout.needs(envs) + needs_of(self.parameters.by_name, self.parameters.uploads, envs, varied)
 
+    @beside_captures()
     def build(self, envs: int) -> Model:
         """Returns the model of ``envs`` environments; once.
 

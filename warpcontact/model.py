@@ -1,6 +1,6 @@
 """A built scene: parameters, state and memory of many environments on one device."""
 
-from collections.abc import Iterable, Set
+from collections.abc import Collection, Iterable, Set
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, broadcast
 from warpcontact.blocks import Blocks
+from warpcontact.captures import beside_captures
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.environments import Environments
-from warpcontact.footprint import Footprint, Need, require
+from warpcontact.footprint import Need
 from warpcontact.groups import Group
 from warpcontact.motions import Drive
 from warpcontact.of_scene import MEASURES, OfScene
@@ -115,6 +116,8 @@ class Model(Environments, OfScene):
         self._meshes = meshes  # kept alive: a kernel only holds their ids
         # Step of 0 [env, 0]: for the forces of an instant.
         self.no_step = broadcast(arrays.instant, envs)
+        # Status [env] of environments that are all active: a frozen one can be measured as well.
+        self._all_active = broadcast(arrays.active, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
         self._handed_out = False
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
@@ -159,6 +162,7 @@ class Model(Environments, OfScene):
             for upload in parameter.uploads
         )
 
+    @beside_captures()
     def restart(self, mask: NDArray[np.bool_]) -> None:
         """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
         from warpcontact.kernels import reset
@@ -215,13 +219,14 @@ class Model(Environments, OfScene):
     def _evaluate(self) -> None:
         if self._evaluation[0] != self.revision:
             everything = Span(self, 0, self.envs, cached=False, ordered=True)
-            self._evaluation = (self.revision, force_stages(everything, self.arrays.state, self.no_step))
+            stages = force_stages(everything, self.arrays.state, self.no_step, self._all_active)
+            self._evaluation = (self.revision, stages)
         for launch in self._evaluation[1]:
             launch.launch()
 
+    @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
-        """Computes what readings of the current state need, by their ``needs``."""
-        self.make_measures(needs)
+        """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
         if "contacts" in needs or "points" in needs:
             self._evaluate()
         if "bodies" in needs:
@@ -233,23 +238,13 @@ class Model(Environments, OfScene):
         if "coordinates" in needs:
             self._measure_coordinates()
 
-    def make_measures(self, needs: Set[str]) -> None:
-        """Allocates what readings are measured into, by their ``needs``, if it is not there yet.
-
-        Raises:
-            MemoryError: If that is more than there is.
-        """
-        missing = [name for name in MEASURES if name in needs and getattr(self.arrays, name) is None]
-        if not missing:
-            return
-
-        def footprint(envs: int) -> Footprint:
-            return Footprint(envs, str(self.device), tuple(self.measures_needs(self.device, missing, envs)))
-
-        require(footprint, self.envs)
-        for name in missing:
-            setattr(self.arrays, name, MEASURES[name](self.layout, self))
+    @beside_captures()
+    def add_measures(self, names: Collection[str]) -> None:
+        """Allocates those of ``MEASURES`` with ``names`` that are not there yet."""
+        made = {name: MEASURES[name](self.layout, self) for name in names if getattr(self.arrays, name) is None}
         self.layout.allocate(self.envs)
+        for name, arrays in made.items():
+            setattr(self.arrays, name, arrays)
 
     def needs(self) -> list[Need]:
         """Returns what its arrays take, on the device and on the host."""
@@ -298,6 +293,7 @@ class Model(Environments, OfScene):
         group = next(group for group in self.groups if group.parts == contact.template.parts)
         return group, sum(other.count for other in own[: own.index(contact)])
 
+    @beside_captures()
     def send(self, uploads: Iterable[Upload], contents: Iterable[NDArray[Any]]) -> None:
         """Puts the content of each of ``uploads`` into its array on the device."""
         for upload, content in zip(uploads, contents, strict=True):
