@@ -42,8 +42,10 @@ def arrays_of(name: str, elements: tuple[tuple[str, Any], ...]) -> Any:
 
 
 @functools.cache
-def kernel(parts: Parts, real: type) -> wp.Kernel:
+def kernel(parts: Parts, real: type, projected: bool = False) -> wp.Kernel:
     """Returns the kernel for the classes of ``parts``; items: blocks of the group.
+
+    With ``projected`` a contact has the share of the area that faces the surface, by the normal of its point.
 
     What a block adds to its bodies goes to the block if ``ordered``, to be summed in order; else to the bodies,
     whoever comes first.
@@ -66,6 +68,7 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
     hertz_arm = wp.constant(real(3.0 * math.pi / 16.0))
     frame = frames.functions(real)
     velocity_at, orientation_to_world, apart = frame.velocity_at, frame.orientation_to_world, frame.apart
+    facing = frame.facing
 
     @wp.func
     def mobility(model: Model, state: State, env: int, body: int, arm_W: vec3, n_W: vec3):
@@ -228,9 +231,12 @@ def kernel(parts: Parts, real: type) -> wp.Kernel:
                 torque_W += arm * torsion_W
 
         # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
-        normal_force *= geometry.share
-        friction_W *= geometry.share
-        torque_W *= geometry.share
+        share = geometry.share
+        if wp.static(projected):
+            share *= facing(model, state, env, model.contact_point[contact], n_W)
+        normal_force *= share
+        friction_W *= share
+        torque_W *= share
 
         contacts.approach_speed[env, contact] = approach
         contacts.normal_force[env, contact] = normal_force

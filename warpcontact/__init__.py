@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes
     from warpcontact.advice import ContactWarning
     from warpcontact.benchmark import BenchReport, bench
+    from warpcontact.contact_coupling import ContactCoupling
+    from warpcontact.contact_range import ContactRange
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
@@ -35,6 +37,8 @@ _HOME = {
     "BenchReport": "warpcontact.benchmark",
     "Body": "warpcontact.elements",
     "Contact": "warpcontact.elements",
+    "ContactCoupling": "warpcontact.contact_coupling",
+    "ContactRange": "warpcontact.contact_range",
     "ContactWarning": "warpcontact.advice",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
@@ -71,6 +75,8 @@ __all__ = [
     "BenchReport",
     "Body",
     "Contact",
+    "ContactCoupling",
+    "ContactRange",
     "ContactWarning",
     "Experiment",
     "ExperimentError",

@@ -118,7 +118,7 @@ class Model(Environments, OfScene):
 
     def restart(self, mask: NDArray[np.bool_]) -> None:
         """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
-        from warpcontact.kernels import reset
+        from warpcontact.kernels import coupling, reset
 
         a = self.arrays
         chosen = wp.array(mask, dtype=wp.bool, device=self.device)
@@ -141,6 +141,13 @@ class Model(Environments, OfScene):
             ],
             device=self.device,
         )
+        if a.reached is not None:
+            wp.launch(
+                coupling.forget(self.types.real),
+                dim=(self.envs, len(self.scene.contact_couplings)),
+                inputs=[chosen, a.reached],
+                device=self.device,
+            )
         for group in self.groups:
             for formula, memory, _ in group.memories():
                 wp.launch(
@@ -160,12 +167,14 @@ class Model(Environments, OfScene):
     def prepare(self, needs: Set[str]) -> None:
         """Computes what readings of the current state need, by their ``needs``."""
         self.make_measures(needs)
-        if "contacts" in needs or "points" in needs:
+        if not needs.isdisjoint(("contacts", "points", "couplings")):
             self._evaluate()
         if "bodies" in needs:
             self._measure_bodies()
         if "points" in needs:
             self._measure_points()
+        if "couplings" in needs:
+            self._measure_couplings()
 
     def make_measures(self, needs: Set[str]) -> None:
         """Allocates what readings are measured into, by their ``needs``, if it is not there yet.
@@ -204,10 +213,18 @@ class Model(Environments, OfScene):
         inputs = [a.model, a.state, a.contacts]
         wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.points], device=self.device)
 
+    def _measure_couplings(self) -> None:
+        from warpcontact.kernels import coupling
+
+        a, shape = self.arrays, (self.envs, len(self.scene.contact_couplings))
+        kernel = coupling.measure(self.types.real)
+        inputs = [a.model, a.state, a.contacts, a.sets]
+        wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.couplings], device=self.device)
+
     def group_of(self, contact: Contact) -> tuple[Group, int]:
         """Returns the group that ``contact`` is computed in, and the index of its first item there."""
-        own = [other for other in self.scene.contacts if other.template.parts == contact.template.parts]
-        group = next(group for group in self.groups if group.parts == contact.template.parts)
+        own = [other for other in self.scene.contacts if other.code == contact.code]
+        group = next(group for group in self.groups if (group.parts, group.projected) == contact.code)
         return group, sum(other.count for other in own[: own.index(contact)])
 
     def send(self, uploads: Iterable[Upload], contents: Iterable[NDArray[Any]]) -> None:

@@ -8,7 +8,7 @@ import warp as wp
 
 from warpcontact.arrays import Layout, per_env
 from warpcontact.footprint import Need
-from warpcontact.kernels import measures
+from warpcontact.kernels import coupling, measures
 from warpcontact.scene import Scene
 
 
@@ -54,5 +54,13 @@ def _points(layout: Layout, model: OfScene) -> Any:
     return layout.struct("measures", measures.Points, per_env(model.contact_count))
 
 
+def _couplings(layout: Layout, model: OfScene) -> Any:
+    return layout.struct("measures", coupling.Couplings, per_env(len(model.scene.contact_couplings)))
+
+
 #: How to declare what readings are measured into, by what they need.
-MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {"bodies": _bodies, "points": _points}
+MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {
+    "bodies": _bodies,
+    "points": _points,
+    "couplings": _couplings,
+}

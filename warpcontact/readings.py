@@ -8,6 +8,7 @@ from typing import Any
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.couplings import Couplings
 from warpcontact.groups import Group
 from warpcontact.scene import Contact, Scene
 from warpcontact.status import Status
@@ -46,6 +47,22 @@ _SWEPT = {
     "crossings": ("crossings", "-", "times the point crossed the surface within a step, since reset"),
     "crossing_time": ("crossing_time", "s", "time of the first of them since reset; NaN: none"),
 }
+_COUPLING = {
+    "force": ("couplings", "force", "N", "force on the body of its first surface, world"),
+    "torque": ("couplings", "torque", "N·m", "its moment about the centre of mass of that body, world axes"),
+    "effective_area": (
+        "reached",
+        "effective_area",
+        "m²",
+        "largest area in range since reset, as of the last step",
+    ),
+    "minimum_distance": (
+        "reached",
+        "minimum_distance",
+        "m",
+        "smallest distance of a face in range since reset, as of the last step; NaN: none was",
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -57,8 +74,8 @@ class Reading:
         unit: SI unit.
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
-        needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, or contact
-            ``"points"``.
+        needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, contact
+            ``"points"``, or the forces of ``"couplings"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
     """
@@ -76,13 +93,16 @@ class Reading:
         return values.sum(axis=axis) if self.total else values
 
 
-def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[Group]) -> dict[str, Reading]:
+def readings_of(
+    scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[Group], couplings: Couplings
+) -> dict[str, Reading]:
     """Returns all readings of a scene by name.
 
     Args:
         scene: The scene.
         start_of: Where a contact's values begin.
         groups: What its contacts are computed in.
+        couplings: Its contact couplings.
     """
     table: dict[str, Reading] = {}
 
@@ -131,6 +151,10 @@ def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[
                 )
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
             add(f"{contact.name}.{key}", unit, meaning, column("history", attribute, items), items=count)
+    for number, coupling in enumerate(couplings.all):
+        for key, (part, attribute, unit, meaning) in _COUPLING.items():
+            needs = ("couplings",) if part == "couplings" else ()
+            add(f"{coupling.name}.{key}", unit, meaning, column(part, attribute, number), needs=needs)
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
         array = column("bodies", attribute, slice(0, len(scene.bodies)))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)

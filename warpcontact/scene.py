@@ -32,10 +32,13 @@ from warpcontact.meshes import Mesh, SurfaceSamples
 from warpcontact.meshes.groups import face_mask
 
 if TYPE_CHECKING:
+    from warpcontact.contact_coupling import ContactCoupling
+    from warpcontact.contact_range import ContactRange
+    from warpcontact.kernels.frictions import Friction
     from warpcontact.model import Model
     from warpcontact.split_model import SplitModel
 
-_LISTS = ("bodies", "surfaces", "points", "contacts")
+_LISTS = ("bodies", "surfaces", "points", "contacts", "contact_couplings")
 
 
 class Scene:
@@ -51,6 +54,7 @@ class Scene:
         self.surfaces: list[Surface] = []
         self.points: list[Points] = []
         self.contacts: list[Contact] = []
+        self.contact_couplings: list[ContactCoupling] = []
         self._elements: dict[str, Any] = {}
 
     def add_body(
@@ -177,7 +181,7 @@ class Scene:
         """
         name = checks.new_name("point", name, self._elements)
         place = checks.numbers(f"{name}.position", position, (3,), limits("m"))
-        return self._add_points(name, body, place[None], None, single=True)
+        return self._add_points(name, body, place[None], None, None, single=True)
 
     def add_points(
         self,
@@ -201,19 +205,26 @@ class Scene:
             ValueError: If a value is out of range; the message names it.
         """
         name = checks.new_name("points", name, self._elements)
+        normals = None
         if isinstance(positions, SurfaceSamples):
             if areas is not None:
                 raise ValueError(f"{name}.areas must be left out: the points of wc.sample_surface have theirs")
-            areas, positions = positions.areas, positions.positions
+            areas, normals, positions = positions.areas, positions.normals, positions.positions
         shape = np.shape(positions)
         if len(shape) != 2 or shape[0] < 1 or shape[1] != 3:
             raise ValueError(f"{name}.position must have shape (n, 3) with n ≥ 1, got {shape}")
         places = checks.numbers(f"{name}.position", positions, shape, limits("m"))
         sizes = None if areas is None else checks.numbers(f"{name}.areas", areas, shape[:1], AREA)
-        return self._add_points(name, body, places, sizes, single=False)
+        return self._add_points(name, body, places, sizes, normals, single=False)
 
     def _add_points(
-        self, name: str, body: Body | Surface | None, positions: Array, areas: Array | None, single: bool
+        self,
+        name: str,
+        body: Body | Surface | None,
+        positions: Array,
+        areas: Array | None,
+        normals: Array | None,
+        single: bool,
     ) -> Points:
         surface = None
         if isinstance(body, Surface):
@@ -226,6 +237,7 @@ class Scene:
             surface=surface,
             positions=positions,
             areas=areas,
+            normals=normals,
             single=single,
         )
         self.points.append(points)
@@ -368,6 +380,72 @@ class Scene:
             self, surface_a, surface_b, template, samples, seed=seed, sides=sides, name=name, options=options
         )
 
+    def add_contact_coupling(
+        self,
+        surface_a: Surface,
+        surface_b: Surface,
+        range: "ContactRange",
+        friction: "Friction | None" = None,
+        *,
+        facing: str = "projected",
+        sides: str = "first",
+        quadrature: int = 1,
+        damping_ramp: float = 0.0,
+        search: str = "whole",
+        rim: str = "off",
+        enabled: bool = True,
+        name: str | None = None,
+        color: ArrayLike | None = None,
+        visible: bool = True,
+    ) -> "ContactCoupling":
+        """Adds a force per area that keeps the faces of a body off another surface before they touch.
+
+        On each active face, at its points r_f, f = a max(0, k₁ (d₀ − d) − k₂ ḋ) n, with the signed distance d to
+        the other surface and its normal n there, and friction against the velocity at r_f; both bodies get the
+        force at r_f.
+
+        Args:
+            surface_a: From ``add_surface``, on a body.
+            surface_b: From ``add_surface``: on the world, or on another body.
+            range: Coefficients k₁, k₂ and the range d₀.
+            friction: Friction model; ``None``: none.
+            facing: ``"projected"``: a face counts with the area that it turns to the other surface.
+                ``"all"``: with all of it, whichever way it looks.
+            sides: ``"first"``: the faces of ``surface_a`` feel ``surface_b``. ``"average"``: the faces of each
+                feel the other, with half the force each.
+            quadrature: Points per face: 1, 3, 6 or 7, exact for fields of order 1, 2, 4 or 5 over a face.
+            damping_ramp: Depth within the range over which damping sets in [m]; 0: at once.
+            search: ``"whole"`` or ``"active"``, as in ``add_contact``.
+            rim: ``"off"``: a face beyond an open border is not held; ``"outer"``: the border itself is.
+            enabled: Whether it acts.
+            name: Name in parameters and readings; made up if not given. Its contacts are ``<name>_first`` and,
+                with two sides, ``<name>_second``.
+            color: Colour of its arrows, RGB in 0…1.
+            visible: Whether its arrows are drawn.
+
+        Raises:
+            ValueError: If a value is out of range; the message names it, and the scene is as before.
+        """
+        from warpcontact.contact_coupling import add_contact_coupling
+
+        return add_contact_coupling(
+            self,
+            surface_a,
+            surface_b,
+            range,
+            friction,
+            facing=facing,
+            sides=sides,
+            quadrature=quadrature,
+            damping_ramp=damping_ramp,
+            search=search,
+            rim=rim,
+            enabled=enabled,
+            name=name,
+            color=color,
+            visible=visible,
+        )
+
     def build(
         self, envs: int = 1, device: str | Sequence[str] = "auto", precision: str = "float32"
     ) -> "Model | SplitModel":
@@ -383,6 +461,16 @@ class Scene:
     def new_name(self, kind: str, name: str | None) -> str:
         """Returns ``name`` if an element can have it, or one made from ``kind`` if it is ``None``."""
         return checks.new_name(kind, name, self._elements)
+
+    def include(self, coupling: "ContactCoupling") -> None:
+        """Adds a contact coupling, whose contacts are there."""
+        self.contact_couplings.append(coupling)
+        self._elements[coupling.name] = coupling
+
+    def exchange(self, contact: Contact, other: Contact) -> None:
+        """Puts ``other``, of the same name, in the place of ``contact``."""
+        self.contacts[self.contacts.index(contact)] = other
+        self._elements[other.name] = other
 
     def restore(self, earlier: "Scene") -> None:
         """Takes back what was added since the snapshot ``earlier``."""
