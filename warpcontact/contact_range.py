@@ -9,6 +9,7 @@ from warpcontact.elements import AREA, MASS, RANGE
 from warpcontact.kernels import laws
 
 SPEED = limits("m/s", above=0.0)
+CLOSEST = limits("m", at_least=0.0)
 DAMPING_RATIO = limits("-", at_least=0.0)
 
 
@@ -103,7 +104,7 @@ class ContactRange:
         area = number("area", area, AREA)
         speed = number("speed", speed, SPEED)
         distance = number("effective_range", effective_range, RANGE)
-        closest = number("closest", closest, limits("m", at_least=0.0))
+        closest = number("closest", closest, CLOSEST)
         ratio = number("damping_ratio", damping_ratio, DAMPING_RATIO)
         if closest >= distance:
             raise ValueError(

@@ -153,8 +153,8 @@ def _about_load(
     if free[worst] - stop[worst] <= OVERSHOOT * way[worst] or stop[worst] >= impact.closest:
         return []
     return [
-        f"{coupling.name}: gravity presses the body on in environment {model.first_env + worst}: at "
-        f"{impact.speed:.3g} m/s it stops at {stop[worst]:.3g} m instead of {impact.closest:.3g} m, without damping"
+        f"{coupling.name}: gravity presses the body on in environment {model.first_env + worst}: undamped, at "
+        f"{impact.speed:.3g} m/s, it stops at {stop[worst]:.3g} m instead of {impact.closest:.3g} m"
     ]
 
 
@@ -177,7 +177,7 @@ def _about_friction(
     if dt <= limit[worst]:
         return []
     return [
-        f"{coupling.name}: dt = {dt:g} s is too long for its friction, {kind.__name__}, which overshoots in steps "
-        f"of more than {limit[worst]:.2g} s in environment {model.first_env + worst} under the {force[worst]:.3g} N "
-        f"of an impact at {speed[worst]:.3g} m/s"
+        f"{coupling.name}: dt = {dt:g} s is too long for its friction, {kind.__name__}, which overshoots in "
+        f"steps of more than {limit[worst]:.2g} s in environment {model.first_env + worst} under the "
+        f"{force[worst]:.3g} N of an impact at {speed[worst]:.3g} m/s"
     ]

@@ -8,6 +8,7 @@ from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, ShapeMes
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import (
+    ContactCouplingSettings,
     ContactOptions,
     ContactSettings,
     PointSettings,
@@ -63,6 +64,7 @@ class Assembler:
             "template": lambda path, entry: self._template(entry),
             "contact": lambda path, entry: self._contact(scene, path, entry, problems),
             "surface_contact": lambda path, entry: self._surface_contact(scene, path, entry, problems),
+            "contact_coupling": lambda path, entry: self._coupling(scene, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:
@@ -127,10 +129,17 @@ class Assembler:
         targets = self._find_all(path, entry, references, problems)
         return scene.add_surface_contact(*targets, **entry.model_dump(exclude=set(references), exclude_none=True))
 
+    def _coupling(self, scene: Scene, path: str, entry: ContactCouplingSettings, problems: Problems) -> Any:
+        references = {"surface_a": _SURFACE, "surface_b": _SURFACE}
+        targets = self._find_all(path, entry, references, problems)
+        friction = entry.friction.make() if isinstance(entry.friction, FormulaSettings) else None
+        options = entry.model_dump(exclude={*references, "range", "friction"})
+        return scene.add_contact_coupling(targets[0], targets[1], entry.range.make(), friction, **options)
+
     def _find_all(
         self,
         path: str,
-        entry: ContactOptions,
+        entry: ContactOptions | ContactCouplingSettings,
         references: Mapping[str, tuple[str, tuple[str, ...]]],
         problems: Problems,
     ) -> list[Any]:

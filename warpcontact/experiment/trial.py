@@ -14,6 +14,7 @@ from warpcontact.experiment.catalogue import FormulaSettings, own_class
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.own import blame
 from warpcontact.experiment.reading import Parts
+from warpcontact.experiment.schema import WITH_FORMULAS
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.laws import Hooke
 from warpcontact.scene import Scene, Template
@@ -23,7 +24,7 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     """Returns a model of what is sound; ``None`` if there is none.
 
     Args:
-        parts: What there is; templates with a class that does not work are taken out.
+        parts: What there is; what has a class that does not work is taken out.
         folder: Folder to which the names of mesh files are relative.
         loaded: Meshes that were read before; filled.
         problems: Receives what is wrong.
@@ -34,11 +35,11 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     # What the model contains works. The rest, or everything if there is none, is tried piece by piece.
     working = set() if model is None else {type(f) for c in scene.contacts for f in vars(c.template).values()}
     faults = 0
-    for i, key, formula in list(_own_formulas(parts)):
+    for section, i, key, formula in list(_own_formulas(parts)):
         fault = None if type(formula) in working else _fault(key, formula, precision)
         if fault is not None:
-            problems.add(f"template[{i}].{key}", f": {fault}")
-            parts.entries["template"].pop(i, None)
+            problems.add(f"{section}[{i}].{key}", f": {fault}")
+            parts.entries[section].pop(i, None)
             faults += 1
     if faults and model is None:
         # Once more without them, so that the other problems are found, too; those of the parts are known.
@@ -65,12 +66,13 @@ def _built(scene: Scene, precision: str) -> tuple[Environments | None, Exception
         return None, error
 
 
-def _own_formulas(parts: Parts) -> Iterator[tuple[int, str, Formula]]:
-    """Iterates over the formulas that are not of the library: number of the template, key, formula."""
-    for i, entry in parts.entries["template"].items():
-        for key, table in entry:
-            if isinstance(table, FormulaSettings) and own_class(table.type)[0]:
-                yield i, key, table.make()
+def _own_formulas(parts: Parts) -> Iterator[tuple[str, int, str, Formula]]:
+    """Iterates over the formulas that are not of the library: section, number in it, key, formula."""
+    for section in WITH_FORMULAS:
+        for i, entry in parts.entries[section].items():
+            for key, table in entry:
+                if isinstance(table, FormulaSettings) and own_class(table.type)[0]:
+                    yield section, i, key, table.make()
 
 
 def _fault(key: str, formula: Formula, precision: str) -> str | None:

@@ -106,7 +106,7 @@ class _Export:
         self.placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
         self.size = geometry.scene_size(replay, list(self.placements.values()), self.spheres)
         self.poses = {body.name: replay.pose(body) for body in scene.bodies}
-        elements = [body.name for body in scene.bodies] + [contact.name for contact in scene.contacts]
+        elements = [body.name for body in scene.bodies] + self._forces()
         self.readings = {name: Readings(replay, name) for name in ("scene", *elements)}
         self.lines = [line for contact in scene.contacts if (line := ForceLines.of(replay, contact))]
         self.force_scale = length_scale(self.lines, self.size) if force_scale is None else force_scale
@@ -133,6 +133,11 @@ class _Export:
         if len(paths) > 1:
             shared = None if apart else surfaces
             physics.define_collision_groups(self.stage, "/World/CollisionGroups", paths, shared)
+
+    def _forces(self) -> list[str]:
+        """Returns the names of the contacts and of their couplings."""
+        scene = self.replay.scene
+        return [contact.name for contact in scene.contacts] + [one.name for one in scene.contact_couplings]
 
     def _metadata(self) -> None:
         from pxr import UsdGeom, UsdPhysics, Vt
@@ -193,6 +198,11 @@ class _Export:
             self.readings[contact.name].declare(prim)
             if not contact.visible:
                 UsdGeom.Imageable(prim).MakeInvisible()
+        for coupling in scene.contact_couplings:
+            path = self._contact_path(_PROTOTYPE, coupling.name)
+            prim = UsdGeom.Scope.Define(self.stage, path).GetPrim()
+            mark(prim, coupling.name)
+            self.readings[coupling.name].declare(prim)
         for lines in self.lines:
             path = self._contact_path(_PROTOTYPE, lines.contact.name)
             lines.declare(self.stage, f"{path}/force", WIDTH * self.size)
@@ -224,8 +234,8 @@ class _Export:
         for group in self.spheres:
             if group.differs(row):
                 geometry.set_spheres(stage, f"{self._path(path, group.body)}/{self.names[group.name]}", group, row)
-        for contact in replay.scene.contacts:
-            self.readings[contact.name].write(stage.GetPrimAtPath(self._contact_path(path, contact.name)), row)
+        for name in self._forces():
+            self.readings[name].write(stage.GetPrimAtPath(self._contact_path(path, name)), row)
         for lines in self.lines:
             prim = stage.GetPrimAtPath(f"{self._contact_path(path, lines.contact.name)}/force")
             lines.write(prim, replay, row, self.force_scale, WIDTH * self.size)
