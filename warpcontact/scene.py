@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
@@ -25,11 +25,10 @@ from warpcontact.elements import (
     Points,
     Surface,
     Template,
-    needs_radius,
 )
-from warpcontact.kernels.frictions import Frictionless
-from warpcontact.meshes import Mesh, SurfaceSamples
+from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
+from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
@@ -148,11 +147,11 @@ class Scene:
         name = checks.new_name("surface", name, self._elements)
         body = self._body(f"{name}.body", body)
         several = isinstance(mesh, list | tuple)
-        meshes = [_mesh(name, one) for one in (mesh if several else [mesh])]
+        meshes = [mesh_of(name, one) for one in (mesh if several else [mesh])]
         if not meshes:
             raise ValueError(f"mesh of {name!r} must not be an empty list")
         active = (
-            _active_of_each(f"{name}.active_faces", active_faces, meshes)
+            active_of_each(f"{name}.active_faces", active_faces, meshes)
             if several
             else [face_mask(f"{name}.active_faces", active_faces, meshes[0])]
         )
@@ -306,8 +305,8 @@ class Scene:
         if not isinstance(template, Template):
             raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
         size = checks.numbers(f"{name}.radius", radius, (), RADIUS)
-        _check_arms(name, template, size, torsion_radius)
-        _check_areas(name, template, points)
+        check_arms(name, template, size, torsion_radius)
+        check_areas(name, template, points)
         contact = Contact(
             name=name,
             points=points,
@@ -494,48 +493,3 @@ class Scene:
         if body is not None and (not isinstance(body, Body) or self._elements.get(body.name) is not body):
             raise ValueError(f"{name} must be a body of this scene or None (the world), got {body!r}")
         return body
-
-
-def _check_arms(name: str, template: Template, radius: Array, torsion_radius: float | None) -> None:
-    """Raises ``ValueError`` if a friction of the template would have no arm to act at."""
-    if torsion_radius is not None and isinstance(template.torsion, Frictionless):
-        raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
-    part = needs_radius(template, torsion_radius is not None)
-    if radius == 0.0 and part is not None:
-        kind = type(getattr(template, part)).__name__
-        cure = " or a torsion_radius" if part == "torsion" else ""
-        raise ValueError(f"{name}: the {part} of its template, {kind}, needs a radius{cure}, got a radius of 0 m")
-
-
-def _check_areas(name: str, template: Template, points: Points) -> None:
-    """Raises ``ValueError`` if a part of the template takes the areas of points that have none."""
-    for part, formula in template.formulas.items():
-        if points.areas is None and formula.takes_area:
-            raise ValueError(
-                f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and the "
-                f"points {points.name!r} have none; make them with wc.sample_surface, give add_points areas, or "
-                f"give the {part} an area"
-            )
-
-
-def _active_of_each(label: str, choices: Any, meshes: Sequence[Mesh]) -> list[NDArray[np.bool_]]:
-    """Returns the mask of each of several meshes; ``choices`` is a list with one choice for each, or ``None``."""
-    if choices is None:
-        choices = [None] * len(meshes)
-    listed = isinstance(choices, list | tuple) or getattr(choices, "ndim", 0) > 0
-    if not listed or len(choices) != len(meshes):
-        got = len(choices) if listed else repr(choices)
-        raise ValueError(f"{label} must have one entry for each of {len(meshes)} meshes, got {got}")
-    return [
-        face_mask(f"{label}[{i}]", choice, mesh)
-        for i, (choice, mesh) in enumerate(zip(choices, meshes, strict=True))
-    ]
-
-
-def _mesh(name: str, mesh: Any) -> Mesh:
-    """Returns the mesh of surface ``name``, checked."""
-    if isinstance(mesh, Mesh):
-        return mesh
-    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-        raise TypeError(f"mesh of {name!r} must be a wc.Mesh or have vertices and faces, got {mesh!r}")
-    return Mesh(mesh.vertices, mesh.faces, name=name)
