@@ -53,6 +53,31 @@ def parameter(
 ROWS = -1
 
 
+def table(unit: str, meaning: str) -> Any:
+    """Declares a table of a spring or damper: values over the distance, linear in between and held outside.
+
+    Instances take it as pairs (distance [m], value), at least two, with increasing distances. The device function
+    gets the row that the distance is in as its last argument, with ``start`` [m], ``value`` there, ``slope`` and
+    ``integral``, the area below the table from its first distance to ``start``. A formula has one at most.
+
+    Args:
+        unit: SI unit of the values.
+        meaning: What they are, in a few words.
+    """
+    field = parameter(unit, meaning, shape=(ROWS, 2))
+    return dataclasses.field(metadata={**field.metadata, "table": True})
+
+
+def check_table(name: str, values: np.ndarray) -> None:
+    """Raises ``ValueError`` unless the distances of a table (n, 2) increase."""
+    if len(values) < 2:
+        raise ValueError(f"{name} must have two rows at least, got {len(values)}")
+    down = np.flatnonzero(np.diff(values[:, 0]) <= 0.0)
+    if len(down):
+        before, after = values[down[0] : down[0] + 2, 0]
+        raise ValueError(f"{name} must have increasing distances, got {before:g} before {after:g}")
+
+
 @dataclasses.dataclass(frozen=True)
 class Memory:
     """A quantity that a formula remembers for every contact; zero when the contact begins."""
@@ -133,7 +158,7 @@ def has_shape(values: np.ndarray, shape: tuple[int, ...]) -> bool:
     )
 
 
-@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter,))
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter, table))
 class Formula:
     """Base of laws, frictions and motions. Subclasses become frozen dataclasses with keyword-only parameters."""
 
@@ -152,6 +177,8 @@ class Formula:
     #: What it is part of, and as what, as in the names of its parameters; a friction may be others, too.
     whole: ClassVar[str] = "contact"
     part: ClassVar[str] = "law"
+    #: Whether it may have a ``table``.
+    may_have_table: ClassVar[bool] = False
     #: Names of its device functions, and what each of them returns, in words.
     functions: ClassVar[Mapping[str, str]] = {"force": "the force"}
     #: The device function of laws and frictions.
@@ -185,14 +212,24 @@ class Formula:
                     f"{cls.__name__}.{field.name} must be declared with wc.parameter: "
                     f"{field.name}: float = wc.parameter(unit, meaning, default=…)"
                 )
+        tables = [field.name for field in dataclasses.fields(cls) if "table" in field.metadata]
+        if len(tables) > int(cls.may_have_table):
+            most = "one table at most" if cls.may_have_table else "no table"
+            raise TypeError(f"{cls.__name__} can have {most}, got {', '.join(tables)}")
         for name in (*cls.functions, "advance"):
             if isinstance(vars(cls).get(name), wp.Function):
                 cls._check_function(name)
 
     @classmethod
+    def table_field(cls) -> dataclasses.Field | None:
+        """Returns the field that is a ``table``, if there is one."""
+        return next((field for field in dataclasses.fields(cls) if "table" in field.metadata), None)
+
+    @classmethod
     def arguments(cls) -> tuple[str, ...]:
         """Returns what its device functions take, in words."""
-        return ("coefficients", "state", "memory") if cls.memories else ("coefficients", "state")
+        more = ["memory"] * bool(cls.memories) + ["row"] * (cls.table_field() is not None)
+        return ("coefficients", "state", *more)
 
     @classmethod
     def missing_function(cls) -> str:
@@ -217,7 +254,8 @@ class Formula:
         cls = type(self)
         if name := cls.missing_function():
             raise TypeError(f"{cls.__name__}.{name} must be a wp.func of ({', '.join(cls.arguments())})")
-        given = self.parameters()
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        given = {name: value for name, value in values.items() if value is not None}
         if self.exactly_one_of:
             chosen = [name for name in self.exactly_one_of if name in given]
             if len(chosen) != 1:
@@ -248,13 +286,23 @@ class Formula:
             check_values(f"{cls.__name__}.{name}", values, limits)
             if limits["direction"]:
                 unit_vectors(f"{cls.__name__}.{name}", values.astype(np.float64))
+            if "table" in limits:
+                check_table(f"{cls.__name__}.{name}", values)
 
     def parameters(self, area: Any = None) -> dict[str, Any]:
-        """Returns the parameters that have a value; an area that was left to the points is ``area``."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        """Returns the parameters of a model that have a value; an area that was left to the points is ``area``.
+
+        Tables are the same in all environments, and not among them.
+        """
+        values = {name: getattr(self, name) for name in self.varying()}
         if self.takes_area:
             values["area"] = area
         return {name: value for name, value in values.items() if value is not None}
+
+    @classmethod
+    def varying(cls) -> tuple[str, ...]:
+        """Returns the names of the parameters that may differ between environments: all but tables."""
+        return tuple(field.name for field in dataclasses.fields(cls) if ROWS not in field.metadata["shape"])
 
     @property
     def takes_area(self) -> bool:
@@ -274,7 +322,7 @@ class Formula:
     @classmethod
     def device_names(cls) -> tuple[str, ...]:
         """Returns the names of the coefficients that ``force`` sees."""
-        return cls.device or tuple(field.name for field in dataclasses.fields(cls))
+        return cls.device or cls.varying()
 
     @classmethod
     def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -35,6 +35,25 @@ LATCHED = 1  # entry="latched"
 RIM_OUTER = 2  # rim="outer"
 HERTZ_PATCH = 4  # the arm of torsion follows from the overlap
 SWEPT = 8  # a point that crosses the surface within a step is caught
+AT_POINT = 16  # the force acts at the point itself, as in a contact coupling
+
+# Status of a spring-damper or bushing.
+COUPLING_ACTIVE = 0
+COUPLING_SLACK = 1  # tension_only, and not stretched
+COUPLING_BROKEN = 2
+COUPLING_OUTSIDE = 3  # of its table, the ends of which are held
+COUPLING_NO_DIRECTION = 4  # its ends are in one place, and nothing is known of where they came from
+COUPLING_DISABLED = 5
+
+# Status of a catenary.
+LINE_HANGING = 0  # its length is longer than the distance of its ends
+LINE_TAUT = 1  # shorter: it is stretched
+LINE_FOLDED = 2  # its ends are above one another, and it hangs from both
+LINE_GROUNDED = 3  # a part of it rests on the floor
+LINE_SUNK = 4  # an end lies below the floor, and is taken to be on it
+LINE_LOOSE = 5  # without weight, and not stretched
+LINE_DISABLED = 6
+LINE_FAILED = 7  # no solution was found: the forces are those of the last iterate
 
 # Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its corners.
 FEATURE_COUNT = 7
@@ -128,11 +147,14 @@ def structs(real: type) -> SimpleNamespace:
         body_inertia: wp.array2d(dtype=mat33)  # B, about the centre of mass [kg·m²]
         body_inverse_inertia: wp.array2d(dtype=mat33)  # B [1/(kg·m²)]
         body_round: wp.array2d(dtype=wp.bool)  # whether the inertia is the same about all axes
+        body_external_force: wp.array2d(dtype=vec3)  # [env, body] at the centre of mass, W [N]
+        body_external_torque: wp.array2d(dtype=vec3)  # [env, body] W [N·m]
         body_motion: wp.array2d(dtype=BodyMotion)  # empty if all bodies are free
         # Points
         point_body: wp.array(dtype=wp.int32)  # [point] body or WORLD
         point_position: wp.array2d(dtype=vec3)  # [env, point], B (or W, from its anchor) [m]
         point_anchor: wp.array2d(dtype=vec3)  # [env, point], W; of points of the world, one for those of a set [m]
+        point_normal: wp.array2d(dtype=vec3)  # [env, point] unit, B (or W); only if areas are weighed by it
         # Surfaces
         surface_body: wp.array(dtype=wp.int32)  # [surface] body or WORLD
         surface_position: wp.array2d(dtype=vec3)  # [env, surface] origin of S in B (or W, from its anchor) [m]
@@ -173,6 +195,10 @@ def structs(real: type) -> SimpleNamespace:
         block_center: wp.array2d(dtype=vec3)  # [env, block] in the middle of its points, as they are given [m]
         body_block_start: wp.array(dtype=wp.int32)  # [body + 1] first of its blocks in the list
         body_block: wp.array(dtype=wp.int32)  # 2 × block + 0 as the points' body, 1 as the surface's
+        # Ends of couplings: 2 × coupling, 2 × coupling + 1
+        end_point: wp.array(dtype=wp.int32)  # [end] index of its point
+        body_end_start: wp.array(dtype=wp.int32)  # [body + 1] first of its ends in the list
+        body_end: wp.array(dtype=wp.int32)  # ends by body
 
     @wp.struct
     class State:
@@ -213,6 +239,13 @@ def structs(real: type) -> SimpleNamespace:
         friction_force: wp.array2d(dtype=vec3)  # [env, contact] on the point's body, W [N]
         slip_speed: wp.array2d(dtype=real)  # [env, contact] tangential, at K, 0 unless CONTACT [m/s]
         torque: wp.array2d(dtype=vec3)  # [env, contact] of rolling and torsion on the point's body, W [N·m]
+
+    @wp.struct
+    class Reached:
+        """How close contact couplings came; advances once per accepted step, in ``coupling.py``."""
+
+        effective_area: wp.array2d(dtype=real)  # [env, coupling] largest area in range so far [m²]
+        minimum_distance: wp.array2d(dtype=real)  # [env, coupling] smallest in range so far [m]; NaN: none
 
     @wp.struct
     class Near:
@@ -262,6 +295,13 @@ def structs(real: type) -> SimpleNamespace:
         direction: wp.array2d(dtype=vec3)  # [env, contact × REMEMBERED] its slope there, unit or zero, S
 
     @wp.struct
+    class Ends:
+        """What couplings do to the bodies at their ends; of an end on the world it is what the world holds."""
+
+        force: wp.array2d(dtype=vec3)  # [env, end] on what the end is fixed to, W [N]
+        torque: wp.array2d(dtype=vec3)  # [env, end] about the centre of mass (world: the anchor), W [N·m]
+
+    @wp.struct
     class Wrenches:
         force: wp.array2d(dtype=vec3)  # [env, body], W [N]
         torque: wp.array2d(dtype=vec3)  # [env, body] about the centre of mass, W [N·m]
@@ -298,8 +338,10 @@ def structs(real: type) -> SimpleNamespace:
         State=State,
         History=History,
         Contacts=Contacts,
+        Reached=Reached,
         Near=Near,
         Cache=Cache,
+        Ends=Ends,
         Wrenches=Wrenches,
         Touch=Touch,
         Slip=Slip,

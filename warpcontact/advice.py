@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.checks import Array
+from warpcontact.contact_coupling_advice import contact_coupling_advice
+from warpcontact.couplings.advice import coupling_advice
 from warpcontact.friction_advice import LEAST_MOBILITY, LOOKED_AT, friction_advice
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
@@ -25,7 +27,7 @@ class ContactWarning(UserWarning):
 
 
 def advice(model: "Environments", dt: float) -> list[str]:
-    """Returns what to say about the start of a model, a sentence or two per contact.
+    """Returns what to say about the start of a model, a sentence or two per contact or coupling.
 
     Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
     steeply a friction rises; nothing is said of laws that do not tell their elastic part. Of a set of points as
@@ -34,8 +36,12 @@ def advice(model: "Environments", dt: float) -> list[str]:
     sentences = []
     if model.scene.contacts:
         model.evaluate()
+    for coupling in model.scene.contact_couplings:
+        sentences += contact_coupling_advice(model, coupling, dt)
     for contact in model.scene.contacts:
         sentences += friction_advice(model, contact, dt)
+        if contact.facing is not None:
+            continue
         envs = model.envs if contact.count == 1 else min(model.envs, LOOKED_AT)
         mass, speed = (values[:envs] for values in _mass_and_speed(model, contact))
         if contact.swept:
@@ -56,7 +62,7 @@ def advice(model: "Environments", dt: float) -> list[str]:
         # The energy of all overlaps, as speed.
         energy = (stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)).sum(axis=1, keepdims=True)
         sentences += _about_overlap(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
-    return sentences
+    return sentences + coupling_advice(model, dt)
 
 
 def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array) -> Array:

@@ -1,6 +1,5 @@
 """How bodies may move, on its way to the device: parameters of motions, and functions of time by class."""
 
-import dataclasses
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from warpcontact.arrays import Layout
 from warpcontact.checks import Array
 from warpcontact.elements import Body
-from warpcontact.kernels.formula import ROWS, unit_vectors
+from warpcontact.kernels.formula import unit_vectors
 from warpcontact.kernels.motions import Motion, driven
 from warpcontact.kernels.types import DRIVEN, FREE, BodyMotion
 from warpcontact.parameters import Field, Parameters, Upload, pack, split
@@ -130,8 +129,6 @@ def _fields_of(body: Body, axis: Field, anchor: Field) -> dict[str, tuple[Field,
     fields = {}
     for name, value in body.motion.parameters().items():
         limits = body.motion.limits(name)
-        if ROWS in limits["shape"]:
-            continue
         values = np.asarray(value, dtype=np.float64)
         if limits["direction"]:
             values = unit_vectors(name, values)
@@ -155,8 +152,7 @@ def _drive(
     struct = driven.coefficients_struct(motion)
     layout.content("state", arrays, "members", [body.index for body in fields], wp.int32)
     # What may be left out is zero then.
-    shapes = {field.name: field.metadata["shape"] for field in dataclasses.fields(motion)}
-    optional = {name: shape for name, shape in shapes.items() if ROWS not in shape}
+    optional = {name: motion.limits(name)["shape"] for name in motion.varying()}
     tables = [body.motion.samples() for body in fields]
     starts = np.cumsum([0] + [len(table) for table in tables])
     rows = np.concatenate(tables) if motion.sampled else np.zeros((1, 1))

@@ -2,17 +2,22 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.groups import Group
 from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
 from warpcontact.scene import Contact, Scene
 from warpcontact.status import Status
+
+if TYPE_CHECKING:
+    from warpcontact.couplings.coupling_set import CouplingSet
 
 AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
 
@@ -23,7 +28,7 @@ _BODY_STATE = {
     "angular_velocity": ("body_angular_velocity", "rad/s", "angular velocity, world axes"),
 }
 _BODY_WRENCH = {
-    "force": ("force", "N", "sum of the contact forces, world"),
+    "force": ("force", "N", "sum of all forces but gravity, world"),
     "torque": ("torque", "N·m", "sum of their moments about the centre of mass, world axes"),
 }
 # In float64 whatever the precision: sums, and places far from the origin.
@@ -56,6 +61,22 @@ _SWEPT = {
     "crossings": ("crossings", "-", "times the point crossed the surface within a step, since reset"),
     "crossing_time": ("crossing_time", "s", "time of the first of them since reset; NaN: none"),
 }
+_COUPLING = {
+    "force": ("contact_couplings", "force", "N", "force on the body of its first surface, world"),
+    "torque": ("contact_couplings", "torque", "N·m", "its moment about the centre of mass of it, world axes"),
+    "effective_area": (
+        "reached",
+        "effective_area",
+        "m²",
+        "largest area in range since reset, as of the last step",
+    ),
+    "minimum_distance": (
+        "reached",
+        "minimum_distance",
+        "m",
+        "smallest distance of a face in range since reset, as of the last step; NaN: none was",
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -68,9 +89,11 @@ class Reading:
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
         needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, contact
-            ``"points"``, or of motions ``"reactions"`` and ``"coordinates"``.
+            ``"points"``, of motions ``"reactions"`` and ``"coordinates"``, or the forces of
+            ``"contact_couplings"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
+        codes: What its numbers stand for.
     """
 
     name: str
@@ -80,19 +103,38 @@ class Reading:
     needs: tuple[str, ...] = ()
     items: int = 0
     total: bool = False
+    codes: type[IntEnum] | None = None
+
+    @property
+    def flags(self) -> dict[str, Any]:
+        """CF attributes that explain its codes; none if they are no codes."""
+        if self.codes is None:
+            return {}
+        return {
+            "flag_values": [int(code) for code in self.codes],
+            "flag_meanings": " ".join(code.name for code in self.codes),
+        }
 
     def finish(self, values: NDArray[Any], axis: int = 1) -> NDArray[Any]:
         """Returns what is reported from what was read; ``axis`` is the item axis."""
         return values.sum(axis=axis) if self.total else values
 
 
-def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[Group]) -> dict[str, Reading]:
+def readings_of(
+    scene: Scene,
+    start_of: Mapping[Contact, int],
+    groups: Sequence[Group],
+    contact_couplings: ContactCouplings,
+    couplings: "Sequence[CouplingSet]",
+) -> dict[str, Reading]:
     """Returns all readings of a scene by name.
 
     Args:
         scene: The scene.
         start_of: Where a contact's values begin.
         groups: What its contacts are computed in.
+        contact_couplings: Its contact couplings.
+        couplings: Its other couplings.
     """
     table: dict[str, Reading] = {}
 
@@ -127,7 +169,8 @@ def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[
         add(f"{contact.name}.point", "m", meaning, place, needs=("points",), items=count)
         for key, (attribute, unit, meaning) in _CONTACT.items():
             array = column("contacts", attribute, items)
-            add(f"{contact.name}.{key}", unit, meaning, array, needs=("contacts",), items=count)
+            codes = Status if key == "status" else None
+            add(f"{contact.name}.{key}", unit, meaning, array, needs=("contacts",), items=count, codes=codes)
         group = next(group for group in groups if group.first <= start < group.first + group.count)
         for part, formula in contact.template.formulas.items():
             for key, memory in formula.memories.items():
@@ -145,6 +188,12 @@ def readings_of(scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[
                 )
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
             add(f"{contact.name}.{key}", unit, meaning, column("history", attribute, items), items=count)
+    for number, coupling in enumerate(contact_couplings.all):
+        for key, (part, attribute, unit, meaning) in _COUPLING.items():
+            options = {"needs": (part,)} if part == "contact_couplings" else {}
+            add(f"{coupling.name}.{key}", unit, meaning, column(part, attribute, number), **options)
+    for couplings_of_code in couplings:
+        table.update((reading.name, reading) for reading in couplings_of_code.readings())
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
         array = column("bodies", attribute, slice(0, len(scene.bodies)))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)
@@ -163,11 +212,3 @@ def motion_readings(motion: Motion) -> dict[str, tuple[str, str, str, str]]:
     if motion.kind in (HINGE, PLANAR):
         table |= _HINGE
     return table | _SLIDER if motion.kind == SLIDER else table
-
-
-def status_attributes() -> dict[str, Any]:
-    """Returns the CF attributes that explain the codes of a status."""
-    return {
-        "flag_values": [int(status) for status in Status],
-        "flag_meanings": " ".join(status.name for status in Status),
-    }

@@ -9,8 +9,10 @@ from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import (
     BodySettings,
+    ContactCouplingSettings,
     ContactOptions,
     ContactSettings,
+    CouplingOptions,
     PointSettings,
     PointsSettings,
     SurfaceContactSettings,
@@ -64,6 +66,10 @@ class Assembler:
             "template": lambda path, entry: self._template(entry),
             "contact": lambda path, entry: self._contact(scene, path, entry, problems),
             "surface_contact": lambda path, entry: self._surface_contact(scene, path, entry, problems),
+            "spring_damper": lambda path, entry: self._coupling(scene.add_spring_damper, path, entry, problems),
+            "bushing": lambda path, entry: self._coupling(scene.add_bushing, path, entry, problems),
+            "catenary": lambda path, entry: self._coupling(scene.add_catenary, path, entry, problems),
+            "contact_coupling": lambda path, entry: self._contact_coupling(scene, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:
@@ -132,10 +138,26 @@ class Assembler:
         targets = self._find_all(path, entry, references, problems)
         return scene.add_surface_contact(*targets, **entry.model_dump(exclude=set(references), exclude_none=True))
 
+    def _coupling(self, add: Callable[..., Any], path: str, entry: CouplingOptions, problems: Problems) -> Any:
+        references = {"point_a": _POINTS, "point_b": _POINTS}
+        targets = self._find_all(path, entry, references, problems)
+        formulas = {key: table.make() for key, table in entry if isinstance(table, FormulaSettings)}
+        options = entry.model_dump(exclude={*references, *formulas}, exclude_none=True)
+        return add(*targets, **options, **formulas)
+
+    def _contact_coupling(
+        self, scene: Scene, path: str, entry: ContactCouplingSettings, problems: Problems
+    ) -> Any:
+        references = {"surface_a": _SURFACE, "surface_b": _SURFACE}
+        targets = self._find_all(path, entry, references, problems)
+        friction = entry.friction.make() if isinstance(entry.friction, FormulaSettings) else None
+        options = entry.model_dump(exclude={*references, "range", "friction"})
+        return scene.add_contact_coupling(targets[0], targets[1], entry.range.make(), friction, **options)
+
     def _find_all(
         self,
         path: str,
-        entry: ContactOptions,
+        entry: ContactOptions | CouplingOptions | ContactCouplingSettings,
         references: Mapping[str, tuple[str, tuple[str, ...]]],
         problems: Problems,
     ) -> list[Any]:

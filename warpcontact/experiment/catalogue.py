@@ -29,7 +29,7 @@ from warpcontact.checks import limits
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.errors import shown, suggestion
 from warpcontact.experiment.own import OwnFiles, blame
-from warpcontact.kernels import frictions, laws, motions
+from warpcontact.kernels import frictions, laws, motions, springs
 from warpcontact.kernels.contact_force import Parts
 from warpcontact.kernels.formula import ROWS, Formula, unit_vectors
 
@@ -214,15 +214,19 @@ def _kind_of(allowed: Any) -> Any:
     return Annotated[tuple[float, ...], q.numbers(shape, allowed=allowed, check=check)]
 
 
-#: What the formulas of a template, and of a body, are by their keys.
+#: What the formulas of a template, of a spring-damper and of a body are, by their keys.
 FORMULAS: dict[str, Any] = {
     **{part: laws.Law if part == "law" else frictions.Friction for part in Parts._fields},
+    "spring": springs.Spring,
+    "damper": springs.Damper,
     "motion": motions.Motion,
 }
 #: The classes that come with the library, by what they are and by name.
 CATALOGUES: dict[Any, dict[str, Any]] = {
     laws.Law: {law.__name__: law for law in laws.CATALOGUE},
     frictions.Friction: {friction.__name__: friction for friction in frictions.CATALOGUE},
+    springs.Spring: {spring.__name__: spring for spring in springs.SPRINGS},
+    springs.Damper: {damper.__name__: damper for damper in springs.DAMPERS},
     motions.Motion: {motion.__name__: motion for motion in motions.CATALOGUE},
 }
 _SHAPE_MODELS = {name: _shape_model(name, make) for name, make in SHAPES.items()}

@@ -13,6 +13,7 @@ from pydantic import PlainValidator, ValidationInfo
 
 from warpcontact import checks
 from warpcontact.checks import limits
+from warpcontact.contact_coupling import check_quadrature
 from warpcontact.elements import AREA
 from warpcontact.experiment.errors import shown
 from warpcontact.kernels.formula import check_values, has_shape, shape_in_words
@@ -256,6 +257,8 @@ position = numbers((3,), allowed=limits("m"))
 quaternion = numbers((4,), what="a unit quaternion (x, y, z, w)", check=checks.unit_quaternions)
 velocity = numbers((3,), allowed=limits("m/s"))
 angular_velocity = numbers((3,), allowed=limits("rad/s"))
+force = numbers((3,), allowed=limits("N"))
+torque = numbers((3,), allowed=limits("N·m"))
 acceleration = numbers((3,), allowed=limits("m/s²"))
 time = numbers((), allowed=limits("s", above=0.0))
 inertia = numbers((3,), (3, 3), allowed=limits("kg·m²"), what="3 numbers or a 3×3 tensor [kg·m²]", check=_inertia)
@@ -266,6 +269,7 @@ title = PlainValidator(_title)
 positions = PlainValidator(_positions)
 areas = PlainValidator(_areas)
 amount = PlainValidator(_amount)
+quadrature = PlainValidator(lambda value: check_quadrature("", value))
 amounts = PlainValidator(_amounts)
 value = PlainValidator(_value)
 rows = PlainValidator(_rows)
