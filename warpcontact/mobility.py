@@ -42,36 +42,75 @@ def mobility_of(model: "Environments", contact: "Contact", body: Body) -> Mobili
         return Mobility(1.0 / mass, 1.0 / least, True)
     if kind in (TRANSLATION, SLIDER):
         return Mobility(1.0 / mass, nothing, False)
-    orientation = model[f"{body.name}.orientation"]
-    axes = placed(np.broadcast_to(np.eye(3), (len(mass), 3, 3)), np.zeros((len(mass), 3)), orientation)
-    inertia = np.swapaxes(axes, 1, 2) @ inertia @ axes  # rows of ``axes`` are those of the body, in the world
+    inertia = _inertia_in_world(model, body)
     if kind == PLANAR:
         normal = model[f"{body.name}.motion.normal"]
         return Mobility(1.0 / mass, 1.0 / _along(normal, inertia), True)
     if kind not in (HINGE, BALL):
         return Mobility(nothing, nothing, False)
-    anchor, centre = model[f"{body.name}.motion.anchor"], model[f"{body.name}.position"]
-    # From the anchor, (envs, places, 3).
-    levers = placed(_places(contact, body)[None], centre - anchor, orientation)
-    arm = centre - anchor
-    steiner = (arm**2).sum(axis=1)[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :]
-    inertia = inertia + mass[..., None] * steiner
+    # From the anchor, (envs, 3) and (envs, places, 3).
+    arm = model[f"{body.name}.position"] - model[f"{body.name}.motion.anchor"]
+    levers = placed(_places(contact, body)[None], arm, model[f"{body.name}.orientation"])
+    inertia = inertia + mass[..., None] * _steiner(arm)
     if kind == HINGE:
         axis = model[f"{body.name}.motion.axis"]
         turn = 1.0 / _along(axis, inertia)
         reach = np.linalg.norm(np.cross(axis[:, None], levers), axis=2).max(axis=1)[:, None]
         return Mobility(turn * reach**2, turn, False)
     inverse = np.linalg.inv(inertia)
-    turn = np.linalg.eigvalsh(inverse)[:, -1:]
+    greatest: Array = np.asarray(np.linalg.eigvalsh(inverse)[:, -1:], dtype=np.float64)
     # Columns of ``crossed`` are lever × e: n' crossed' inverse crossed n is what the place yields along n.
     crossed = np.swapaxes(np.cross(levers[:, :, None], np.eye(3)), 2, 3)
     yields = np.swapaxes(crossed, 2, 3) @ inverse[:, None] @ crossed
-    return Mobility(np.linalg.eigvalsh(yields)[..., -1].max(axis=1)[:, None], turn, False)
+    return Mobility(np.linalg.eigvalsh(yields)[..., -1].max(axis=1)[:, None], greatest, False)
+
+
+def inverse_mass(model: "Environments", body: Body, arm: Array, direction: Array) -> Array:
+    """Returns what ``body`` yields to a force at one place, (envs,) [1/kg].
+
+    Args:
+        model: The model.
+        body: The body.
+        arm: From its centre of mass to the place, (envs, 3), world [m].
+        direction: Of the force, unit vectors (envs, 3), world.
+    """
+    mass, kind = model[f"{body.name}.mass"], body.motion.kind
+    if kind == TRANSLATION:
+        return 1.0 / mass
+    if kind == SLIDER:
+        return np.asarray((model[f"{body.name}.motion.axis"] * direction).sum(axis=1) ** 2 / mass)
+    if kind not in (FREE, PLANAR, HINGE, BALL):
+        return np.zeros_like(mass)
+    inertia, push = _inertia_in_world(model, body), 1.0 / mass
+    if kind in (HINGE, BALL):
+        centre = model[f"{body.name}.position"] - model[f"{body.name}.motion.anchor"]
+        inertia = inertia + mass[:, None, None] * _steiner(centre)
+        arm, push = centre + arm, np.zeros_like(mass)
+    lever = np.cross(arm, direction)
+    if kind in (FREE, BALL):
+        return push + np.einsum("ei,ei->e", lever, np.linalg.solve(inertia, lever[..., None])[..., 0])
+    axis = model[f"{body.name}.motion.{'axis' if kind == HINGE else 'normal'}"]
+    if kind == PLANAR:
+        push = push * (1.0 - (axis * direction).sum(axis=1) ** 2)
+    return np.asarray(push + (axis * lever).sum(axis=1) ** 2 / _along(axis, inertia)[:, 0])
+
+
+def _inertia_in_world(model: "Environments", body: Body) -> Array:
+    """Returns the inertia about the centre of mass in world axes, (envs, 3, 3) [kg·m²]."""
+    inertia, orientation = model[f"{body.name}.inertia"], model[f"{body.name}.orientation"]
+    # Their rows are the axes of the body.
+    axes = placed(np.broadcast_to(np.eye(3), inertia.shape), np.zeros((len(inertia), 3)), orientation)
+    return np.asarray(np.swapaxes(axes, 1, 2) @ inertia @ axes)
+
+
+def _steiner(arm: Array) -> Array:
+    """Returns the inertia about a point of a mass of 1 kg at ``arm`` (envs, 3) from it."""
+    return np.asarray((arm**2).sum(axis=1)[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :])
 
 
 def _along(axis: Array, inertia: Array) -> Array:
     """Returns the moments of inertia (envs, 1) about unit vectors (envs, 3)."""
-    return np.einsum("ei,eij,ej->e", axis, inertia, axis)[:, None]
+    return np.asarray(np.einsum("ei,eij,ej->e", axis, inertia, axis)[:, None])
 
 
 def _places(contact: "Contact", body: Body) -> Array:
