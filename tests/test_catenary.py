@@ -1,6 +1,7 @@
 """Catenaries between bodies: the numbers of the specification, equilibrium, stiffness, floor and motion."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -365,3 +366,16 @@ def test_mistakes_in_an_experiment_file_are_told_with_their_keys(tmp_path):
         wc.Experiment.from_toml(file)
     for part in (".length must be greater than 0, got -1", ".mass_per_length is missing", ".flor is not known"):
         assert f"catenary[0] ('line'){part}" in str(error.value)
+
+
+def test_a_step_too_long_for_a_taut_line_is_told(device):
+    """A kilogram on EA/L = 10 kN/m: a period of 63 ms, stable to 20 ms."""
+    sim = wc.Simulation(hung((50.0, 0, 0), device=device), dt=0.0199)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sim.step()
+    sim = wc.Simulation(hung((50.0, 0, 0), device=device), dt=0.0201)
+    with pytest.warns(
+        wc.ContactWarning, match="line: dt = 0.0201 s is too long where the line is taut: .* 0.063 s"
+    ):
+        sim.step()

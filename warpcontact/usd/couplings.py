@@ -1,4 +1,4 @@
-"""Couplings as curves: springs as coils, what is not coiled as a line between its ends."""
+"""Couplings as curves: springs as coils, catenaries as they hang, others as a line between their ends."""
 
 import math
 from typing import Any
@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.couplings.elements import Coupling, SpringDamper
+from warpcontact.couplings.elements import Catenary, Coupling, SpringDamper
 from warpcontact.frames import placed
 from warpcontact.kernels.types import COUPLING_BROKEN
 from warpcontact.scene import Points
 from warpcontact.usd.curves import define_curves, write_curves
 from warpcontact.usd.geometry import WORLD_COLOR
+from warpcontact.usd.line_curves import line_curve
 from warpcontact.usd.replay import Replay
 
 # A coil: turns, points of each, the part of its length that is coiled, and its radius in greatest lengths.
@@ -33,10 +34,14 @@ class CouplingCurve:
     def __init__(self, replay: Replay, coupling: Coupling) -> None:
         self.coupling = coupling
         ends = [_places(replay, point) for point in (coupling.point_a, coupling.point_b)]
-        self.points = coil(*ends) if _is_coiled(coupling) else np.stack(ends, axis=2)
+        if isinstance(coupling, Catenary):
+            self.points = line_curve(replay, coupling, *ends)
+        else:
+            self.points = coil(*ends) if _is_coiled(coupling) else np.stack(ends, axis=2)
         status = replay.series(f"{coupling.name}.status")
         everywhere = np.ones(self.points.shape[:2], dtype=bool)
-        self.shown = everywhere if status is None else status != COUPLING_BROKEN
+        may_break = isinstance(coupling, SpringDamper) and status is not None
+        self.shown = status != COUPLING_BROKEN if may_break else everywhere
 
     def declare(self, stage: Any, path: str, width: float) -> None:
         """Writes what the curve has in common in all environments."""
