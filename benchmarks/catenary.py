@@ -3,8 +3,9 @@
     python benchmarks/catenary.py --out benchmarks/results/catenary-cpu.json
 
 Each environment has one line, from the world to a body. The kinds are those of a mooring: slack, with a part on
-the floor, and taut. ``warm``: the end moves by a centimetre, the forces are computed and accepted, and so on as in
-a simulation; ``cold``: the last solution is forgotten before each. Only the stage of lines is timed, on one core.
+the floor, and taut. ``warm``: the end moves by a centimetre, the forces are computed and accepted, and so on, as
+in a simulation; ``cold``: the last solution is forgotten before each. Only the stage of the lines is timed, on one
+core of a CPU.
 """
 
 import argparse

@@ -71,6 +71,17 @@ REMEMBERED = 8
 # Queues of a GPU.
 QUEUES = 4
 
+# How a body may move.
+FREE = 0
+FIXED = 1
+TRANSLATION = 2
+PLANAR = 3
+HINGE = 4
+SLIDER = 5
+BALL = 6
+PRESCRIBED = 7  # by the velocities in its state
+DRIVEN = 8  # by a function of time
+
 # What the geometry says about the latch of entry="latched".
 LATCH_KEEP = 0
 LATCH_ARM = 1
@@ -96,6 +107,17 @@ class Work:
     items: wp.int32  # of an environment
     tasks: wp.int32
     threads: wp.int32
+
+
+@wp.struct
+class BodyMotion:
+    """How a body may move, in float64 whatever the precision: what is built from it does not drift."""
+
+    kind: wp.int32  # FREE, FIXED, …
+    axis: wp.vec3d  # unit: of a hinge or a slider, the normal of a plane; W
+    anchor: wp.vec3d  # what a hinge, a ball or a function of time turns it about, W [m]
+    position: wp.vec3d  # initial centre of mass, W [m]
+    orientation: wp.quatd  # initial, B → W
 
 
 @functools.cache
@@ -126,6 +148,7 @@ def structs(real: type) -> SimpleNamespace:
         body_round: wp.array2d(dtype=wp.bool)  # whether the inertia is the same about all axes
         body_external_force: wp.array2d(dtype=vec3)  # [env, body] at the centre of mass, W [N]
         body_external_torque: wp.array2d(dtype=vec3)  # [env, body] W [N·m]
+        body_motion: wp.array2d(dtype=BodyMotion)  # empty if all bodies are free
         # Points
         point_body: wp.array(dtype=wp.int32)  # [point] body or WORLD
         point_position: wp.array2d(dtype=vec3)  # [env, point], B (or W, from its anchor) [m]

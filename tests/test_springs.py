@@ -388,9 +388,16 @@ BAD = [
     (lambda s, a, b: s.add_bushing(a, b, stiffness=(1, 2), name="x"), r"x\.stiffness must be 3 numbers, got"),
     (
         lambda s, a, b: wc.springs.ForceTable(table=[(1.0, 2.0), (1.0, 3.0)]),
-        r"ForceTable\.table must be pairs .* increasing distances, got 1 before 1",
+        r"ForceTable\.table must have increasing distances, got 1 before 1",
     ),
-    (lambda s, a, b: wc.springs.ForceTable(table=[(1.0, np.nan), (2.0, 3.0)]), "got \\[1.0, nan\\]"),
+    (
+        lambda s, a, b: wc.springs.ForceTable(table=[(1.0, np.nan), (2.0, 3.0)]),
+        r"ForceTable\.table\[0, 1\] must be finite, got nan",
+    ),
+    (
+        lambda s, a, b: wc.springs.ForceTable(table=[1.0, 2.0]),
+        r"ForceTable\.table must be a list of 2 numbers each, got shape \(2,\)",
+    ),
 ]
 
 

@@ -6,7 +6,7 @@ from pxr import Usd, UsdGeom
 from usd_stages import findings
 
 import warpcontact as wc
-from warpcontact.usd.couplings import PER_TURN, TURNS, coil
+from warpcontact.usd.couplings import LINE_POINTS, PER_TURN, TURNS, coil
 
 
 @pytest.fixture(scope="module")
@@ -90,3 +90,39 @@ def test_a_coil_keeps_its_radius_and_does_not_jump():
     # A turn of 2π/199 moves points by no more than some of that.
     assert np.linalg.norm(np.diff(points, axis=0), axis=-1).max() < 3.0 * 2.0 * np.pi / 199
     assert np.isfinite(coil(np.zeros((1, 3)), np.zeros((1, 3)))).all()
+
+
+def test_a_catenary_hangs_as_it_did(device, tmp_path):
+    scene = wc.Scene()
+    buoy = scene.add_body(
+        500.0, (50.0, 50.0, 50.0), (30.0, 0.0, 0.0), name="buoy", linear_velocity=(2.0, 1.0, 0.0)
+    )
+    ends = scene.add_point(None, (0.0, 0.0, -10.0)), scene.add_point(buoy, (0.0, 0.0, -0.5))
+    scene.add_catenary(*ends, length=40.0, mass_per_length=5.0, axial_stiffness=1e6, floor=-10.0, name="line")
+    scene.add_catenary(*ends, length=35.0, mass_per_length=2.0, axial_stiffness=1e6, name="free")
+    model = scene.build(2, device, "float64")
+    model["line.length"] = [40.0, 38.0]
+    model["scene.gravity"] = [(0, 0, -9.81), (0, 0, -1.62)]
+    recording = wc.Simulation(model, 1.0e-3).run(0.3, ["line.dip"], every=0.1)
+    stage = Usd.Stage.Open(str(wc.export_usd(recording, tmp_path / "a.usdc")))
+    assert [error.GetErrorAsString() for error in findings(stage)] == []
+    for name in ("line", "free"):
+        expected = model.line_shape(name, LINE_POINTS)
+        for env in range(2):
+            points = np.array(curve(stage, env, name).GetPointsAttr().Get(3))
+            # Points of USD are float32.
+            np.testing.assert_allclose(points, expected[env], rtol=0, atol=4e-6)
+    resting = np.array(curve(stage, 0, "line").GetPointsAttr().Get(0))[:, 2]
+    assert (resting == -10.0).sum() > 3
+
+
+def test_a_folded_catenary_is_not_taken_for_a_broken_spring(device, tmp_path):
+    """Codes of lines are others than those of springs."""
+    scene = wc.Scene(gravity=(0, 0, -9.81))
+    load = scene.add_body(1.0, (1.0, 1.0, 1.0), (0.0, 0.0, -3.0), name="load")
+    ends = scene.add_point(None, (0.0, 0.0, 0.0)), scene.add_point(load, (0.0, 0.0, 0.0))
+    scene.add_catenary(*ends, length=5.0, mass_per_length=1.0, axial_stiffness=1e4, name="line")
+    recording = wc.Simulation(scene.build(device=device, precision="float64"), 1.0e-3).run(2e-3, ["line.status"])
+    assert (recording["line.status"] == wc.LineStatus.FOLDED).all()
+    stage = Usd.Stage.Open(str(wc.export_usd(recording, tmp_path / "a.usdc")))
+    assert curve(stage, 0, "line").ComputeVisibility(1) == "inherited"

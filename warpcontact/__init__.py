@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
-    from warpcontact.kernels import frictions, laws, springs
+    from warpcontact.kernels import frictions, laws, motions, springs
     from warpcontact.kernels.formula import memory, parameter, table
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
+    from warpcontact.kernels.motions.base import Motion
     from warpcontact.kernels.springs.base import Damper, Spring
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
@@ -52,6 +53,7 @@ _HOME = {
     "MeshError": "warpcontact.meshes",
     "MeshReport": "warpcontact.meshes",
     "Model": "warpcontact.model",
+    "Motion": "warpcontact.kernels.motions.base",
     "Points": "warpcontact.elements",
     "Recording": "warpcontact.recorder",
     "Scene": "warpcontact.scene",
@@ -72,6 +74,7 @@ _HOME = {
     "load_mesh": "warpcontact.meshes",
     "memory": "warpcontact.kernels.formula",
     "meshes": "warpcontact.meshes",
+    "motions": "warpcontact.kernels.motions",
     "parameter": "warpcontact.kernels.formula",
     "sample_surface": "warpcontact.meshes",
     "springs": "warpcontact.kernels.springs",
@@ -97,6 +100,7 @@ __all__ = [
     "MeshError",
     "MeshReport",
     "Model",
+    "Motion",
     "Points",
     "Recording",
     "Scene",
@@ -118,6 +122,7 @@ __all__ = [
     "load_mesh",
     "memory",
     "meshes",
+    "motions",
     "parameter",
     "sample_surface",
     "springs",

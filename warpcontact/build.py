@@ -21,6 +21,7 @@ from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
+from warpcontact.motions import add_motions
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.readings import readings_of
@@ -115,16 +116,22 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         status=None,
         time=None,
         instant=None,
+        constrained=None,
+        active=None,
         bodies=None,  # measures, allocated by the first reading that needs them
         points=None,
+        reactions=None,
+        coordinates=None,
     )
     layout.array("state", arrays, "status", wp.int32, per_env())
     layout.array("state", arrays, "time", wp.float64, per_env())
     layout.array("state", arrays, "instant", t.real, fixed(1, 1))
+    layout.array("state", arrays, "active", wp.int32, fixed(1))
     gravity = Field(scene.gravity[None])
     upload = parameters.upload(arrays.model, "gravity", t.vec3, lambda: gravity.values)
     parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [upload], tail=(3,))
     _add_bodies(scene, arrays, parameters, t)
+    drives = add_motions(scene, arrays, layout, parameters)
     _add_surfaces(scene, arrays, layout, parameters, t)
     places, moving = _add_points(scene, arrays, layout, parameters, t)
     following = upload_blocks(blocks, contacts, scene.bodies, arrays.model, layout, parameters, t, places)
@@ -133,7 +140,10 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     meshes = upload_patches(common.patches, arrays.model, layout, t)
     _add_contacts(contacts, start_of, common.patches.of_contact, arrays, layout, parameters, t)
     couplings = make_sets(scene, arrays, layout, parameters, t)
-    groups = [make_group(group, start_of[group[0]], blocks, layout, parameters, t.real) for group in common.groups]
+    moves = any(body.motion.kind != types.FREE for body in scene.bodies)
+    groups = [
+        make_group(group, start_of[group[0]], blocks, layout, parameters, t.real, moves) for group in common.groups
+    ]
     return PartDraft(
         scene=scene,
         device=where,
@@ -144,6 +154,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         parameters=parameters,
         groups=groups,
         couplings=couplings,
+        drives=drives,
         blocks=blocks,
         readings=readings_of(scene, start_of, groups, couplings),
         meshes=meshes,

@@ -78,9 +78,18 @@ def by_code(contacts: Sequence[Contact]) -> list[list[Contact]]:
 
 
 def make_group(
-    contacts: list[Contact], first: int, blocks: Blocks, layout: Layout, parameters: Parameters, real: type
+    contacts: list[Contact],
+    first: int,
+    blocks: Blocks,
+    layout: Layout,
+    parameters: Parameters,
+    real: type,
+    moves: bool,
 ) -> Group:
-    """Adds the parameters of the laws and frictions of ``contacts``, and the memory that these have."""
+    """Adds the parameters of the laws and frictions of ``contacts``, and the memory that these have.
+
+    ``moves`` says whether any body of the scene is not free.
+    """
     parts = contacts[0].template.parts
     Coefficients, Memory = group_structs(parts, real)
     coefficients, memory, kept = Coefficients(), Memory(), Memory()
@@ -91,7 +100,9 @@ def make_group(
             # Never looked at if the formula remembers nothing.
             shape = per_env(count) if formula.memories else fixed(1, 1)
             layout.array("contacts", target, part, memory_struct(formula, real), shape)
-    kernel = contact_force.kernel(parts, real)
+    # Only a mass depends on how bodies may move.
+    moves = moves and parts.law.needs_mass
+    kernel = contact_force.kernel(parts, real, True) if moves else contact_force.kernel(parts, real)
     return Group(parts, kernel, first, count, *blocks.of_contacts(first, count), coefficients, memory, kept)
 
 

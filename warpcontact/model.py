@@ -1,6 +1,6 @@
 """A built scene: parameters, state and memory of many environments on one device."""
 
-from collections.abc import Iterable, Set
+from collections.abc import Collection, Iterable, Set
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, broadcast
 from warpcontact.blocks import Blocks
+from warpcontact.captures import beside_captures
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.environments import Environments
-from warpcontact.footprint import Footprint, Need, require
+from warpcontact.footprint import Need
 from warpcontact.groups import Group
+from warpcontact.motions import Drive
 from warpcontact.of_scene import MEASURES, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.readings import Reading
@@ -86,6 +88,7 @@ class Model(Environments, OfScene):
         uploads: list[Upload],
         groups: list[Group],
         couplings: list[CouplingSet],
+        drives: list[Drive],
         blocks: Blocks,
         readings: dict[str, Reading],
         meshes: list[wp.Mesh],
@@ -99,6 +102,7 @@ class Model(Environments, OfScene):
         self.arrays = arrays
         self.groups = groups
         self.couplings = couplings
+        self.drives = drives
         self.blocks = blocks
         self.parameters = parameters
         self.first_env = 0
@@ -112,6 +116,8 @@ class Model(Environments, OfScene):
         self._meshes = meshes  # kept alive: a kernel only holds their ids
         # Step of 0 [env, 0]: for the forces of an instant.
         self.no_step = broadcast(arrays.instant, envs)
+        # Status [env] of environments that are all active: a frozen one can be measured as well.
+        self._all_active = broadcast(arrays.active, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
         self._handed_out = False
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
@@ -150,8 +156,13 @@ class Model(Environments, OfScene):
 
     def starts_from(self, parameter: Parameter) -> bool:
         """Whether ``parameter`` says where the state begins."""
-        return any(upload.struct is self.arrays.initial for upload in parameter.uploads)
+        starts = [self.arrays.initial, *(drive.arrays for drive in self.drives)]
+        return any(
+            upload.attribute == "body_motion" or any(upload.struct is start for start in starts)
+            for upload in parameter.uploads
+        )
 
+    @beside_captures()
     def restart(self, mask: NDArray[np.bool_]) -> None:
         """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
         from warpcontact.kernels import reset
@@ -187,41 +198,53 @@ class Model(Environments, OfScene):
                 )
         for couplings in self.couplings:
             couplings.restart(chosen, self.envs)
+        if self.moves:
+            self._start_motions(chosen)
+
+    def _start_motions(self, chosen: wp.array) -> None:
+        """Takes off velocities that joints do not allow, and puts what follows a function of time to its start."""
+        from warpcontact.kernels.motions import driven, project
+
+        a, real = self.arrays, self.types.real
+        shape = (self.envs, self.body_count)
+        wp.launch(project.kernel(real), dim=shape, inputs=[chosen, a.model, a.state], device=self.device)
+        for drive in self.drives:
+            wp.launch(
+                driven.start(drive.motion, real),
+                dim=(self.envs, drive.count),
+                inputs=[chosen, a.time, a.model, *drive.inputs, a.state],
+                device=self.device,
+            )
 
     def _evaluate(self) -> None:
         if self._evaluation[0] != self.revision:
             everything = Span(self, 0, self.envs, cached=False, ordered=True)
-            self._evaluation = (self.revision, force_stages(everything, self.arrays.state, self.no_step))
+            stages = force_stages(everything, self.arrays.state, self.no_step, self._all_active)
+            self._evaluation = (self.revision, stages)
         for launch in self._evaluation[1]:
             launch.launch()
 
+    @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
-        """Computes what readings of the current state need, by their ``needs``."""
-        self.make_measures(needs)
+        """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
         if "contacts" in needs or "points" in needs:
             self._evaluate()
         if "bodies" in needs:
             self._measure_bodies()
         if "points" in needs:
             self._measure_points()
+        if "reactions" in needs:
+            self._measure_reactions()
+        if "coordinates" in needs:
+            self._measure_coordinates()
 
-    def make_measures(self, needs: Set[str]) -> None:
-        """Allocates what readings are measured into, by their ``needs``, if it is not there yet.
-
-        Raises:
-            MemoryError: If that is more than there is.
-        """
-        missing = [name for name in MEASURES if name in needs and getattr(self.arrays, name) is None]
-        if not missing:
-            return
-
-        def footprint(envs: int) -> Footprint:
-            return Footprint(envs, str(self.device), tuple(self.measures_needs(self.device, missing, envs)))
-
-        require(footprint, self.envs)
-        for name in missing:
-            setattr(self.arrays, name, MEASURES[name](self.layout, self))
+    @beside_captures()
+    def add_measures(self, names: Collection[str]) -> None:
+        """Allocates those of ``MEASURES`` with ``names`` that are not there yet."""
+        made = {name: MEASURES[name](self.layout, self) for name in names if getattr(self.arrays, name) is None}
         self.layout.allocate(self.envs)
+        for name, arrays in made.items():
+            setattr(self.arrays, name, arrays)
 
     def needs(self) -> list[Need]:
         """Returns what its arrays take, on the device and on the host."""
@@ -242,12 +265,35 @@ class Model(Environments, OfScene):
         inputs = [a.model, a.state, a.contacts]
         wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.points], device=self.device)
 
+    def _measure_reactions(self) -> None:
+        from warpcontact.kernels.motions import driven, measures
+
+        a, real = self.arrays, self.types.real
+        for drive in self.drives:
+            wp.launch(
+                driven.accelerate(drive.motion, real),
+                dim=(self.envs, drive.count),
+                inputs=[a.time, a.model, *drive.inputs],
+                outputs=[a.reactions.linear, a.reactions.angular],
+                device=self.device,
+            )
+        inputs, shape = [a.model, a.state, a.wrenches], (self.envs, self.body_count)
+        wp.launch(measures.reactions(real), dim=shape, inputs=inputs, outputs=[a.reactions], device=self.device)
+
+    def _measure_coordinates(self) -> None:
+        from warpcontact.kernels.motions import measures
+
+        a, shape = self.arrays, (self.envs, self.body_count)
+        kernel = measures.coordinates(self.types.real)
+        wp.launch(kernel, dim=shape, inputs=[a.model, a.state], outputs=[a.coordinates], device=self.device)
+
     def group_of(self, contact: Contact) -> tuple[Group, int]:
         """Returns the group that ``contact`` is computed in, and the index of its first item there."""
         own = [other for other in self.scene.contacts if other.template.parts == contact.template.parts]
         group = next(group for group in self.groups if group.parts == contact.template.parts)
         return group, sum(other.count for other in own[: own.index(contact)])
 
+    @beside_captures()
     def send(self, uploads: Iterable[Upload], contents: Iterable[NDArray[Any]]) -> None:
         """Puts the content of each of ``uploads`` into its array on the device."""
         for upload, content in zip(uploads, contents, strict=True):

@@ -10,6 +10,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.groups import Group
+from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
 from warpcontact.scene import Contact, Scene
 from warpcontact.status import Status
 
@@ -34,6 +36,14 @@ _BODY_MEASURE = {
     "potential_energy": ("potential_energy", "J", "potential energy of gravity, 0 at the world's origin"),
     "linear_momentum": ("linear_momentum", "kg·m/s", "linear momentum, world"),
     "angular_momentum": ("angular_momentum", "kg·m²/s", "angular momentum about the world's origin"),
+}
+_HINGE = {
+    "angle": ("coordinates", "angle", "rad", "angle from the initial pose about the axis, −π to π"),
+    "angle_rate": ("coordinates", "angle_rate", "rad/s", "angular velocity about the axis"),
+}
+_SLIDER = {
+    "displacement": ("coordinates", "displacement", "m", "way from the initial position along the axis"),
+    "displacement_rate": ("coordinates", "displacement_rate", "m/s", "velocity along the axis"),
 }
 _CONTACT = {
     "gap": ("gap", "m", "signed distance, negative in overlap"),
@@ -61,8 +71,8 @@ class Reading:
         unit: SI unit.
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
-        needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, or contact
-            ``"points"``.
+        needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, contact
+            ``"points"``, or of motions ``"reactions"`` and ``"coordinates"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
         codes: What its numbers stand for.
@@ -122,6 +132,10 @@ def readings_of(
         for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
             array = column("bodies", attribute, body.index)
             add(f"{body.name}.{key}", unit, meaning, array, needs=("bodies",))
+        for key, (need, attribute, unit, meaning) in motion_readings(body.motion).items():
+            array = column(need, attribute, body.index)
+            needs = ("contacts", need) if need == "reactions" else (need,)
+            add(f"{body.name}.{key}", unit, meaning, array, needs=needs)
     for contact in scene.contacts:
         single = contact.points.single
         start = start_of[contact]
@@ -157,3 +171,17 @@ def readings_of(
         array = column("bodies", attribute, slice(0, len(scene.bodies)))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)
     return table
+
+
+def motion_readings(motion: Motion) -> dict[str, tuple[str, str, str, str]]:
+    """Returns what can be measured of a body with this motion: (need, array, unit, meaning) by name."""
+    if motion.kind == FREE:
+        return {}
+    place = "anchor" if motion.kind in (HINGE, BALL) else "centre of mass"
+    table = {
+        "reaction_force": ("reactions", "force", "N", f"force of its motion on it, at the {place}, world"),
+        "reaction_torque": ("reactions", "torque", "N·m", f"moment of its motion about the {place}, world axes"),
+    }
+    if motion.kind in (HINGE, PLANAR):
+        table |= _HINGE
+    return table | _SLIDER if motion.kind == SLIDER else table

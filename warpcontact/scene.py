@@ -30,8 +30,10 @@ from warpcontact.elements import (
     needs_radius,
 )
 from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.motions import Free, Motion
 from warpcontact.meshes import Mesh, SurfaceSamples
 from warpcontact.meshes.groups import face_mask
+from warpcontact.start import check_start
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
@@ -67,6 +69,7 @@ class Scene(Couplings):
         *,
         external_force: ArrayLike = (0.0, 0.0, 0.0),
         external_torque: ArrayLike = (0.0, 0.0, 0.0),
+        motion: Motion | None = None,
         name: str | None = None,
         color: ArrayLike | None = None,
     ) -> Body:
@@ -82,6 +85,9 @@ class Scene(Couplings):
             angular_velocity: Initial angular velocity, world axes [rad/s].
             external_force: Force from outside at the centre of mass, world axes [N].
             external_torque: Torque from outside, world axes [N·m].
+            motion: How it may move, of ``wc.motions`` or your own ``wc.Motion``; ``None``: free. Axes and anchors
+                are those of the initial pose, in the world. On a hinge or a ball the linear velocity follows from
+                the angular one and may be left out.
             name: Name in parameters and readings; made up if not given.
             color: Display colour, RGB in 0…1.
 
@@ -108,8 +114,10 @@ class Scene(Couplings):
             angular_velocity=checks.numbers(f"{name}.angular_velocity", angular_velocity, (3,), limits("rad/s")),
             external_force=checks.numbers(f"{name}.external_force", external_force, (3,), limits("N")),
             external_torque=checks.numbers(f"{name}.external_torque", external_torque, (3,), limits("N·m")),
+            motion=Free() if motion is None else motion,
             color=checks.color(f"{name}.color", color),
         )
+        check_start(body)
         self.bodies.append(body)
         self._elements[name] = body
         return body

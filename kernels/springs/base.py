@@ -10,7 +10,7 @@ from warpcontact.kernels.formula import Formula
 class AlongLine(Formula):
     """What springs and dampers have in common: a force along the line between two points."""
 
-    element: ClassVar[str] = "spring"
+    whole: ClassVar[str] = "spring"
     may_have_table: ClassVar[bool] = True
 
     def __init_subclass__(cls, **keywords: Any) -> None:

@@ -89,10 +89,10 @@ class BushingSet(CouplingSet):
                 f"{one.name}.enabled", enabled, own, limits_of.ENABLED, [upload], convert=checks.switches
             )
 
-    def force_stages(self, span: "Span", state: Any) -> list[wp.Launch]:
+    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch of the forces of its bushings."""
         a, kernel = span.model.arrays, bushing.kernel(self.types.real)
-        inputs = [a.status, a.model, state, self.first, self._owner.settings, self._bushings, a.ends]
+        inputs = [status, a.model, state, self.first, self._owner.settings, self._bushings, a.ends]
         return span.prepare(kernel, self.count, inputs)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact import elements as limits_of
 from warpcontact.arrays import per_env
+from warpcontact.captures import beside_captures
 from warpcontact.couplings import elements
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import Catenary
@@ -89,11 +90,11 @@ class CatenarySet(CouplingSet):
                     convert=checks.switches if key == "enabled" else None,
                 )
 
-    def force_stages(self, span: "Span", state: Any) -> list[wp.Launch]:
+    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch of the forces of its lines."""
         a, kernel = span.model.arrays, catenary.kernel(self.types.real, self.floored)
         inputs = [
-            *(a.status, a.model, state, self.first, self._owner.settings),
+            *(status, a.model, state, self.first, self._owner.settings),
             *(self._held, self._found, self._lines, a.ends),
         ]
         return span.prepare(kernel, self.count, inputs)
@@ -108,6 +109,7 @@ class CatenarySet(CouplingSet):
         kernel, inputs = catenary.forget(self.types.real), [chosen, self._held, self._lines]
         wp.launch(kernel, dim=(envs, self.count), inputs=inputs, device=chosen.device)
 
+    @beside_captures()
     def shape(self, model: "Model", item: int, count: int) -> NDArray[np.float64]:
         """Returns where points of a line were when it was computed last, (envs, count, 3), world [m]."""
         points = wp.zeros((model.envs, count), dtype=wp.vec3d, device=model.device)
@@ -115,6 +117,7 @@ class CatenarySet(CouplingSet):
         self._measure(model, kernel, item, points)
         return points.numpy()
 
+    @beside_captures()
     def stiffness(self, model: "Model", item: int) -> NDArray[np.float64]:
         """Returns the derivatives of the force on end b by its place likewise, (envs, 3, 3), world [N/m]."""
         rates = wp.zeros(model.envs, dtype=wp.mat33d, device=model.device)

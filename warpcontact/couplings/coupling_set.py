@@ -69,8 +69,11 @@ class CouplingSet(ABC):
         """The struct of arrays [env, coupling of the set] that its readings are in."""
 
     @abstractmethod
-    def force_stages(self, span: "Span", state: Any) -> list[wp.Launch]:
-        """Returns the launches that compute the forces at its ends; they change no history."""
+    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
+        """Returns the launches that compute the forces at its ends in ``state``; they change no history.
+
+        ``status`` [env] says which environments are active.
+        """
 
     def accept_stages(self, span: "Span") -> list[wp.Launch]:
         """Returns the launches that remember what an accepted step led to."""

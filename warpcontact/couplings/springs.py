@@ -149,10 +149,10 @@ class SpringSet(CouplingSet):
                 parameters.add(label, field, slice(0, 1), formula.limits(name), [upload])
         return upload
 
-    def force_stages(self, span: "Span", state: Any) -> list[wp.Launch]:
+    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch of the forces of its springs."""
         a = span.model.arrays
-        inputs = [a.status, a.model, state, self.first, self._coefficients, *self._tables, self._springs, a.ends]
+        inputs = [status, a.model, state, self.first, self._coefficients, *self._tables, self._springs, a.ends]
         return span.prepare(self.kernel, self.count, inputs)
 
     def accept_stages(self, span: "Span") -> list[wp.Launch]:

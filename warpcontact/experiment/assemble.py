@@ -8,6 +8,7 @@ from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, ShapeMes
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import (
+    BodySettings,
     ContactOptions,
     ContactSettings,
     CouplingOptions,
@@ -57,7 +58,7 @@ class Assembler:
         scene = Scene() if settings is None else Scene(gravity=settings.gravity)
         self.made = {section: {} for section in self.parts.entries}
         add: dict[str, Callable[..., Any]] = {
-            "body": lambda path, entry: scene.add_body(**entry.model_dump()),
+            "body": lambda path, entry: self._body(scene, entry),
             "surface": lambda path, entry: self._surface(scene, path, entry, problems),
             "point": lambda path, entry: self._points(scene, path, entry, problems),
             "points": lambda path, entry: self._points(scene, path, entry, problems),
@@ -76,6 +77,10 @@ class Assembler:
             except ValueError as error:
                 problems.add(path, _continued(str(error), entry.name))
         return scene
+
+    def _body(self, scene: Scene, entry: BodySettings) -> Any:
+        motion = entry.motion.make() if isinstance(entry.motion, FormulaSettings) else None
+        return scene.add_body(**entry.model_dump(exclude={"motion"}), motion=motion)
 
     def _surface(self, scene: Scene, path: str, entry: SurfaceSettings, problems: Problems) -> Any:
         # First, so that the defects of all are found in any case.

@@ -15,7 +15,7 @@ from warpcontact import checks
 from warpcontact.checks import limits
 from warpcontact.elements import AREA
 from warpcontact.experiment.errors import shown
-from warpcontact.kernels.formula import table_values
+from warpcontact.kernels.formula import check_values, has_shape, shape_in_words
 from warpcontact.meshes.repair import REPAIRS, steps_of
 from warpcontact.surface_contact import check_amount
 
@@ -75,6 +75,25 @@ def numbers(
         values = checks.numbers("", entries, shape, allowed)
         if check is not None:
             check("", values)
+        return entries
+
+    return PlainValidator(validate)
+
+
+def table(shape: tuple[int, ...], allowed: Mapping[str, Any]) -> PlainValidator:
+    """Returns the validator of any number of rows, a parameter of ``shape`` with ``allowed`` as its limits."""
+    unit = "" if allowed["unit"] == "-" else f" [{allowed['unit']}]"
+    what = f"{shape_in_words(shape)}{unit}"
+
+    def validate(value: Any) -> Any:
+        entries = plain(value, what)
+        try:
+            values = np.array(entries, dtype=np.float64)
+        except ValueError:  # rows of different length
+            values = np.zeros(())
+        if not has_shape(values, shape):
+            raise ValueError(f"must be {what}, got {shown(value)}")
+        check_values("", values, allowed)
         return entries
 
     return PlainValidator(validate)
@@ -209,18 +228,6 @@ def _areas(value: Any) -> tuple[float, ...]:
         raise ValueError(f"must be {what}, got {shown(value)}")
     checks.numbers("", entries, (len(entries),), AREA)
     return entries
-
-
-def table(unit: str) -> PlainValidator:
-    """Returns the validator of a table over the distance, see ``kernels.formula.table``."""
-
-    def validate(value: Any) -> tuple[tuple[float, float], ...]:
-        try:
-            return table_values("", value, unit)
-        except ValueError as error:
-            raise ValueError(str(error).lstrip()) from None
-
-    return PlainValidator(validate)
 
 
 def _pair(rule: str, holds: Callable[[Any, Any], Any]) -> PlainValidator:

@@ -14,10 +14,10 @@ from warpcontact.couplings import elements as coupling_limits
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
     FileMesh,
+    FormulaTable,
     Section,
     ShapeMesh,
     SurfaceMesh,
-    TemplateFormula,
     formula_model,
     mesh_model,
     settings_model,
@@ -71,6 +71,7 @@ class BodySettings(Section):
     angular_velocity: Annotated[tuple[float, ...], q.angular_velocity] = ORIGIN
     external_force: Annotated[tuple[float, ...], q.force] = ORIGIN
     external_torque: Annotated[tuple[float, ...], q.torque] = ORIGIN
+    motion: FormulaTable | None = None
     color: Color | None = None
 
 
@@ -123,10 +124,10 @@ class TemplateSettings(Section):
     """``[[template]]``: a law, and frictions against sliding, rolling and spinning, that contacts share."""
 
     name: Name
-    law: TemplateFormula = Field(description="{ type = …, and its parameters }")
-    friction: TemplateFormula = settings_model(Frictionless)(type="Frictionless")
-    rolling: TemplateFormula | None = None
-    torsion: TemplateFormula | None = None
+    law: FormulaTable = Field(description="{ type = …, and its parameters }")
+    friction: FormulaTable = settings_model(Frictionless)(type="Frictionless")
+    rolling: FormulaTable | None = None
+    torsion: FormulaTable | None = None
 
 
 class ContactOptions(Section):
@@ -182,8 +183,8 @@ class SpringDamperSettings(CouplingOptions):
 
     stiffness: Annotated[float | None, q.numbers((), allowed=coupling_limits.STIFFNESS)] = None
     damping: Annotated[float | None, q.numbers((), allowed=coupling_limits.DAMPING)] = None
-    spring: TemplateFormula | None = None
-    damper: TemplateFormula | None = None
+    spring: FormulaTable | None = None
+    damper: FormulaTable | None = None
     rest_length: Annotated[float | None, q.numbers((), allowed=coupling_limits.LENGTH)] = None
     tension_only: bool = False
     break_force: Annotated[float | None, q.numbers((), allowed=coupling_limits.BREAK_FORCE)] = None
@@ -299,8 +300,9 @@ SECTIONS: dict[str, type[Section]] = {
     "catenary": CatenarySettings,
 }
 
-#: Those of them whose tables may name classes of a user's own.
-FORMULA_SECTIONS = ("template", "spring_damper")
+
+#: Those with laws, frictions, springs and motions.
+FORMULA_SECTIONS = ("body", "template", "spring_damper")
 
 
 def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Section]:

@@ -17,6 +17,7 @@ from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import FORMULA_SECTIONS
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.laws import Hooke
+from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.springs import Damper, Linear, Spring
 from warpcontact.scene import Scene, Template
 
@@ -25,7 +26,7 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     """Returns a model of what is sound; ``None`` if there is none.
 
     Args:
-        parts: What there is; templates with a class that does not work are taken out.
+        parts: What there is; tables with a class that does not work are taken out.
         folder: Folder to which the names of mesh files are relative.
         loaded: Meshes that were read before; filled.
         problems: Receives what is wrong.
@@ -34,7 +35,7 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     scene = Assembler(parts, folder, loaded).scene(problems)
     model, error = _built(scene, precision)
     # What the model contains works. The rest, or everything if there is none, is tried piece by piece.
-    working = set() if model is None else {type(formula) for formula in _formulas(scene)}
+    working = set() if model is None else _classes(scene)
     faults = 0
     for section, i, key, formula in list(_own_formulas(parts)):
         fault = None if type(formula) in working else _fault(key, formula, precision)
@@ -67,16 +68,15 @@ def _built(scene: Scene, precision: str) -> tuple[Environments | None, Exception
         return None, error
 
 
-def _formulas(scene: Scene) -> Iterator[Formula]:
-    """Iterates over all formulas of a scene."""
-    for contact in scene.contacts:
-        yield from contact.template.formulas.values()
-    for coupling in scene.couplings:
-        yield from coupling.formulas.values()
+def _classes(scene: Scene) -> set[type[Formula]]:
+    """Returns the classes of all formulas in ``scene``."""
+    formulas = [f for contact in scene.contacts for f in contact.template.formulas.values()]
+    formulas += [f for coupling in scene.couplings for f in coupling.formulas.values()]
+    return {type(formula) for formula in (*formulas, *(body.motion for body in scene.bodies))}
 
 
 def _own_formulas(parts: Parts) -> Iterator[tuple[str, int, str, Formula]]:
-    """Iterates over the formulas that are not of the library: section and number, key, formula."""
+    """Iterates over the formulas that are not of the library: section, number of the entry, key, formula."""
     for section in FORMULA_SECTIONS:
         for i, entry in parts.entries[section].items():
             for key, table in entry:
@@ -87,6 +87,11 @@ def _own_formulas(parts: Parts) -> Iterator[tuple[str, int, str, Formula]]:
 def _fault(key: str, formula: Formula, precision: str) -> str | None:
     """Returns why ``formula``, as ``key`` of its table, cannot be computed or compiled; ``None`` if it can."""
     cls = type(formula)
+    if isinstance(formula, Motion):
+        scene = Scene()
+        scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), motion=formula)
+        _, failure = _built(scene, precision)
+        return None if failure is None else _told(failure, cls)
     values = {name: np.full((1, 1), value) for name, value in formula.parameters(area=1.0).items()}
     if along := isinstance(formula, Spring | Damper):
         values["rest_length"] = np.ones((1, 1))
@@ -112,12 +117,16 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
     _, failure = _built(scene, precision)
     if failure is None:
         return None
+    text = _told(failure, cls)
+    if key in ("law", "spring"):
+        return text
+    helper = "spring Linear" if along else "law Hooke"
+    return re.sub(rf"^{helper} with |^In the {helper.partition(' ')[0]}, .*\n", "", text, flags=re.MULTILINE)
+
+
+def _told(failure: Exception, cls: type[Formula]) -> str:
+    """Returns in words why a model with a formula of class ``cls`` could not be built."""
     # That a formula does not compile is said in full by what compiles it, in names of modules that nobody knows.
     if isinstance(failure, TypeError):
-        text = str(failure).replace(f"{cls.__module__}.", "")
-        if key in ("law", "spring"):
-            return text
-        helper = "spring Linear" if along else "law Hooke"
-        pattern = rf"^{helper} with |^In the {helper.partition(' ')[0]}, .*\n"
-        return re.sub(pattern, "", text, flags=re.MULTILINE)
+        return str(failure).replace(f"{cls.__module__}.", "")
     return blame(failure, cls)

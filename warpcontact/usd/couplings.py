@@ -1,4 +1,4 @@
-"""Couplings as curves: springs as coils, catenaries as they hang, others as a line between their ends."""
+"""Couplings as curves: springs as coils, catenaries as they hang, all else as a line between its ends."""
 
 import math
 from typing import Any
@@ -9,10 +9,9 @@ from warpcontact.checks import Array
 from warpcontact.couplings.elements import Catenary, Coupling, SpringDamper
 from warpcontact.frames import placed
 from warpcontact.kernels.types import COUPLING_BROKEN
-from warpcontact.scene import Points
+from warpcontact.scene import Points, Scene
 from warpcontact.usd.curves import define_curves, write_curves
 from warpcontact.usd.geometry import WORLD_COLOR
-from warpcontact.usd.line_curves import line_curve
 from warpcontact.usd.replay import Replay
 
 # A coil: turns, points of each, the part of its length that is coiled, and its radius in greatest lengths.
@@ -20,6 +19,8 @@ TURNS = 8
 PER_TURN = 12
 COILED = 0.8
 COIL_RADIUS = 0.05
+# Points of a catenary, evenly along its length.
+LINE_POINTS = 48
 
 
 class CouplingCurve:
@@ -35,9 +36,11 @@ class CouplingCurve:
         self.coupling = coupling
         ends = [_places(replay, point) for point in (coupling.point_a, coupling.point_b)]
         if isinstance(coupling, Catenary):
-            self.points = line_curve(replay, coupling, *ends)
+            self.points = hanging(replay, coupling, *ends)
+        elif _is_coiled(coupling):
+            self.points = coil(*ends)
         else:
-            self.points = coil(*ends) if _is_coiled(coupling) else np.stack(ends, axis=2)
+            self.points = np.stack(ends, axis=2)
         status = replay.series(f"{coupling.name}.status")
         everywhere = np.ones(self.points.shape[:2], dtype=bool)
         may_break = isinstance(coupling, SpringDamper) and status is not None
@@ -73,6 +76,44 @@ def coil(start: Array, end: Array) -> Array:
     for s, a in zip(lead + COILED * part, angle, strict=True):
         rows.append(start + s * along + radius * (math.cos(a) * across + math.sin(a) * beside))
     return np.stack([*rows, end], axis=-2)
+
+
+def hanging(replay: Replay, line: Catenary, start: Array, end: Array) -> Array:
+    """Returns a catenary between two places over time, (time, env, LINE_POINTS, 3), world [m].
+
+    Args:
+        replay: What is exported, with the parameters of the line as far as they were recorded.
+        line: The catenary.
+        start: Where its first end is, (time, env, 3), world [m].
+        end: Where its second end is, likewise.
+    """
+    scene = Scene()
+    marks = [scene.add_body(1.0, (1.0, 1.0, 1.0), name=name) for name in ("a", "b")]
+    ends = [scene.add_point(mark, (0.0, 0.0, 0.0)) for mark in marks]
+    floor = None if line.floor is None else float(line.floor)
+    scene.add_catenary(
+        *ends,
+        length=float(line.length),
+        mass_per_length=float(line.mass_per_length),
+        axial_stiffness=float(line.axial_stiffness),
+        floor=floor,
+        name="line",
+    )
+    # Each record of each environment is an environment of its own.
+    model = scene.build(start.shape[0] * start.shape[1], "cpu", "float64")
+    gravity = _over(replay, "scene.gravity", replay.scene.gravity)
+    values = {"a.position": start, "b.position": end, "scene.gravity": gravity}
+    for key in ("length", "mass_per_length", "axial_stiffness", *(() if floor is None else ("floor",))):
+        values[f"line.{key}"] = _over(replay, f"{line.name}.{key}", getattr(line, key))
+    for name, value in values.items():
+        model[name] = value.reshape(-1, *value.shape[2:])
+    return model.line_shape("line", LINE_POINTS).reshape(*start.shape[:2], LINE_POINTS, 3)
+
+
+def _over(replay: Replay, name: str, default: Array) -> Array:
+    """Returns a parameter in every record, (time, env, …)."""
+    values = replay.setting(name, default)
+    return np.broadcast_to(values, (len(replay.codes), *values.shape))
 
 
 def _is_coiled(coupling: Coupling) -> bool:
