@@ -76,6 +76,22 @@ def test_lines_of_the_specification(oracle, precision, direction, device):
     assert [wc.LineStatus(code).name for code in status] == ["HANGING", "TAUT", "HANGING", "FOLDED", "TAUT"]
 
 
+def test_random_lines_have_the_forces_of_float64_in_float32(device):
+    """Places have a remainder in float32, so that not even the tension of a line within 1e-8 of taut is lost."""
+    lines = random_lines(20_000)
+    x, y, weight, give = lines.T
+    models = [hung((1.0, 0, 0), len(lines), device, precision) for precision in ("float64", "float32")]
+    for model in models:
+        model["body.position"] = 100.0 * np.stack([x, np.zeros_like(x), y], axis=1)
+        model["line.axial_stiffness"] = 9.81 * 2000.0 / (weight * give)
+    exact, rounded = (model.reading("line.force_b") for model in models)
+    largest = np.abs(exact).max(axis=1, keepdims=True)
+    assert (models[0].reading("line.status") != wc.LineStatus.FAILED).all()
+    assert (models[1].reading("line.status") != wc.LineStatus.FAILED).all()
+    # What is left is gravity, which has no remainder: 3e-8 of the weight, of which tensions follow.
+    np.testing.assert_allclose(rounded / largest, exact / largest, atol=2e-6)
+
+
 @pytest.fixture(scope="module")
 def scattered(device):
     """A model of lines to many places, and these."""
@@ -379,3 +395,27 @@ def test_a_step_too_long_for_a_taut_line_is_told(device):
         wc.ContactWarning, match="line: dt = 0.0201 s is too long where the line is taut: .* 0.063 s"
     ):
         sim.step()
+
+
+def test_an_environment_that_is_frozen_leaves_the_others_alone(device):
+    runs = []
+    for broken in (False, True):
+        model = pendulum(device)
+        sim = wc.Simulation(model, dt=1e-3)
+        sim.step(20)
+        if broken:
+            velocity = model.state.body_linear_velocity.numpy()
+            velocity[1] = np.nan
+            model.state.body_linear_velocity.assign(velocity)
+        sim.step(50)
+        runs.append((model.health().frozen.tolist(), model.reading("line.force_b")))
+    assert [frozen for frozen, _ in runs] == [[], [1]]
+    np.testing.assert_array_equal(runs[0][1][[0, 2]], runs[1][1][[0, 2]])
+
+
+def test_parts_on_several_devices_are_gathered_in_order():
+    places = np.random.default_rng(2).normal(size=(5, 3)) * 50.0
+    whole, split = hung(places, 5, "cpu"), hung(places, 5, ["cpu", "cpu"])
+    np.testing.assert_array_equal(split.line_shape("line", 5), whole.line_shape("line", 5))
+    np.testing.assert_array_equal(split.line_stiffness("line"), whole.line_stiffness("line"))
+    np.testing.assert_array_equal(split.reading("line.tension_a"), whole.reading("line.tension_a"))
