@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from lines import random_lines
 from warpcontact.kernels.couplings import catenary, elastic_line
 
 import warpcontact as wc
