@@ -14,6 +14,7 @@ import warp as wp
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels import frames, search
 from warpcontact.kernels.types import (
+    AT_POINT,
     CONTACT,
     DISABLED,
     FAR,
@@ -329,6 +330,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
             to_surface = -s * n_S
         to_deepest = -radius * n_S
         to_contact = to_surface + geometry.kappa * (to_deepest - to_surface)
+        if (option & AT_POINT) != 0:
+            to_contact = vec3()
         contacts.gap[env, contact] = gap
         contacts.status[env, contact] = touching
         contacts.armed[env, contact] = armed

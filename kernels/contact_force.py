@@ -43,10 +43,11 @@ def arrays_of(name: str, elements: tuple[tuple[str, Any], ...]) -> Any:
 
 
 @functools.cache
-def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
+def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = False) -> wp.Kernel:
     """Returns the kernel for the classes of ``parts``; items: blocks of the group.
 
-    With ``moves``, bodies that are not free oppose to a force what their motions let them.
+    With ``moves``, bodies that are not free oppose to a force what their motions let them. With ``projected`` a
+    contact has the share of the area that faces the surface, by the normal of its point.
 
     What a block adds to its bodies goes to the block if ``ordered``, to be summed in order; else to the bodies,
     whoever comes first.
@@ -70,6 +71,7 @@ def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
     frame = frames.functions(real)
     velocity_at, orientation_to_world, apart = frame.velocity_at, frame.orientation_to_world, frame.apart
     mobility_of_motion = bodies.functions(real).mobility
+    facing = frame.facing
 
     @wp.func
     def mobility(model: Model, state: State, env: int, body: int, arm_W: vec3, n_W: vec3):
@@ -236,9 +238,12 @@ def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
                 torque_W += arm * torsion_W
 
         # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
-        normal_force *= geometry.share
-        friction_W *= geometry.share
-        torque_W *= geometry.share
+        share = geometry.share
+        if wp.static(projected):
+            share *= facing(model, state, env, model.contact_point[contact], n_W)
+        normal_force *= share
+        friction_W *= share
+        torque_W *= share
 
         contacts.approach_speed[env, contact] = approach
         contacts.normal_force[env, contact] = normal_force

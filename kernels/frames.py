@@ -43,6 +43,12 @@ def functions(real: type) -> SimpleNamespace:
         return wp.quat_rotate(state.body_orientation[env, body], v_B)
 
     @wp.func
+    def facing(model: Model, state: State, env: int, point: int, n_W: vec3):
+        """Part of the area of ``point`` that faces a surface with the normal ``n_W``: a cosine, or nothing."""
+        own_W = turned(state, env, model.point_body[point], model.point_normal[env, point])
+        return wp.max(-wp.dot(own_W, n_W), real(0.0))
+
+    @wp.func
     def orientation_to_world(state: State, env: int, body: int, q_BS: quat):
         """Rotation S → W of what is fixed to ``body`` with rotation ``q_BS``."""
         if body < 0:
@@ -96,6 +102,7 @@ def functions(real: type) -> SimpleNamespace:
     return SimpleNamespace(
         apart=apart,
         turned=turned,
+        facing=facing,
         orientation_to_world=orientation_to_world,
         rotation_to_world=rotation_to_world,
         velocity_at=velocity_at,

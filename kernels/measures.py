@@ -25,7 +25,8 @@ class Points:
 
 
 @functools.cache
-def _wide(real: type) -> wp.Function:
+def wide_of(real: type) -> wp.Function:
+    """Returns the device function that takes a vector to float64."""
     t = structs(real)
     vec3 = t.vec3
 
@@ -41,7 +42,7 @@ def bodies(real: type) -> wp.Kernel:
     """Returns the kernel that measures each body. Launch with dim (env, body)."""
     t = structs(real)
     Model, State = t.Model, t.State
-    wide = _wide(real)
+    wide = wide_of(real)
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_bodies(model: Model, state: State, measured: Bodies):
@@ -67,7 +68,7 @@ def points(real: type) -> wp.Kernel:
     """Returns the kernel that places the point of each contact. Launch with dim (env, contact)."""
     t = structs(real)
     Model, State, Contacts = t.Model, t.State, t.Contacts
-    wide = _wide(real)
+    wide = wide_of(real)
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_points(model: Model, state: State, contacts: Contacts, measured: Points):

@@ -35,6 +35,7 @@ LATCHED = 1  # entry="latched"
 RIM_OUTER = 2  # rim="outer"
 HERTZ_PATCH = 4  # the arm of torsion follows from the overlap
 SWEPT = 8  # a point that crosses the surface within a step is caught
+AT_POINT = 16  # the force acts at the point itself, as in a contact coupling
 
 # Status of a spring-damper or bushing.
 COUPLING_ACTIVE = 0
@@ -153,6 +154,7 @@ def structs(real: type) -> SimpleNamespace:
         point_body: wp.array(dtype=wp.int32)  # [point] body or WORLD
         point_position: wp.array2d(dtype=vec3)  # [env, point], B (or W, from its anchor) [m]
         point_anchor: wp.array2d(dtype=vec3)  # [env, point], W; of points of the world, one for those of a set [m]
+        point_normal: wp.array2d(dtype=vec3)  # [env, point] unit, B (or W); only if areas are weighed by it
         # Surfaces
         surface_body: wp.array(dtype=wp.int32)  # [surface] body or WORLD
         surface_position: wp.array2d(dtype=vec3)  # [env, surface] origin of S in B (or W, from its anchor) [m]
@@ -237,6 +239,13 @@ def structs(real: type) -> SimpleNamespace:
         friction_force: wp.array2d(dtype=vec3)  # [env, contact] on the point's body, W [N]
         slip_speed: wp.array2d(dtype=real)  # [env, contact] tangential, at K, 0 unless CONTACT [m/s]
         torque: wp.array2d(dtype=vec3)  # [env, contact] of rolling and torsion on the point's body, W [N·m]
+
+    @wp.struct
+    class Reached:
+        """How close contact couplings came; advances once per accepted step, in ``coupling.py``."""
+
+        effective_area: wp.array2d(dtype=real)  # [env, coupling] largest area in range so far [m²]
+        minimum_distance: wp.array2d(dtype=real)  # [env, coupling] smallest in range so far [m]; NaN: none
 
     @wp.struct
     class Near:
@@ -329,6 +338,7 @@ def structs(real: type) -> SimpleNamespace:
         State=State,
         History=History,
         Contacts=Contacts,
+        Reached=Reached,
         Near=Near,
         Cache=Cache,
         Ends=Ends,

@@ -44,6 +44,17 @@ def test_moving_surface_conserves_linear_momentum_in_float32(device):
     assert result["scene.linear_momentum"] < 1.0e-5
 
 
+def test_berthing_stops_and_rebounds_as_its_closed_form_says(device, tmp_path, capsys):
+    animation = tmp_path / "berth.usdc"
+    result = load("berthing").main(["--envs", "4", "--device", device, "--usd", str(animation)])
+    assert "passed the closest distance of 0.1 m: in environment 3" in capsys.readouterr().out
+    assert animation.exists()
+    # Semi-implicit Euler at τ/105 with weak damping; its velocities are half a step early.
+    assert result["distance"] < 1.0e-3
+    assert result["rebound"] < 5.0e-4
+    assert result["passed"] == 1
+
+
 def test_cube_tosses_of_a_few_and_their_plot(device, shared_data, tmp_path, capsys):
     data, figure = shared_data / "cube_tosses.npz", tmp_path / "tosses.png"
     result = load("cube_tosses").main(

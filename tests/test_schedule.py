@@ -2,6 +2,7 @@
 
 import signal
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -361,6 +362,21 @@ def test_an_interruption_leaves_all_environments_at_one_time(crossing_steps, dev
     other.step(sim.steps)
     for key in STATE:
         np.testing.assert_array_equal(sim.model.reading(f"body.{key}"), other.model.reading(f"body.{key}"))
+
+
+def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
+    """However long a step takes, and however many are asked for."""
+
+    class Piece:
+        envs, captured, device = 1, False, wp.get_device("cpu")
+
+        def capture(self, count):
+            pass
+
+        def step(self, count):
+            time.sleep(0.02 * count)
+
+    assert list(crew.Crew([Piece()], 1).step(24)) == [8, 16, 24]
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "4"])

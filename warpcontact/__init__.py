@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes
     from warpcontact.advice import ContactWarning
     from warpcontact.benchmark import BenchReport, bench
+    from warpcontact.contact_coupling import ContactCoupling
+    from warpcontact.contact_range import ContactRange
     from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
@@ -40,6 +42,8 @@ _HOME = {
     "Bushing": "warpcontact.couplings.elements",
     "Catenary": "warpcontact.couplings.elements",
     "Contact": "warpcontact.elements",
+    "ContactCoupling": "warpcontact.contact_coupling",
+    "ContactRange": "warpcontact.contact_range",
     "ContactWarning": "warpcontact.advice",
     "CouplingStatus": "warpcontact.status",
     "Damper": "warpcontact.kernels.springs.base",
@@ -87,6 +91,8 @@ __all__ = [
     "Bushing",
     "Catenary",
     "Contact",
+    "ContactCoupling",
+    "ContactRange",
     "ContactWarning",
     "CouplingStatus",
     "Damper",

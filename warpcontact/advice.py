@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.checks import Array
+from warpcontact.contact_coupling_advice import contact_coupling_advice
 from warpcontact.couplings.advice import coupling_advice
 from warpcontact.friction_advice import LOOKED_AT, friction_advice
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
@@ -34,8 +35,12 @@ def advice(model: "Environments", dt: float) -> list[str]:
     sentences = []
     if model.scene.contacts:
         model.evaluate()
+    for coupling in model.scene.contact_couplings:
+        sentences += contact_coupling_advice(model, coupling, dt)
     for contact in model.scene.contacts:
         sentences += friction_advice(model, contact, dt)
+        if contact.facing is not None:
+            continue
         envs = model.envs if contact.count == 1 else min(model.envs, LOOKED_AT)
         mass, speed = (values[:envs] for values in _mass_and_speed(model, contact))
         if contact.swept:

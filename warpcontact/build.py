@@ -14,6 +14,7 @@ from warpcontact import elements as limits_of
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks, make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
+from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.couplings.sets import make_sets
 from warpcontact.devices import find_devices
 from warpcontact.draft import Draft, PartDraft
@@ -95,6 +96,7 @@ class _Common:
 def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     """Prepares the model of the environments on one device."""
     scene, contacts, blocks = common.scene, common.contacts, common.blocks
+    contact_couplings = ContactCouplings.order(scene.contact_couplings, contacts)
     t = types.structs(PRECISIONS[common.precision])
     layout = Layout(where)
     parameters = Parameters(where, t.real)
@@ -137,12 +139,16 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     following = upload_blocks(blocks, contacts, scene.bodies, arrays.model, layout, parameters, t, places)
     for parameter in moving:
         parameter.uploads.extend(following)
+    contact_couplings.declare(arrays, layout, t)
+    point_count = sum(len(points.positions) for points in scene.points)
+    contact_couplings.upload_normals(arrays.model, point_count, parameters, t)
     meshes = upload_patches(common.patches, arrays.model, layout, t)
-    _add_contacts(contacts, start_of, common.patches.of_contact, arrays, layout, parameters, t)
+    _add_contacts(contacts, start_of, common.patches.of_contact, contact_couplings, arrays, layout, parameters, t)
     couplings = make_sets(scene, arrays, layout, parameters, t)
     moves = any(body.motion.kind != types.FREE for body in scene.bodies)
     groups = [
-        make_group(group, start_of[group[0]], blocks, layout, parameters, t.real, moves) for group in common.groups
+        make_group(group, start_of[group[0]], contact_couplings, blocks, layout, parameters, t.real, moves)
+        for group in common.groups
     ]
     return PartDraft(
         scene=scene,
@@ -156,7 +162,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         couplings=couplings,
         drives=drives,
         blocks=blocks,
-        readings=readings_of(scene, start_of, groups, couplings),
+        readings=readings_of(scene, start_of, groups, contact_couplings, couplings),
         meshes=meshes,
     )
 
@@ -338,6 +344,7 @@ def _add_contacts(
     contacts: list[Contact],
     start_of: dict[Contact, int],
     patch_of: dict[Contact, int],
+    couplings: ContactCouplings,
     arrays: SimpleNamespace,
     layout: Layout,
     parameters: Parameters,
@@ -356,6 +363,7 @@ def _add_contacts(
         + types.RIM_OUTER * (contact.rim == "outer")
         + types.HERTZ_PATCH * (contact.torsion_radius is None)
         + types.SWEPT * contact.swept
+        + types.AT_POINT * (contact.facing is not None)
         for contact in contacts
     }
     send("contact_options", [options[contact] for contact, _ in each])
@@ -383,7 +391,7 @@ def _add_contacts(
     for contact in contacts:
         items = slice(start_of[contact], start_of[contact] + contact.count)
         own = dict(ranges)
-        if limits_of.needs_radius(contact.template, contact.torsion_radius is not None):
+        if contact in couplings.of or limits_of.needs_radius(contact.template, contact.torsion_radius is not None):
             own["radius"] = limits("m", above=0.0)
         for key, allowed in own.items():
             if getattr(contact, key) is None:
@@ -397,6 +405,7 @@ def _add_contacts(
                 single=contact.points.single,
                 convert=checks.switches if key == "enabled" else None,
             )
+    couplings.add_geometry(start_of, fields, parameters, upload)
 
 
 def _add_vector(

@@ -19,6 +19,7 @@ from warpcontact.meshes.topology import seen_from
 MASS = limits("kg", above=0.0)
 AREA = limits("m²", above=0.0)
 RADIUS = limits("m", at_least=0.0)
+RANGE = limits("m", above=0.0)
 KAPPA = limits("-", at_least=0.0, at_most=1.0)
 MAX_DEPTH = limits("m", above=0.0, may_be_infinite=True)
 SEARCH_RADIUS = limits("m", above=0.0, may_be_infinite=True)
@@ -152,6 +153,7 @@ class Points:
     surface: Surface | None
     positions: Array  # (n, 3), frame of the surface's mesh if they are fixed to one, else of the body [m]
     areas: Array | None  # (n,) the area that each stands for, in the mesh's frame like their positions [m²]
+    normals: Array | None  # (n, 3) unit, out of the surface that they are of, in the same frame
     single: bool  # made by add_point: no item axis
 
     @property
@@ -184,6 +186,13 @@ class Contact:
     rim: str
     color: Array | None
     visible: bool
+    # Of a contact coupling: "all" or "projected", and the force acts at the points; None of an ordinary contact.
+    facing: str | None = None
+
+    @property
+    def code(self) -> tuple[Parts, bool]:
+        """What its force kernel is chosen by: law and frictions, and whether it weighs by normals."""
+        return self.template.parts, self.facing == "projected"
 
     @property
     def count(self) -> int:

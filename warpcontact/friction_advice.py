@@ -43,7 +43,7 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     patch = np.sqrt(1.0e-3) * np.broadcast_to(_radius(model, contact)[:envs], load.shape)
     sentences = []
     for part, kind in parts.items():
-        dashpot, spring = _measured(model, contact, part, load, patch)
+        dashpot, spring = steepness_under(model, contact, part, load, patch)
         with np.errstate(divide="ignore"):
             mass = 1.0 / mobility[part]
             limit = np.minimum(2.0 * mass / dashpot, 2.0 * np.sqrt(mass / np.maximum(spring, 0.0)))
@@ -58,10 +58,18 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     return sentences
 
 
-def _measured(
+def steepness_under(
     model: "Environments", contact: "Contact", part: str, load: Array, patch: Array
 ) -> tuple[Array, Array]:
-    """Returns the steepest dashpot [N·s/m] and the spring [N/m] of a part, (env, item), of those with a load."""
+    """Returns the steepest dashpot [N·s/m] and the spring [N/m] of a part, (env, item).
+
+    Args:
+        model: The model.
+        contact: One of its contacts.
+        part: Which of its frictions.
+        load: Normal force of the first environments, (env, item) [N].
+        patch: Radius of the patch of a sphere, likewise [m].
+    """
     measured = [
         _measured_on(one, contact, part, load[own], patch[own])
         for one, own in model.shares()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks
+from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.formula_errors import explained
 from warpcontact.kernels import contact_force
 from warpcontact.kernels.contact_force import Parts, group_structs
@@ -27,22 +28,28 @@ class Group:
 
     Attributes:
         parts: The classes of law and frictions.
+        projected: Whether its contacts are weighed by the normals of their points.
         kernel: Their force kernel.
         first: Index of the first contact.
         count: Number of contacts.
         first_block: Index of their first block.
         block_count: Number of their blocks.
+        first_coupling: Index of the first contact coupling that is made of them.
+        coupling_count: Number of these.
         coefficients: Struct of arrays [env, contact of the group], one per part.
         memory: Struct of such arrays: what each part remembers of the last accepted step.
         kept: Likewise, what it will remember if the present step is accepted.
     """
 
     parts: Parts
+    projected: bool
     kernel: wp.Kernel
     first: int
     count: int
     first_block: int
     block_count: int
+    first_coupling: int
+    coupling_count: int
     coefficients: Any
     memory: Any
     kept: Any
@@ -70,16 +77,17 @@ class Group:
 
 
 def by_code(contacts: Sequence[Contact]) -> list[list[Contact]]:
-    """Sorts contacts into groups of the same classes of law and frictions, in order of first appearance."""
-    groups: dict[Parts, list[Contact]] = {}
+    """Sorts contacts into groups of the same code, in order of first appearance."""
+    groups: dict[tuple[Parts, bool], list[Contact]] = {}
     for contact in contacts:
-        groups.setdefault(contact.template.parts, []).append(contact)
+        groups.setdefault(contact.code, []).append(contact)
     return list(groups.values())
 
 
 def make_group(
     contacts: list[Contact],
     first: int,
+    couplings: ContactCouplings,
     blocks: Blocks,
     layout: Layout,
     parameters: Parameters,
@@ -90,20 +98,31 @@ def make_group(
 
     ``moves`` says whether any body of the scene is not free.
     """
-    parts = contacts[0].template.parts
+    parts, projected = contacts[0].code
     Coefficients, Memory = group_structs(parts, real)
     coefficients, memory, kept = Coefficients(), Memory(), Memory()
     count = sum(contact.count for contact in contacts)
     for part, formula in parts._asdict().items():
-        _add_formula(contacts, part, formula, coefficients, parameters, real)
+        _add_formula(contacts, part, formula, coefficients, couplings, parameters, real)
         for target in (memory, kept):
             # Never looked at if the formula remembers nothing.
             shape = per_env(count) if formula.memories else fixed(1, 1)
             layout.array("contacts", target, part, memory_struct(formula, real), shape)
     # Only a mass depends on how bodies may move.
     moves = moves and parts.law.needs_mass
-    kernel = contact_force.kernel(parts, real, True) if moves else contact_force.kernel(parts, real)
-    return Group(parts, kernel, first, count, *blocks.of_contacts(first, count), coefficients, memory, kept)
+    kernel = contact_force.kernel(parts, real, moves, projected)
+    return Group(
+        parts,
+        projected,
+        kernel,
+        first,
+        count,
+        *blocks.of_contacts(first, count),
+        *couplings.of_contacts(contacts),
+        coefficients,
+        memory,
+        kept,
+    )
 
 
 def compile_group(group: Group, device: wp.Device, real: type) -> None:
@@ -131,6 +150,7 @@ def _add_formula(
     part: str,
     formula: type[Formula],
     target: Any,
+    couplings: ContactCouplings,
     parameters: Parameters,
     real: type,
 ) -> None:
@@ -140,6 +160,8 @@ def _add_formula(
         contact: {name: Field(np.full(contact.count, value)) for name, value in contact.parameters(part).items()}
         for contact in contacts
     }
+    # What the sides of a coupling have in common is one number.
+    common = couplings.share(fields)
     # Points of a surface have the area that they stand for in its mesh.
     scales = {
         contact: parameters.by_name[f"{carrier.name}.scale"]
@@ -167,11 +189,7 @@ def _add_formula(
             scale.uploads.append(upload)
     for contact, own in fields.items():
         for name, field in own.items():
-            parameters.add(
-                f"{contact.name}.{part}.{name}",
-                field,
-                slice(0, contact.count),
-                formula.limits(name),
-                [upload],
-                single=contact.points.single,
-            )
+            single = contact.points.single or field in common
+            items = slice(0, field.values.shape[1])
+            for full in (f"{contact.name}.{part}.{name}", *couplings.aliases(contact, part, name)):
+                parameters.add(full, field, items, formula.limits(name), [upload], single=single)

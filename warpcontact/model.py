@@ -165,7 +165,7 @@ class Model(Environments, OfScene):
     @beside_captures()
     def restart(self, mask: NDArray[np.bool_]) -> None:
         """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
-        from warpcontact.kernels import reset
+        from warpcontact.kernels import contact_coupling, reset
 
         a = self.arrays
         chosen = wp.array(mask, dtype=wp.bool, device=self.device)
@@ -188,6 +188,13 @@ class Model(Environments, OfScene):
             ],
             device=self.device,
         )
+        if a.reached is not None:
+            wp.launch(
+                contact_coupling.forget(self.types.real),
+                dim=(self.envs, len(self.scene.contact_couplings)),
+                inputs=[chosen, a.reached],
+                device=self.device,
+            )
         for group in self.groups:
             for formula, memory, _ in group.memories():
                 wp.launch(
@@ -227,7 +234,7 @@ class Model(Environments, OfScene):
     @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
         """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
-        if "contacts" in needs or "points" in needs:
+        if not needs.isdisjoint(("contacts", "points", "contact_couplings")):
             self._evaluate()
         if "bodies" in needs:
             self._measure_bodies()
@@ -237,6 +244,8 @@ class Model(Environments, OfScene):
             self._measure_reactions()
         if "coordinates" in needs:
             self._measure_coordinates()
+        if "contact_couplings" in needs:
+            self._measure_contact_couplings()
 
     @beside_captures()
     def add_measures(self, names: Collection[str]) -> None:
@@ -287,10 +296,18 @@ class Model(Environments, OfScene):
         kernel = measures.coordinates(self.types.real)
         wp.launch(kernel, dim=shape, inputs=[a.model, a.state], outputs=[a.coordinates], device=self.device)
 
+    def _measure_contact_couplings(self) -> None:
+        from warpcontact.kernels import contact_coupling
+
+        a, shape = self.arrays, (self.envs, len(self.scene.contact_couplings))
+        kernel = contact_coupling.measure(self.types.real)
+        inputs = [a.model, a.state, a.contacts, a.coupling_contacts]
+        wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.contact_couplings], device=self.device)
+
     def group_of(self, contact: Contact) -> tuple[Group, int]:
         """Returns the group that ``contact`` is computed in, and the index of its first item there."""
-        own = [other for other in self.scene.contacts if other.template.parts == contact.template.parts]
-        group = next(group for group in self.groups if group.parts == contact.template.parts)
+        own = [other for other in self.scene.contacts if other.code == contact.code]
+        group = next(group for group in self.groups if (group.parts, group.projected) == contact.code)
         return group, sum(other.count for other in own[: own.index(contact)])
 
     @beside_captures()

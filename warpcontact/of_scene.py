@@ -8,7 +8,7 @@ import warp as wp
 
 from warpcontact.arrays import Layout, per_env
 from warpcontact.footprint import Need
-from warpcontact.kernels import measures
+from warpcontact.kernels import contact_coupling, measures
 from warpcontact.kernels.motions.measures import Coordinates, Reactions
 from warpcontact.kernels.types import DRIVEN, FREE
 from warpcontact.scene import Scene
@@ -79,10 +79,16 @@ def _coordinates(layout: Layout, model: OfScene) -> Any:
     return layout.struct("measures", Coordinates, per_env(model.body_count))
 
 
+def _contact_couplings(layout: Layout, model: OfScene) -> Any:
+    shape = per_env(len(model.scene.contact_couplings))
+    return layout.struct("measures", contact_coupling.ContactCouplings, shape)
+
+
 #: How to declare what readings are measured into, by what they need.
 MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {
     "bodies": _bodies,
     "points": _points,
     "reactions": _reactions,
     "coordinates": _coordinates,
+    "contact_couplings": _contact_couplings,
 }

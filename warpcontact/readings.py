@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.groups import Group
 from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
@@ -60,6 +61,22 @@ _SWEPT = {
     "crossings": ("crossings", "-", "times the point crossed the surface within a step, since reset"),
     "crossing_time": ("crossing_time", "s", "time of the first of them since reset; NaN: none"),
 }
+_COUPLING = {
+    "force": ("contact_couplings", "force", "N", "force on the body of its first surface, world"),
+    "torque": ("contact_couplings", "torque", "N·m", "its moment about the centre of mass of it, world axes"),
+    "effective_area": (
+        "reached",
+        "effective_area",
+        "m²",
+        "largest area in range since reset, as of the last step",
+    ),
+    "minimum_distance": (
+        "reached",
+        "minimum_distance",
+        "m",
+        "smallest distance of a face in range since reset, as of the last step; NaN: none was",
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -72,7 +89,8 @@ class Reading:
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
         needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, contact
-            ``"points"``, or of motions ``"reactions"`` and ``"coordinates"``.
+            ``"points"``, of motions ``"reactions"`` and ``"coordinates"``, or the forces of
+            ``"contact_couplings"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
         codes: What its numbers stand for.
@@ -103,7 +121,11 @@ class Reading:
 
 
 def readings_of(
-    scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[Group], couplings: "Sequence[CouplingSet]"
+    scene: Scene,
+    start_of: Mapping[Contact, int],
+    groups: Sequence[Group],
+    contact_couplings: ContactCouplings,
+    couplings: "Sequence[CouplingSet]",
 ) -> dict[str, Reading]:
     """Returns all readings of a scene by name.
 
@@ -111,7 +133,8 @@ def readings_of(
         scene: The scene.
         start_of: Where a contact's values begin.
         groups: What its contacts are computed in.
-        couplings: Its couplings.
+        contact_couplings: Its contact couplings.
+        couplings: Its other couplings.
     """
     table: dict[str, Reading] = {}
 
@@ -165,6 +188,10 @@ def readings_of(
                 )
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
             add(f"{contact.name}.{key}", unit, meaning, column("history", attribute, items), items=count)
+    for number, coupling in enumerate(contact_couplings.all):
+        for key, (part, attribute, unit, meaning) in _COUPLING.items():
+            options = {"needs": (part,)} if part == "contact_couplings" else {}
+            add(f"{coupling.name}.{key}", unit, meaning, column(part, attribute, number), **options)
     for couplings_of_code in couplings:
         table.update((reading.name, reading) for reading in couplings_of_code.readings())
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():

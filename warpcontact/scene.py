@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
@@ -27,19 +27,19 @@ from warpcontact.elements import (
     Points,
     Surface,
     Template,
-    needs_radius,
 )
-from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.motions import Free, Motion
-from warpcontact.meshes import Mesh, SurfaceSamples
+from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
+from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of
 from warpcontact.start import check_start
 
 if TYPE_CHECKING:
+    from warpcontact.contact_coupling import ContactCoupling
     from warpcontact.model import Model
     from warpcontact.split_model import SplitModel
 
-_LISTS = ("bodies", "surfaces", "points", "contacts", "couplings")
+_LISTS = ("bodies", "surfaces", "points", "contacts", "contact_couplings", "couplings")
 
 
 class Scene(Couplings):
@@ -55,6 +55,7 @@ class Scene(Couplings):
         self.surfaces: list[Surface] = []
         self.points: list[Points] = []
         self.contacts: list[Contact] = []
+        self.contact_couplings: list[ContactCoupling] = []
         self.couplings: list[Coupling] = []
         self._elements: dict[str, Any] = {}
 
@@ -161,11 +162,11 @@ class Scene(Couplings):
         name = checks.new_name("surface", name, self._elements)
         body = self._body(f"{name}.body", body)
         several = isinstance(mesh, list | tuple)
-        meshes = [_mesh(name, one) for one in (mesh if several else [mesh])]
+        meshes = [mesh_of(name, one) for one in (mesh if several else [mesh])]
         if not meshes:
             raise ValueError(f"mesh of {name!r} must not be an empty list")
         active = (
-            _active_of_each(f"{name}.active_faces", active_faces, meshes)
+            active_of_each(f"{name}.active_faces", active_faces, meshes)
             if several
             else [face_mask(f"{name}.active_faces", active_faces, meshes[0])]
         )
@@ -194,7 +195,7 @@ class Scene(Couplings):
         """
         name = checks.new_name("point", name, self._elements)
         place = checks.numbers(f"{name}.position", position, (3,), limits("m"))
-        return self._add_points(name, body, place[None], None, single=True)
+        return self._add_points(name, body, place[None], None, None, single=True)
 
     def add_points(
         self,
@@ -218,19 +219,26 @@ class Scene(Couplings):
             ValueError: If a value is out of range; the message names it.
         """
         name = checks.new_name("points", name, self._elements)
+        normals = None
         if isinstance(positions, SurfaceSamples):
             if areas is not None:
                 raise ValueError(f"{name}.areas must be left out: the points of wc.sample_surface have theirs")
-            areas, positions = positions.areas, positions.positions
+            areas, normals, positions = positions.areas, positions.normals, positions.positions
         shape = np.shape(positions)
         if len(shape) != 2 or shape[0] < 1 or shape[1] != 3:
             raise ValueError(f"{name}.position must have shape (n, 3) with n ≥ 1, got {shape}")
         places = checks.numbers(f"{name}.position", positions, shape, limits("m"))
         sizes = None if areas is None else checks.numbers(f"{name}.areas", areas, shape[:1], AREA)
-        return self._add_points(name, body, places, sizes, single=False)
+        return self._add_points(name, body, places, sizes, normals, single=False)
 
     def _add_points(
-        self, name: str, body: Body | Surface | None, positions: Array, areas: Array | None, single: bool
+        self,
+        name: str,
+        body: Body | Surface | None,
+        positions: Array,
+        areas: Array | None,
+        normals: Array | None,
+        single: bool,
     ) -> Points:
         surface = None
         if isinstance(body, Surface):
@@ -243,6 +251,7 @@ class Scene(Couplings):
             surface=surface,
             positions=positions,
             areas=areas,
+            normals=normals,
             single=single,
         )
         self.points.append(points)
@@ -311,8 +320,8 @@ class Scene(Couplings):
         if not isinstance(template, Template):
             raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
         size = checks.numbers(f"{name}.radius", radius, (), RADIUS)
-        _check_arms(name, template, size, torsion_radius)
-        _check_areas(name, template, points)
+        check_arms(name, template, size, torsion_radius)
+        check_areas(name, template, points)
         contact = Contact(
             name=name,
             points=points,
@@ -401,6 +410,16 @@ class Scene(Couplings):
         """Returns ``name`` if an element can have it, or one made from ``kind`` if it is ``None``."""
         return checks.new_name(kind, name, self._elements)
 
+    def include(self, coupling: "ContactCoupling") -> None:
+        """Adds a contact coupling, whose contacts are there."""
+        self.contact_couplings.append(coupling)
+        self._elements[coupling.name] = coupling
+
+    def exchange(self, contact: Contact, other: Contact) -> None:
+        """Puts ``other``, of the same name, in the place of ``contact``."""
+        self.contacts[self.contacts.index(contact)] = other
+        self._elements[other.name] = other
+
     def restore(self, earlier: "Scene") -> None:
         """Takes back what was added since the snapshot ``earlier``."""
         for name in (*_LISTS, "_elements"):
@@ -423,48 +442,3 @@ class Scene(Couplings):
         if body is not None and (not isinstance(body, Body) or self._elements.get(body.name) is not body):
             raise ValueError(f"{name} must be a body of this scene or None (the world), got {body!r}")
         return body
-
-
-def _check_arms(name: str, template: Template, radius: Array, torsion_radius: float | None) -> None:
-    """Raises ``ValueError`` if a friction of the template would have no arm to act at."""
-    if torsion_radius is not None and isinstance(template.torsion, Frictionless):
-        raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
-    part = needs_radius(template, torsion_radius is not None)
-    if radius == 0.0 and part is not None:
-        kind = type(getattr(template, part)).__name__
-        cure = " or a torsion_radius" if part == "torsion" else ""
-        raise ValueError(f"{name}: the {part} of its template, {kind}, needs a radius{cure}, got a radius of 0 m")
-
-
-def _check_areas(name: str, template: Template, points: Points) -> None:
-    """Raises ``ValueError`` if a part of the template takes the areas of points that have none."""
-    for part, formula in template.formulas.items():
-        if points.areas is None and formula.takes_area:
-            raise ValueError(
-                f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and the "
-                f"points {points.name!r} have none; make them with wc.sample_surface, give add_points areas, or "
-                f"give the {part} an area"
-            )
-
-
-def _active_of_each(label: str, choices: Any, meshes: Sequence[Mesh]) -> list[NDArray[np.bool_]]:
-    """Returns the mask of each of several meshes; ``choices`` is a list with one choice for each, or ``None``."""
-    if choices is None:
-        choices = [None] * len(meshes)
-    listed = isinstance(choices, list | tuple) or getattr(choices, "ndim", 0) > 0
-    if not listed or len(choices) != len(meshes):
-        got = len(choices) if listed else repr(choices)
-        raise ValueError(f"{label} must have one entry for each of {len(meshes)} meshes, got {got}")
-    return [
-        face_mask(f"{label}[{i}]", choice, mesh)
-        for i, (choice, mesh) in enumerate(zip(choices, meshes, strict=True))
-    ]
-
-
-def _mesh(name: str, mesh: Any) -> Mesh:
-    """Returns the mesh of surface ``name``, checked."""
-    if isinstance(mesh, Mesh):
-        return mesh
-    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-        raise TypeError(f"mesh of {name!r} must be a wc.Mesh or have vertices and faces, got {mesh!r}")
-    return Mesh(mesh.vertices, mesh.faces, name=name)

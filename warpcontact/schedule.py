@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.kernels import history, integrate, near, queues, sweep, travel, wrenches
+from warpcontact.kernels import contact_coupling, history, integrate, near, queues, sweep, travel, wrenches
 from warpcontact.kernels.closest_point import KNOWN, LISTED, SEARCH
 from warpcontact.kernels.motions import driven, step
 from warpcontact.kernels.types import Work
@@ -259,6 +259,23 @@ def accept_stages(span: Span, dt: wp.array, state_in: Any, state_out: Any) -> li
         [a.status, a.time, dt, a.model, a.contacts, a.near, a.history],
     )
     for group in model.groups:
+        if group.coupling_count:
+            launches += span.prepare(
+                contact_coupling.advance(group.parts.law, real, group.projected),
+                group.coupling_count,
+                [
+                    a.status,
+                    a.model,
+                    state_in,
+                    a.contacts,
+                    a.near,
+                    a.coupling_contacts,
+                    group.first_coupling,
+                    group.first,
+                    group.coefficients.law,
+                    a.reached,
+                ],
+            )
         for formula, memory, kept in group.memories():
             launches += span.prepare(
                 history.memory_kernel(formula, real),

@@ -16,14 +16,15 @@ class ContactRange(Law):
     ``areas`` of ``add_points``.
     """
 
-    formula = "N = a max(0, k₁ (d₀ − d) − k₂ ḋ),  d₀ = radius of the contact"
+    formula = "N = a max(0, k₁ (d₀ − d) − k₂ ḋ min(1, (d₀ − d)/r)),  d₀ = radius of the contact"
     reference = "Simcenter STAR-CCM+ manual, contact coupling"
     provenance = "R"
-    validity = "for d < d₀; the damping jumps at d₀"
+    validity = "for d < d₀; without a ramp r the damping jumps at d₀"
     needs_mass = True
 
     k1: float = parameter("N/m³", "elastic coefficient k₁", above=0.0)
     k2: float = parameter("N·s/m³", "damping coefficient k₂", default=0.0, at_least=0.0)
+    ramp: float = parameter("m", "depth r over which damping sets in; 0: at once", default=0.0, at_least=0.0)
     area: float | None = parameter("m²", "area a of the point, its own if left out", default=None, above=0.0)
 
     @classmethod
@@ -33,4 +34,6 @@ class ContactRange(Law):
     @wp.func
     def force(p: Any, c: Any):
         dashpot = stepped_dashpot(p.area * p.k2, c.mass, c.dt)
+        if c.delta < p.ramp:
+            dashpot *= c.delta / p.ramp
         return p.area * p.k1 * c.delta + dashpot * c.delta_dot

@@ -1,7 +1,7 @@
 """How couplings are added to a scene. All input is checked here."""
 
 import math
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,9 +24,15 @@ from warpcontact.couplings.elements import (
     Coupling,
     SpringDamper,
 )
-from warpcontact.elements import Points
+from warpcontact.elements import Points, Surface
 from warpcontact.frames import placed
 from warpcontact.kernels.springs import Damper, Linear, Spring, Undamped, Viscous
+
+if TYPE_CHECKING:
+    from warpcontact.contact_coupling import ContactCoupling
+    from warpcontact.contact_range import ContactRange
+    from warpcontact.kernels.frictions import Friction
+    from warpcontact.scene import Scene
 
 
 class Couplings:
@@ -216,6 +222,72 @@ class Couplings:
             visible=bool(visible),
         )
         return self._add_coupling(coupling)
+
+    def add_contact_coupling(
+        self,
+        surface_a: Surface,
+        surface_b: Surface,
+        range: "ContactRange",
+        friction: "Friction | None" = None,
+        *,
+        facing: str = "projected",
+        sides: str = "first",
+        quadrature: int = 1,
+        damping_ramp: float = 0.0,
+        search: str = "whole",
+        rim: str = "off",
+        enabled: bool = True,
+        name: str | None = None,
+        color: ArrayLike | None = None,
+        visible: bool = True,
+    ) -> "ContactCoupling":
+        """Adds a force per area that keeps the faces of a body off another surface before they touch.
+
+        On each active face, at its points r_f, f = a max(0, k₁ (d₀ − d) − k₂ ḋ) n, with the signed distance d to
+        the other surface and its normal n there, and friction against the velocity at r_f; both bodies get the
+        force at r_f.
+
+        Args:
+            surface_a: From ``add_surface``, on a body.
+            surface_b: From ``add_surface``: on the world, or on another body.
+            range: Coefficients k₁, k₂ and the range d₀.
+            friction: Friction model; ``None``: none.
+            facing: ``"projected"``: a face counts with the area that it turns to the other surface.
+                ``"all"``: with all of it, whichever way it looks.
+            sides: ``"first"``: the faces of ``surface_a`` feel ``surface_b``. ``"average"``: the faces of each
+                feel the other, with half the force each.
+            quadrature: Points per face: 1, 3, 6 or 7, exact for fields of order 1, 2, 4 or 5 over a face.
+            damping_ramp: Depth within the range over which damping sets in [m]; 0: at once.
+            search: ``"whole"`` or ``"active"``, as in ``add_contact``.
+            rim: ``"off"``: a face beyond an open border is not held; ``"outer"``: the border itself is.
+            enabled: Whether it acts.
+            name: Name in parameters and readings; made up if not given. Its contacts are ``<name>_first`` and,
+                with two sides, ``<name>_second``.
+            color: Colour of its arrows, RGB in 0…1.
+            visible: Whether its arrows are drawn.
+
+        Raises:
+            ValueError: If a value is out of range; the message names it, and the scene is as before.
+        """
+        from warpcontact.contact_coupling import add_contact_coupling
+
+        return add_contact_coupling(
+            cast("Scene", self),
+            surface_a,
+            surface_b,
+            range,
+            friction,
+            facing=facing,
+            sides=sides,
+            quadrature=quadrature,
+            damping_ramp=damping_ramp,
+            search=search,
+            rim=rim,
+            enabled=enabled,
+            name=name,
+            color=color,
+            visible=visible,
+        )
 
     def _add_coupling(self, coupling: Any) -> Any:
         self.couplings.append(coupling)

@@ -9,6 +9,7 @@ from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import (
     BodySettings,
+    ContactCouplingSettings,
     ContactOptions,
     ContactSettings,
     CouplingOptions,
@@ -68,6 +69,7 @@ class Assembler:
             "spring_damper": lambda path, entry: self._coupling(scene.add_spring_damper, path, entry, problems),
             "bushing": lambda path, entry: self._coupling(scene.add_bushing, path, entry, problems),
             "catenary": lambda path, entry: self._coupling(scene.add_catenary, path, entry, problems),
+            "contact_coupling": lambda path, entry: self._contact_coupling(scene, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:
@@ -143,10 +145,19 @@ class Assembler:
         options = entry.model_dump(exclude={*references, *formulas}, exclude_none=True)
         return add(*targets, **options, **formulas)
 
+    def _contact_coupling(
+        self, scene: Scene, path: str, entry: ContactCouplingSettings, problems: Problems
+    ) -> Any:
+        references = {"surface_a": _SURFACE, "surface_b": _SURFACE}
+        targets = self._find_all(path, entry, references, problems)
+        friction = entry.friction.make() if isinstance(entry.friction, FormulaSettings) else None
+        options = entry.model_dump(exclude={*references, "range", "friction"})
+        return scene.add_contact_coupling(targets[0], targets[1], entry.range.make(), friction, **options)
+
     def _find_all(
         self,
         path: str,
-        entry: ContactOptions | CouplingOptions,
+        entry: ContactOptions | CouplingOptions | ContactCouplingSettings,
         references: Mapping[str, tuple[str, tuple[str, ...]]],
         problems: Problems,
     ) -> list[Any]:

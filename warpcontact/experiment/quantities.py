@@ -13,6 +13,7 @@ from pydantic import PlainValidator, ValidationInfo
 
 from warpcontact import checks
 from warpcontact.checks import limits
+from warpcontact.contact_coupling import check_quadrature
 from warpcontact.elements import AREA
 from warpcontact.experiment.errors import shown
 from warpcontact.kernels.formula import check_values, has_shape, shape_in_words
@@ -268,6 +269,7 @@ title = PlainValidator(_title)
 positions = PlainValidator(_positions)
 areas = PlainValidator(_areas)
 amount = PlainValidator(_amount)
+quadrature = PlainValidator(lambda value: check_quadrature("", value))
 amounts = PlainValidator(_amounts)
 value = PlainValidator(_value)
 rows = PlainValidator(_rows)

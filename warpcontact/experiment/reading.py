@@ -93,8 +93,9 @@ class Parts:
 
     def may_name(self, name: str) -> bool:
         """Whether ``name`` is, or may be, that of an entry of any section."""
-        # A contact of two surfaces gives several elements names that begin with its own.
-        if any(name.startswith(f"{whole}_") for whole in self.names["surface_contact"]):
+        # A contact of two surfaces, or a coupling, gives several elements names that begin with its own.
+        several = self.names["surface_contact"] | self.names["contact_coupling"]
+        if any(name.startswith(f"{whole}_") for whole in several):
             return True
         return bool(self.unnamed) or any(name in names for names in self.names.values())
 

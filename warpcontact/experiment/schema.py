@@ -10,6 +10,8 @@ from pydantic import Field, model_validator
 
 from warpcontact import elements as limits_of
 from warpcontact.build import PRECISIONS
+from warpcontact.contact_coupling import FACINGS
+from warpcontact.contact_range import CLOSEST, DAMPING_RATIO, SPEED, ContactRange
 from warpcontact.couplings import elements as coupling_limits
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
@@ -23,6 +25,7 @@ from warpcontact.experiment.catalogue import (
     settings_model,
 )
 from warpcontact.experiment.own import OwnFiles
+from warpcontact.kernels import laws
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.surface_contact import SIDES
 
@@ -167,6 +170,70 @@ class SurfaceContactSettings(ContactOptions):
     sides: Annotated[str, q.one_of(SIDES)] = "first"
 
 
+class ImpactSettings(Section):
+    """An expected impact, from which the coefficients of a contact coupling follow."""
+
+    mass: Annotated[float, q.numbers((), allowed=limits_of.MASS)] = Field(description="of the body [kg]")
+    other_mass: Annotated[float | None, q.numbers((), allowed=limits_of.MASS)] = None
+    area: Annotated[float, q.numbers((), allowed=limits_of.AREA)] = Field(description="of the contact [m²]")
+    speed: Annotated[float, q.numbers((), allowed=SPEED)] = Field(description="normal speed [m/s]")
+    effective_range: Annotated[float, q.numbers((), allowed=limits_of.RANGE)] = Field(
+        description="distance at which the force begins [m]"
+    )
+    closest: Annotated[float, q.numbers((), allowed=CLOSEST)] = Field(description="where it stops [m]")
+    damping_ratio: Annotated[float, q.numbers((), allowed=DAMPING_RATIO)] = 0.0
+
+    @model_validator(mode="after")
+    def _stops_within(self) -> "ImpactSettings":
+        if self.closest >= self.effective_range:
+            raise ValueError(f".closest must be less than effective_range, got {self.closest:g} m")
+        return self
+
+
+class RangeSettings(Section):
+    """The coefficients of a contact coupling, or the impact from which they follow."""
+
+    k1: Annotated[float | None, q.numbers((), allowed=laws.ContactRange.limits("k1"))] = None
+    k2: Annotated[float | None, q.numbers((), allowed=laws.ContactRange.limits("k2"))] = None
+    effective_range: Annotated[float | None, q.numbers((), allowed=limits_of.RANGE)] = None
+    from_impact: ImpactSettings | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "RangeSettings":
+        given = [key for key in ("k1", "k2", "effective_range") if getattr(self, key) is not None]
+        if self.from_impact is not None:
+            if given:
+                raise ValueError(f".{given[0]} must be left out: from_impact says it")
+        elif missing := [key for key in ("k1", "effective_range") if key not in given]:
+            raise ValueError(f".{missing[0]} is missing, or from_impact = {{ … }} in place of all")
+        return self
+
+    def make(self) -> ContactRange:
+        """Returns the range."""
+        if self.from_impact is not None:
+            return ContactRange.from_impact(**self.from_impact.model_dump())
+        return ContactRange(**self.model_dump(exclude={"from_impact"}, exclude_none=True))
+
+
+class ContactCouplingSettings(Section):
+    """``[[contact_coupling]]``: the faces of a body are kept off another surface."""
+
+    name: Name
+    surface_a: str = Field(description="the name of a surface, on a body")
+    surface_b: str = Field(description="the name of a surface")
+    range: RangeSettings = Field(description="{ k1, k2, effective_range } or { from_impact = { … } }")
+    friction: FormulaTable | None = None
+    facing: Annotated[str, q.one_of(FACINGS)] = "projected"
+    sides: Annotated[str, q.one_of(SIDES)] = "first"
+    quadrature: Annotated[int, q.quadrature] = 1
+    damping_ramp: Annotated[float, q.numbers((), allowed=laws.ContactRange.limits("ramp"))] = 0.0
+    search: Annotated[str, q.one_of(("whole", "active"))] = "whole"
+    rim: Annotated[str, q.one_of(("off", "outer"))] = "off"
+    enabled: bool = True
+    color: Color | None = None
+    visible: bool = True
+
+
 class CouplingOptions(Section):
     """What all kinds of coupling have."""
 
@@ -278,6 +345,7 @@ class Settings(Section):
     template: Rows[TemplateSettings] = ()
     contact: Rows[ContactSettings] = ()
     surface_contact: Rows[SurfaceContactSettings] = ()
+    contact_coupling: Rows[ContactCouplingSettings] = ()
     spring_damper: Rows[SpringDamperSettings] = ()
     bushing: Rows[BushingSettings] = ()
     catenary: Rows[CatenarySettings] = ()
@@ -295,6 +363,7 @@ SECTIONS: dict[str, type[Section]] = {
     "template": TemplateSettings,
     "contact": ContactSettings,
     "surface_contact": SurfaceContactSettings,
+    "contact_coupling": ContactCouplingSettings,
     "spring_damper": SpringDamperSettings,
     "bushing": BushingSettings,
     "catenary": CatenarySettings,
@@ -302,7 +371,9 @@ SECTIONS: dict[str, type[Section]] = {
 
 
 #: Those with laws, frictions, springs and motions.
-FORMULA_SECTIONS = ("body", "template", "spring_damper")
+FORMULA_SECTIONS = ("body", "template", "contact_coupling", "spring_damper")
+#: Tables within a contact coupling.
+_TABLES: dict[str, type[Section]] = {"range": RangeSettings, "from_impact": ImpactSettings}
 
 
 def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Section]:
@@ -314,6 +385,8 @@ def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Sec
         return SolidSphere if len(parts) > 2 else VariationSettings
     if len(parts) == 1:
         return (SECTIONS | {"record": RecordSettings, "output": OutputSettings})[parts[0]]
+    if parts[1] in _TABLES and parts[0] == "contact_coupling":
+        return _TABLES[parts[-1]]
     value = raw
     for part in location:
         value = value[part] if isinstance(part, str) else list(value)[part]

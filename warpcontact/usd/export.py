@@ -108,7 +108,7 @@ class _Export:
         self.placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
         self.size = geometry.scene_size(replay, list(self.placements.values()), self.spheres)
         self.poses = {body.name: replay.pose(body) for body in scene.bodies}
-        named: list[Any] = [*scene.bodies, *scene.contacts, *scene.couplings]
+        named: list[Any] = [*scene.bodies, *scene.contacts, *scene.contact_couplings, *scene.couplings]
         self.readings = {name: Readings(replay, name) for name in ("scene", *(element.name for element in named))}
         self.lines = [line for contact in scene.contacts if (line := ForceLines.of(replay, contact))]
         self.curves = [CouplingCurve(replay, coupling) for coupling in scene.couplings]
@@ -136,6 +136,11 @@ class _Export:
         if len(paths) > 1:
             shared = None if apart else surfaces
             physics.define_collision_groups(self.stage, "/World/CollisionGroups", paths, shared)
+
+    def _forces(self) -> list[str]:
+        """Returns the names of the contacts and of their couplings."""
+        scene = self.replay.scene
+        return [contact.name for contact in scene.contacts] + [one.name for one in scene.contact_couplings]
 
     def _metadata(self) -> None:
         from pxr import UsdGeom, UsdPhysics, Vt
@@ -196,6 +201,11 @@ class _Export:
             self.readings[contact.name].declare(prim)
             if not contact.visible:
                 UsdGeom.Imageable(prim).MakeInvisible()
+        for coupling in scene.contact_couplings:
+            path = self._contact_path(_PROTOTYPE, coupling.name)
+            prim = UsdGeom.Scope.Define(self.stage, path).GetPrim()
+            mark(prim, coupling.name)
+            self.readings[coupling.name].declare(prim)
         for lines in self.lines:
             path = self._contact_path(_PROTOTYPE, lines.contact.name)
             lines.declare(self.stage, f"{path}/force", WIDTH * self.size)
@@ -237,8 +247,8 @@ class _Export:
         for group in self.spheres:
             if group.differs(row):
                 geometry.set_spheres(stage, f"{self._path(path, group.body)}/{self.names[group.name]}", group, row)
-        for contact in replay.scene.contacts:
-            self.readings[contact.name].write(stage.GetPrimAtPath(self._contact_path(path, contact.name)), row)
+        for name in self._forces():
+            self.readings[name].write(stage.GetPrimAtPath(self._contact_path(path, name)), row)
         for lines in self.lines:
             prim = stage.GetPrimAtPath(f"{self._contact_path(path, lines.contact.name)}/force")
             lines.write(prim, replay, row, self.force_scale, WIDTH * self.size)

@@ -91,8 +91,10 @@ class Replay:
     def radii(self, contact: Contact) -> Array:
         """Returns the radius of each sphere of a contact, (env, item) [m].
 
-        As recorded in ``<contact>.radius``, or that of the scene.
+        As recorded in ``<contact>.radius``, or that of the scene; the range of a coupling is no size.
         """
+        if contact.facing is not None:
+            return np.zeros((len(self.envs), contact.count))
         name, shape = f"{contact.name}.radius", (len(self.envs), contact.count)
         if name not in self.data:
             return np.full(shape, float(contact.radius))

@@ -1,0 +1,58 @@
+"""Checks of what a scene is given that take more than one value: meshes and their active faces, arms and areas."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.checks import Array
+from warpcontact.elements import Points, Template, needs_radius
+from warpcontact.kernels.frictions import Frictionless
+from warpcontact.meshes import Mesh
+from warpcontact.meshes.groups import face_mask
+
+
+def check_arms(name: str, template: Template, radius: Array, torsion_radius: float | None) -> None:
+    """Raises ``ValueError`` if a friction of the template would have no arm to act at."""
+    if torsion_radius is not None and isinstance(template.torsion, Frictionless):
+        raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
+    part = needs_radius(template, torsion_radius is not None)
+    if radius == 0.0 and part is not None:
+        kind = type(getattr(template, part)).__name__
+        cure = " or a torsion_radius" if part == "torsion" else ""
+        raise ValueError(f"{name}: the {part} of its template, {kind}, needs a radius{cure}, got a radius of 0 m")
+
+
+def check_areas(name: str, template: Template, points: Points) -> None:
+    """Raises ``ValueError`` if a part of the template takes the areas of points that have none."""
+    for part, formula in template.formulas.items():
+        if points.areas is None and formula.takes_area:
+            raise ValueError(
+                f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and the "
+                f"points {points.name!r} have none; make them with wc.sample_surface, give add_points areas, or "
+                f"give the {part} an area"
+            )
+
+
+def active_of_each(label: str, choices: Any, meshes: Sequence[Mesh]) -> list[NDArray[np.bool_]]:
+    """Returns the mask of each of several meshes; ``choices`` is a list with one choice for each, or ``None``."""
+    if choices is None:
+        choices = [None] * len(meshes)
+    listed = isinstance(choices, list | tuple) or getattr(choices, "ndim", 0) > 0
+    if not listed or len(choices) != len(meshes):
+        got = len(choices) if listed else repr(choices)
+        raise ValueError(f"{label} must have one entry for each of {len(meshes)} meshes, got {got}")
+    return [
+        face_mask(f"{label}[{i}]", choice, mesh)
+        for i, (choice, mesh) in enumerate(zip(choices, meshes, strict=True))
+    ]
+
+
+def mesh_of(name: str, mesh: Any) -> Mesh:
+    """Returns the mesh of surface ``name``, checked."""
+    if isinstance(mesh, Mesh):
+        return mesh
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise TypeError(f"mesh of {name!r} must be a wc.Mesh or have vertices and faces, got {mesh!r}")
+    return Mesh(mesh.vertices, mesh.faces, name=name)
