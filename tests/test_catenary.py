@@ -187,6 +187,10 @@ def test_far_from_the_origin_the_line_is_the_same(device):
         near, far = (model.reading(f"line_{k}.{reading}") for k in range(2))
         np.testing.assert_allclose(far, near, rtol=1e-6)
     assert model.reading("line_1.status") == wc.LineStatus.GROUNDED
+    near, far = (model.line_shape(f"line_{k}", 9) for k in range(2))
+    np.testing.assert_allclose(far - 1e5, near, atol=1e-6)
+    near, far = (model.line_stiffness(f"line_{k}") for k in range(2))
+    np.testing.assert_allclose(far, near, rtol=1e-6, atol=1e-4)
 
 
 def test_a_line_rests_on_the_floor_and_is_lifted(device):
