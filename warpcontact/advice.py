@@ -7,9 +7,10 @@ import numpy as np
 from warpcontact.checks import Array
 from warpcontact.contact_coupling_advice import contact_coupling_advice
 from warpcontact.couplings.advice import coupling_advice
-from warpcontact.friction_advice import LOOKED_AT, friction_advice
+from warpcontact.friction_advice import LEAST_MOBILITY, LOOKED_AT, friction_advice
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
+from warpcontact.mobility import mobility_of
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
@@ -135,15 +136,16 @@ def _about_overlap(model: "Environments", name: str, depth: Array, thrown: Array
 
 
 def _mass_and_speed(model: "Environments", contact: "Contact") -> tuple[Array, Array]:
-    """Returns the reduced mass [kg] and an impact speed to expect [m/s], (envs, 1)."""
+    """Returns the reduced mass [kg], as bodies may move, and an impact speed to expect [m/s], (envs, 1)."""
     mobility = np.zeros((model.envs, 1))
     speed = np.full((model.envs, 1), USUAL_SPEED)
     for body in (contact.points.body, contact.surface.body):
         if body is not None:
-            mobility += 1.0 / model[f"{body.name}.mass"][:, None]
+            mobility += mobility_of(model, contact, body).push
             velocity = np.linalg.norm(model[f"{body.name}.linear_velocity"], axis=1)[:, None]
             speed = np.maximum(speed, velocity)
-    return 1.0 / mobility, speed
+    # Of bodies that no force moves a mass that nothing stops.
+    return 1.0 / np.maximum(mobility, LEAST_MOBILITY), speed
 
 
 def _column(model: "Environments", name: str) -> Array:

@@ -18,11 +18,11 @@ from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.couplings.sets import make_sets
 from warpcontact.devices import find_devices
 from warpcontact.draft import Draft, PartDraft
+from warpcontact.drives import add_motions
 from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
-from warpcontact.motions import add_motions
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.readings import readings_of

@@ -12,10 +12,10 @@ from warpcontact.blocks import Blocks
 from warpcontact.captures import beside_captures
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.devices import spread
+from warpcontact.drives import Drive
 from warpcontact.footprint import Footprint, Need, require, total
 from warpcontact.groups import Group, compile_group
 from warpcontact.model import Model
-from warpcontact.motions import Drive
 from warpcontact.of_scene import OfScene
 from warpcontact.parameters import Parameters, needs_of
 from warpcontact.readings import Reading

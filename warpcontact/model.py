@@ -13,10 +13,10 @@ from warpcontact.arrays import Layout, broadcast
 from warpcontact.blocks import Blocks
 from warpcontact.captures import beside_captures
 from warpcontact.couplings.coupling_set import CouplingSet
+from warpcontact.drives import Drive
 from warpcontact.environments import Environments
 from warpcontact.footprint import Need
 from warpcontact.groups import Group
-from warpcontact.motions import Drive
 from warpcontact.of_scene import MEASURES, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.readings import Reading

@@ -7,6 +7,7 @@ import numpy as np
 from warpcontact.checks import Array
 from warpcontact.couplings.elements import Catenary, Coupling, SpringDamper
 from warpcontact.frames import placed
+from warpcontact.mobility import mobility_along
 
 if TYPE_CHECKING:
     from warpcontact.elements import Points
@@ -114,11 +115,7 @@ def _place_and_arm(model: "Environments", point: "Points") -> tuple[Array, Array
 
 
 def _mobility(model: "Environments", point: "Points", arm: Array, direction: Array) -> Array:
-    """Returns the inverse of the mass that a body opposes to a force along ``direction``, (envs,) [1/kg]."""
+    """Returns the inverse of the mass that a point opposes to a force along ``direction``, (envs,) [1/kg]."""
     if point.body is None:
         return np.zeros(model.envs)
-    mass, inertia, turn = (model[f"{point.body.name}.{key}"] for key in ("mass", "inertia", "orientation"))
-    back = turn * np.array([-1.0, -1.0, -1.0, 1.0])
-    lever = placed(np.cross(arm, direction)[:, None], np.zeros_like(arm), back)[:, 0]
-    turning = np.einsum("ei,ei->e", lever, np.linalg.solve(inertia, lever[..., None])[..., 0])
-    return 1.0 / mass + turning
+    return mobility_along(model, point.body, arm, direction)

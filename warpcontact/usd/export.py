@@ -178,7 +178,7 @@ class _Export:
             prim = UsdGeom.Xform.Define(self.stage, self._path(_PROTOTYPE, body)).GetPrim()
             Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
             mark(prim, body.name)
-            physics.apply_rigid_body(prim)
+            physics.apply_rigid_body(prim, body)
             self.readings[body.name].declare(prim)
         for name, placement in self.placements.items():
             if placement.surface.body is not None and placement.shared:
