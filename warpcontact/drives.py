@@ -17,7 +17,7 @@ from warpcontact.kernels.types import DRIVEN, FREE, BodyMotion
 from warpcontact.parameters import Field, Parameters, Upload, pack, split
 from warpcontact.scene import Scene
 
-#: Parameters that are the same for all kinds of joints.
+#: What a joint may call its axis.
 _AXES = ("axis", "normal")
 
 
@@ -66,7 +66,7 @@ def add_motions(scene: Scene, arrays: SimpleNamespace, layout: Layout, parameter
     layout.content("state", arrays, "constrained", constrained, wp.int32)
     axis = Field(np.zeros((len(bodies), 3)))
     anchor = Field(np.zeros((len(bodies), 3)))
-    anchored = np.array(["anchor" in body.motion.parameters() for body in bodies])
+    anchored = np.array([_is_anchored(body.motion) for body in bodies])
     kinds = np.array([[body.motion.kind for body in bodies]])
     # One field of all bodies.
     position, orientation = (
@@ -116,9 +116,16 @@ def add_motions(scene: Scene, arrays: SimpleNamespace, layout: Layout, parameter
     return drives
 
 
+def _is_anchored(motion: Motion) -> bool:
+    """Whether a point of the world is given that the body turns about."""
+    return "anchor" in motion.parameters() and motion.limits("anchor")["shape"] == (3,)
+
+
 def _fields_of(body: Body, axis: Field, anchor: Field) -> dict[str, tuple[Field, slice]]:
     """Returns where the values of the parameters of a motion are; fills in those of the scene."""
-    shared = {**dict.fromkeys(_AXES, axis), "anchor": anchor}
+    shared = {"anchor": anchor}
+    if body.motion.kind != DRIVEN:
+        shared |= dict.fromkeys(_AXES, axis)
     fields = {}
     for name, value in body.motion.parameters().items():
         limits = body.motion.limits(name)

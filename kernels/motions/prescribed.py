@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import Akima1DInterpolator
 from warpcontact.kernels.formula import ROWS, parameter
 from warpcontact.kernels.motions.base import Motion
 from warpcontact.kernels.types import PRESCRIBED
@@ -97,10 +97,14 @@ def spline(
 
 
 class Table(Motion):
-    """Follows a table: cubic splines through displacements and rotation vectors, at rest outside of its times."""
+    """Follows a table: modified Akima splines through displacements and rotation vectors.
 
-    formula = "d = s D(r t), rotation vector = s Θ(r t): cubic splines (not-a-knot), held before and after"
-    reference = "de Boor, A Practical Guide to Splines (1978)"
+    They are cubics that have a velocity everywhere, follow straight lines and rests as they are, and overshoot
+    little. Before its first and after its last time the body is held.
+    """
+
+    formula = "d = s D(r t), rotation vector = s Θ(r t): modified Akima splines, held before and after"
+    reference = "Akima, J. ACM 17 (1970) 589"
     provenance = "R"
     device = ("first", "count", "scale", "rate")
     sampled = True
@@ -139,7 +143,8 @@ class Table(Motion):
             if values is None:
                 continue
             points = np.asarray(values, dtype=np.float64)
-            pieces = CubicSpline(times, points).c  # (4, interval, component), the highest power first
+            # (4, interval, component), the highest power first.
+            pieces = Akima1DInterpolator(times, points, method="makima").c
             own = rows[:, 1 + 12 * block : 13 + 12 * block].reshape(len(times), 3, 4)
             own[:-1] = pieces.transpose(1, 2, 0)
             own[-1, :, 3] = points[-1]
