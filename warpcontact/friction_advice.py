@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 # Environments that are looked at, so that a warning does not take longer than the run.
 LOOKED_AT = 4096
+# Impact speed that estimates assume of bodies that start slower [m/s].
+USUAL_SPEED = 1.0
 
 
 def friction_advice(model: "Environments", contact: "Contact", dt: float) -> list[str]:
