@@ -52,7 +52,8 @@ def seconds(model: wc.Model, places: np.ndarray, moves: int, *, warm: bool) -> t
     clock = time.process_time if device.is_cpu else time.perf_counter
     lines = model.couplings[0]
     span = Span(model, 0, model.envs, cached=False, ordered=True)
-    solve, accept = lines.force_stages(span, model.arrays.state), lines.accept_stages(span)
+    solve = lines.force_stages(span, model.arrays.state, model.arrays.status)
+    accept = lines.accept_stages(span)
     everywhere = wp.ones(model.envs, dtype=wp.bool, device=device)
     model.reset()
     for launch in solve + accept:

@@ -32,9 +32,11 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
     ``projected``: whether the group weighs areas by the normals of its points.
     """
     t = structs(real)
-    Model, State, Contacts, Near, Reached = t.Model, t.State, t.Contacts, t.Near, t.Reached
+    mat33, Model, State, Contacts = t.mat33, t.Model, t.State, t.Contacts
+    Near, Reached = t.Near, t.Reached
     Coefficients = wp.array2d(dtype=coefficient_struct(law, real))
-    facing = frames.functions(real).facing
+    frame = frames.functions(real)
+    facing, rotation_to_world = frame.facing, frame.rotation_to_world
 
     @wp.kernel(module="unique", enable_backward=False)
     def advance_reached(
@@ -59,8 +61,16 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
             closest = reached.minimum_distance[env, coupling]
             first = sets.first[coupling]
             for block in range(model.set_block_start[first], model.set_block_start[first + sets.count[coupling]]):
+                count = near.count[env, block]
+                if count == 0:
+                    continue
                 start = model.block_start[block]
-                for place in range(start, start + near.count[env, block]):
+                R_WB = mat33()
+                if wp.static(projected):
+                    # One body for all points of a block.
+                    point = model.contact_point[model.block_contact[start]]
+                    R_WB = rotation_to_world(state, env, model.point_body[point])
+                for place in range(start, start + count):
                     contact = near.contact[env, place]
                     if contacts.status[env, contact] == CONTACT:
                         # Of two sides each has its share of the touch.
@@ -68,7 +78,7 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
                         own *= coefficients[env, contact - first_contact].area
                         if wp.static(projected):
                             point = model.contact_point[contact]
-                            own *= facing(model, state, env, point, contacts.normal[env, contact])
+                            own *= facing(model, env, point, R_WB, contacts.normal[env, contact])
                         area += own
                         radius = model.contact_geometry[env, contact].radius
                         # A face that looks away is in nobody's way.

@@ -53,7 +53,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
     whoever comes first.
     """
     t = structs(real)
-    vec3, quat, Model, State, History = t.vec3, t.quat, t.Model, t.State, t.History
+    vec3, quat, mat33, Model, State, History = t.vec3, t.quat, t.mat33, t.Model, t.State, t.History
     Contacts, Near, Wrenches, Touch, Slip = t.Contacts, t.Near, t.Wrenches, t.Touch, t.Slip
     Coefficients, Memory = group_structs(parts, real)
     law_force, law_begins, law_forget = memory.functions(parts.law, real)
@@ -71,7 +71,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
     frame = frames.functions(real)
     velocity_at, orientation_to_world, apart = frame.velocity_at, frame.orientation_to_world, frame.apart
     mobility_of_motion = bodies.functions(real).mobility
-    facing = frame.facing
+    facing, rotation_to_world = frame.facing, frame.rotation_to_world
 
     @wp.func
     def mobility(model: Model, state: State, env: int, body: int, arm_W: vec3, n_W: vec3):
@@ -147,6 +147,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         body_2: int,
         apart_W: vec3,
         q_WS: quat,
+        R_W1: mat33,
     ):
         """Forces of one contact: into ``contacts``, and as what they add to both bodies."""
         pair = Pair()
@@ -240,7 +241,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
         share = geometry.share
         if wp.static(projected):
-            share *= facing(model, state, env, model.contact_point[contact], n_W)
+            share *= facing(model, env, model.contact_point[contact], R_W1, n_W)
         normal_force *= share
         friction_W *= share
         torque_W *= share
@@ -290,12 +291,15 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
             q_WS = quat()
             if wp.static(oriented):
                 q_WS = orientation_to_world(state, env, body_2, model.surface_orientation[env, surface])
+            R_W1 = mat33()
+            if wp.static(projected):
+                R_W1 = rotation_to_world(state, env, body_1)
             total = Pair()
             for place in range(start, start + near.count[env, block]):
                 contact = near.contact[env, place]
                 pair = touch_of(
                     model, state, history, remembered, step[env, 0], coefficients, contacts, kept,
-                    env, contact, contact - first_contact, body_1, body_2, apart_W, q_WS,
+                    env, contact, contact - first_contact, body_1, body_2, apart_W, q_WS, R_W1,
                 )  # fmt: skip
                 total.force += pair.force
                 total.torque_1 += pair.torque_1

@@ -11,7 +11,7 @@ from warpcontact.kernels.types import structs
 def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``."""
     t = structs(real)
-    vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
+    vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
     one = wp.constant(real(1.0))
 
     @wp.func
@@ -43,10 +43,9 @@ def functions(real: type) -> SimpleNamespace:
         return wp.quat_rotate(state.body_orientation[env, body], v_B)
 
     @wp.func
-    def facing(model: Model, state: State, env: int, point: int, n_W: vec3):
+    def facing(model: Model, env: int, point: int, R_WB: mat33, n_W: vec3):
         """Part of the area of ``point`` that faces a surface with the normal ``n_W``: a cosine, or nothing."""
-        own_W = turned(state, env, model.point_body[point], model.point_normal[env, point])
-        return wp.max(-wp.dot(own_W, n_W), real(0.0))
+        return wp.max(-wp.dot(R_WB * model.point_normal[env, point], n_W), real(0.0))
 
     @wp.func
     def orientation_to_world(state: State, env: int, body: int, q_BS: quat):

@@ -59,6 +59,22 @@ def test_float32_says_the_same(oracle, name, device):
     np.testing.assert_allclose(model.reading("keep.torque")[0], level["moment"], atol=2e-6 * scale)
 
 
+def test_float32_says_the_same_far_from_the_origin(device):
+    forces = []
+    for origin in (np.zeros(3), np.array([1e6, -2e5, 3e5])):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        plane = scene.add_surface(wc.meshes.grid((2.0, 2.0), (20, 20)), position=origin, name="plane")
+        box = scene.add_body(
+            1.0, [0.1] * 3, origin + np.array([0, 0, 0.11]), linear_velocity=(0.2, 0, -0.5), name="box"
+        )
+        hull = scene.add_surface(divided_box(4), box, name="hull")
+        made = wc.ContactRange(k1=K1, k2=K2, effective_range=RANGE)
+        scene.add_contact_coupling(hull, plane, made, FRICTION, sides="average", name="keep")
+        model = scene.build(device=device, precision="float32")
+        forces.append(model.reading("keep.force")[0])
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-6)
+
+
 def test_walls_of_a_flat_box_do_not_push_when_areas_are_projected(oracle, device):
     for n in (1, 16):
         model = box_over_plane(divided_box(n), oracle["flat"], device)

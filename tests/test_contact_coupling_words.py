@@ -125,6 +125,22 @@ def test_gravity_along_the_wall_or_between_two_bodies_presses_nothing(device):
     assert warned(model, TAU / 1000.0) == []
 
 
+def test_a_start_deep_within_the_range_is_named(impact):
+    model, _ = impact
+    velocity = model["block.linear_velocity"].copy()
+    model["block.linear_velocity"] = np.zeros((3, 3))
+    # ½ A k₁ δ² = ½ m v², with ω = 100/s.
+    model["block.position"] = [[0, 0, 0.02], [0, 0, -0.02], [0, 0, 0.01]]
+    model.reset()
+    messages = warned(model, TAU / 200.0)
+    assert messages == [
+        "keep: starts 0.04 m within its range in environment 1 and will be thrown off at about 4 m/s; "
+        "start farther away"
+    ]
+    model["block.position"], model["block.linear_velocity"] = (0, 0, RANGE), velocity
+    model.reset()
+
+
 def test_the_report_tells_where_it_came_too_close(impact):
     model, coupling = impact
     place = model["block.linear_velocity"].copy()

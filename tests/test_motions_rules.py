@@ -11,7 +11,7 @@ from warpcontact.kernels.motions import step as constrained
 from warpcontact.kernels.types import ENV_FROZEN
 
 import warpcontact as wc
-from warpcontact.mobility import inverse_mass, mobility_of
+from warpcontact.mobility import mobility_along, mobility_of
 
 HINGE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 1))
 HINGE_ABOVE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 5))
@@ -343,7 +343,7 @@ def test_a_push_moves_a_place_by_as_much_as_the_body_yields_there(motion, device
     v, w = model.reading("arm.linear_velocity")[0], model.reading("arm.angular_velocity")[0]
     moved = (v + np.cross(w, place[0])) @ n[0] / (1e-3 * dt)
     # Differences of first order in a step of 1e-6 s with velocities of 1e-9.
-    np.testing.assert_allclose(inverse_mass(model, arm, place, n)[0], moved, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(mobility_along(model, arm, place, n)[0], moved, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("motion", [HINGE, wc.motions.Ball(anchor=(0, 0, 1))], ids=["Hinge", "Ball"])
@@ -362,7 +362,7 @@ def test_a_place_yields_most_along_some_direction(motion, device):
     directions = rng.standard_normal((20_000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     arms = Rotation.from_quat(model["arm.orientation"][0]).apply(places)
-    yields = [inverse_mass(model, arm, np.broadcast_to(place, directions.shape), directions) for place in arms]
+    yields = [mobility_along(model, arm, np.broadcast_to(place, directions.shape), directions) for place in arms]
     most = np.max(yields)
     # Of 20 000 directions the nearest to the worst is some 0.01 rad off.
     np.testing.assert_allclose(mobility_of(model, contact, arm).push[0, 0], most, rtol=1e-3)

@@ -446,3 +446,31 @@ def test_steps_too_long_for_a_spring_are_warned_of(device):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         spring(stiffness=10000.0, damping=100.0).step()
+
+
+def test_estimates_follow_the_motion_of_a_body(device):
+    # A bar on a hinge: 0.5 + 2·1² = 2.5 kg·m² about it, and the spring pulls at 2 m: ω = 2 √(k/2.5).
+    def bar(motion):
+        scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
+        rod = scene.add_body(2.0, (0.5, 0.5, 0.5), (1.0, 0.0, 0.0), motion=motion, name="rod")
+        ends = scene.add_point(rod, (1.0, 0.0, 0.0)), scene.add_point(None, (2.0, 0.0, 1.0))
+        scene.add_spring_damper(*ends, stiffness=4.0e4, rest_length=1.0, name="spring")
+        return scene.build(1, device, "float64")
+
+    hinged = bar(wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 0)))
+    period = 2.0 * np.pi / (2.0 * np.sqrt(4.0e4 / 2.5))
+    with pytest.warns(wc.ContactWarning, match=f"a period takes {period:.2g} s"):
+        wc.Simulation(hinged, 2.0e-3).step()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        wc.Simulation(bar(wc.motions.Slider(axis=(1, 0, 0))), 2.0e-3).step()
+        wc.Simulation(bar(wc.motions.Fixed()), 2.0e-3).step()
+    # And it swings so.
+    model = bar(wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 0)))
+    model["rod.angular_velocity"] = (0.0, 1.0e-4, 0.0)
+    model["rod.linear_velocity"] = (0.0, 0.0, -1.0e-4)
+    dt = 1.0e-5
+    length = wc.Simulation(model, dt).run(period, ["spring.length"], every=dt)["spring.length"].values[:, 0]
+    # Down first: a quarter period stretched the most, three quarters compressed the most.
+    assert int(np.argmax(length)) * dt == pytest.approx(period / 4, rel=2e-3)
+    assert int(np.argmin(length)) * dt == pytest.approx(3 * period / 4, rel=2e-3)

@@ -114,3 +114,15 @@ def test_a_catenary_hangs_as_it_did(device, tmp_path):
             np.testing.assert_allclose(points, expected[env], rtol=0, atol=4e-6)
     resting = np.array(curve(stage, 0, "line").GetPointsAttr().Get(0))[:, 2]
     assert (resting == -10.0).sum() > 3
+
+
+def test_a_folded_catenary_is_not_taken_for_a_broken_spring(device, tmp_path):
+    """Codes of lines are others than those of springs."""
+    scene = wc.Scene(gravity=(0, 0, -9.81))
+    load = scene.add_body(1.0, (1.0, 1.0, 1.0), (0.0, 0.0, -3.0), name="load")
+    ends = scene.add_point(None, (0.0, 0.0, 0.0)), scene.add_point(load, (0.0, 0.0, 0.0))
+    scene.add_catenary(*ends, length=5.0, mass_per_length=1.0, axial_stiffness=1e4, name="line")
+    recording = wc.Simulation(scene.build(device=device, precision="float64"), 1.0e-3).run(2e-3, ["line.status"])
+    assert (recording["line.status"] == wc.LineStatus.FOLDED).all()
+    stage = Usd.Stage.Open(str(wc.export_usd(recording, tmp_path / "a.usdc")))
+    assert curve(stage, 0, "line").ComputeVisibility(1) == "inherited"

@@ -7,7 +7,7 @@ import numpy as np
 from warpcontact.checks import Array
 from warpcontact.contact_coupling_advice import contact_coupling_advice
 from warpcontact.couplings.advice import coupling_advice
-from warpcontact.friction_advice import LEAST_MOBILITY, LOOKED_AT, friction_advice
+from warpcontact.friction_advice import LEAST_MOBILITY, LOOKED_AT, USUAL_SPEED, friction_advice
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
 from warpcontact.mobility import mobility_of
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 # Steps per contact time from which on the restitution of a smooth law is kept to about 1e-3.
 ENOUGH_STEPS = 20.0
-# Impact speed that estimates assume of bodies that start slower [m/s].
-USUAL_SPEED = 1.0
 
 
 class ContactWarning(UserWarning):

@@ -7,7 +7,7 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.contact_range import ExpectedImpact
-from warpcontact.friction_advice import LEAST_MOBILITY, LOOKED_AT, steepness_under
+from warpcontact.friction_advice import LEAST_MOBILITY, LOOKED_AT, USUAL_SPEED, steepness_under
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.mobility import mobility_of
 
@@ -48,6 +48,7 @@ def contact_coupling_advice(model: "Environments", coupling: "ContactCoupling", 
         sentences += _about_area(model, coupling, impact, area, reach)
         sentences += _about_load(model, coupling, impact, k1, reach, mass)
         speed = np.maximum(speed, impact.speed)
+    sentences += _about_start(model, coupling, k1, mass, np.maximum(speed, USUAL_SPEED))
     return sentences + _about_friction(model, coupling, np.sqrt(area * k1 * mass) * speed, mass, speed, dt)
 
 
@@ -57,11 +58,13 @@ def attainable_area(model: "Environments", coupling: "ContactCoupling", reach: A
     The plane is tried along the axes of the mesh and across its largest faces. Faces of the other surface that add
     up to less have no more in range.
     """
-    sides = [_largest_in_range(model, contact, reach) for contact in coupling.contacts]
-    other = coupling.surface_b
-    if len(other.meshes) == 1:
-        whole = float(_face_areas(other.mesh)[other.active_faces].sum())
-        sides = [np.minimum(side, whole * model[f"{other.name}.scale"][: len(reach)] ** 2) for side in sides]
+    sides = []
+    for contact in coupling.contacts:
+        side, other = _largest_in_range(model, contact, reach), contact.surface
+        if len(other.meshes) == 1:
+            whole = float(_face_areas(other.mesh)[other.active_faces].sum())
+            side = np.minimum(side, whole * model[f"{other.name}.scale"][: len(reach)] ** 2)
+        sides.append(side)
     return np.mean(sides, axis=0)
 
 
@@ -89,7 +92,7 @@ def _face_areas(mesh: object) -> Array:
 
 
 def _mass_and_speed(model: "Environments", coupling: "ContactCoupling", envs: int) -> tuple[Array, Array]:
-    """Returns the reduced mass [kg] and the speed of the bodies at the start [m/s], (env,)."""
+    """Returns the reduced mass [kg], as bodies may move, and their speed at the start [m/s], (env,)."""
     mobility, velocity = np.zeros(envs), np.zeros((envs, 3))
     for body, sign in ((coupling.surface_a.body, 1.0), (coupling.surface_b.body, -1.0)):
         if body is not None:
@@ -156,6 +159,32 @@ def _about_load(
     return [
         f"{coupling.name}: gravity presses the body on in environment {model.first_env + worst}: undamped, at "
         f"{impact.speed:.3g} m/s, it stops at {stop[worst]:.3g} m instead of {impact.closest:.3g} m"
+    ]
+
+
+def _about_start(
+    model: "Environments", coupling: "ContactCoupling", k1: Array, mass: Array, speed: Array
+) -> list[str]:
+    squares = np.zeros(len(k1))
+    depth = np.zeros(len(k1))
+    for contact in coupling.contacts:
+        area = model[f"{contact.name}.law.area"][: len(k1)] * model[f"{contact.name}.share"][: len(k1)]
+        if (carrier := contact.area_carrier("law")) is not None:
+            area = area * model[f"{carrier.name}.scale"][: len(k1), None] ** 2
+        inside = model.measured(f"{contact.name}.penetration")[: len(k1)].astype(np.float64)
+        if contact.facing == "projected":
+            # What is looked away from the surface has no force, whatever its depth.
+            inside = np.where(model.measured(f"{contact.name}.normal_force")[: len(k1)] > 0.0, inside, 0.0)
+        squares += (area * inside**2).sum(axis=1)
+        depth = np.maximum(depth, inside.max(axis=1))
+    # The energy of all faces in range, as speed.
+    thrown = np.sqrt(k1 * squares / mass)
+    worst = int(np.argmax(thrown - 2.0 * speed))
+    if thrown[worst] <= 2.0 * speed[worst]:
+        return []
+    return [
+        f"{coupling.name}: starts {depth[worst]:.3g} m within its range in environment "
+        f"{model.first_env + worst} and will be thrown off at about {thrown[worst]:.3g} m/s; start farther away"
     ]
 
 

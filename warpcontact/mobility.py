@@ -1,4 +1,4 @@
-"""What bodies oppose to the forces of a contact, for estimates before the first step: as they stand initially."""
+"""What bodies oppose to forces, for estimates before the first step: as they stand initially."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -65,8 +65,8 @@ def mobility_of(model: "Environments", contact: "Contact", body: Body) -> Mobili
     return Mobility(np.linalg.eigvalsh(yields)[..., -1].max(axis=1)[:, None], greatest, False)
 
 
-def inverse_mass(model: "Environments", body: Body, arm: Array, direction: Array) -> Array:
-    """Returns what ``body`` yields to a force at one place, (envs,) [1/kg].
+def mobility_along(model: "Environments", body: Body, arm: Array, direction: Array) -> Array:
+    """Returns the inverse of the mass that ``body`` opposes to a force at one place, (envs,) [1/kg].
 
     Args:
         model: The model.

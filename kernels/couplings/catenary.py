@@ -190,21 +190,6 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
                 place(model, state, env, point_b, arm_b),
                 own,
             )
-            if own.enabled == 0:
-                lines.status[env, line] = LINE_DISABLED
-                lines.tension_a[env, line] = real(0.0)
-                lines.tension_b[env, line] = real(0.0)
-                lines.horizontal_tension[env, line] = real(0.0)
-                lines.dip[env, line] = real(0.0)
-                lines.stretched_length[env, line] = real(own.length)
-                lines.grounded_length[env, line] = real(0.0)
-                lines.iterations[env, line] = 0
-                found.horizontal[env, line] = zero
-                found.low[env, line] = zero
-                found.grounded[env, line] = 0
-                pull(ends, env, end_a, arm_a, vec3())
-                pull(ends, env, end_a + 1, arm_b, vec3())
-                continue
 
             # Without units: lengths by that of the line, forces by one like its tension.
             x = plane.run / own.length
@@ -212,13 +197,14 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
             height = plane.height / own.length
             chord = size(plane.run, plane.rise)
             unit = scale(plane.weight, own.axial_stiffness, (chord - own.length) / own.length)
+            if own.enabled == 0:
+                unit = zero
             weight = zero
             give = zero
+            warm = vec2()
             if unit > zero:
                 weight = plane.weight / unit
                 give = unit / own.axial_stiffness
-            warm = vec2()
-            if unit > zero:
                 warm = vec2(held.horizontal[env, line] / unit, held.low[env, line] / unit)
             h = zero
             low = zero
@@ -227,7 +213,7 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
             hanging = one  # part of the line
             used = wp.int32(0)
             more = wp.int32(0)
-            met = wp.bool(False)
+            met = wp.bool(True)
             grounded = wp.bool(False)
             if wp.static(floored) and held.grounded[env, line] == 1 and weight > zero:
                 h, used, met = solve_grounded(warm[0], x, height, height + y, weight, give)
@@ -235,7 +221,7 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
                 high = lift(h, height + y, weight, give)[0]
                 # It is lifted off where more hangs than there is.
                 grounded = high - low <= weight
-            if not grounded:
+            if unit > zero and not grounded:
                 solution, more, met = solve(warm, x, y, weight, give)
                 used += more
                 h = solution[0]
@@ -277,6 +263,8 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
                 found_status = LINE_SUNK
             if not met:
                 found_status = LINE_FAILED
+            if own.enabled == 0:
+                found_status = LINE_DISABLED
             found.horizontal[env, line] = h * unit
             found.low[env, line] = low * unit
             found.grounded[env, line] = wp.where(grounded, 1, 0)

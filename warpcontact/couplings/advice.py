@@ -1,13 +1,13 @@
-"""Warnings about couplings that run and give nonsense: steps too long for a spring or a damper."""
+"""Warnings about couplings that run and give nonsense: steps too long for a spring, a damper or a taut line."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.couplings.elements import SpringDamper
+from warpcontact.couplings.elements import Catenary, Coupling, SpringDamper
 from warpcontact.frames import placed
-from warpcontact.mobility import inverse_mass
+from warpcontact.mobility import mobility_along
 
 if TYPE_CHECKING:
     from warpcontact.elements import Points
@@ -20,7 +20,7 @@ MOST_DAMPED = 1.0
 
 
 def coupling_advice(model: "Environments", dt: float) -> list[str]:
-    """Returns what to say about the start of a model, a sentence or two per spring-damper.
+    """Returns what to say about the start of a model, a sentence or two per coupling.
 
     Estimates from stiffness and damping at the initial length and at rest, and from the masses that both bodies
     oppose to a force along the line between the points; nothing is said of formulas that do not tell them.
@@ -29,16 +29,13 @@ def coupling_advice(model: "Environments", dt: float) -> list[str]:
     for coupling in model.scene.couplings:
         if isinstance(coupling, SpringDamper):
             sentences += _about_spring(model, coupling, dt)
+        elif isinstance(coupling, Catenary):
+            sentences += _about_line(model, coupling, dt)
     return sentences
 
 
 def _about_spring(model: "Environments", coupling: SpringDamper, dt: float) -> list[str]:
-    points = (coupling.point_a, coupling.point_b)
-    (place_a, arm_a), (place_b, arm_b) = (_place_and_arm(model, point) for point in points)
-    apart = place_b - place_a
-    length = np.linalg.norm(apart, axis=1)
-    direction = np.where(length[:, None] > 0.0, apart / np.where(length > 0.0, length, 1.0)[:, None], (0, 0, 1.0))
-    mobility = _mobility(model, points[0], arm_a, direction) + _mobility(model, points[1], arm_b, direction)
+    length, mobility = _along(model, coupling)
     rest = model[f"{coupling.name}.rest_length"]
     sentences = []
     stiffness, damping = (_slope(model, coupling, part, rest, length) for part in ("spring", "damper"))
@@ -62,6 +59,31 @@ def _about_spring(model: "Environments", coupling: SpringDamper, dt: float) -> l
                 f"{0.1 * MOST_DAMPED / rate[worst]:.2g} s"
             )
     return sentences
+
+
+def _about_line(model: "Environments", line: Catenary, dt: float) -> list[str]:
+    length, stiffness = (model[f"{line.name}.{key}"] for key in ("length", "axial_stiffness"))
+    turning = np.sqrt(stiffness / length * _along(model, line)[1])
+    worst = int(np.argmax(turning))
+    if turning[worst] * dt <= 2.0:
+        return []
+    period = 2.0 * np.pi / turning[worst]
+    return [
+        f"{line.name}: dt = {dt:g} s is too long where the line is taut: a period takes {period:.2g} s then in "
+        f"environment {model.first_env + worst}, {period / dt:.1f} steps; take dt ≤ {period / ENOUGH_STEPS:.2g} s "
+        f"for {ENOUGH_STEPS:g}"
+    ]
+
+
+def _along(model: "Environments", coupling: Coupling) -> tuple[Array, Array]:
+    """Returns the distance of the ends at the start [m], and the mobility along the line between them [1/kg]."""
+    points = (coupling.point_a, coupling.point_b)
+    (place_a, arm_a), (place_b, arm_b) = (_place_and_arm(model, point) for point in points)
+    apart = place_b - place_a
+    length = np.linalg.norm(apart, axis=1)
+    direction = np.where(length[:, None] > 0.0, apart / np.where(length > 0.0, length, 1.0)[:, None], (0, 0, 1.0))
+    mobility = _mobility(model, points[0], arm_a, direction) + _mobility(model, points[1], arm_b, direction)
+    return length, mobility
 
 
 def _slope(model: "Environments", coupling: SpringDamper, part: str, rest: Array, length: Array) -> Array | None:
@@ -93,7 +115,7 @@ def _place_and_arm(model: "Environments", point: "Points") -> tuple[Array, Array
 
 
 def _mobility(model: "Environments", point: "Points", arm: Array, direction: Array) -> Array:
-    """Returns the inverse of the mass that a body opposes to a force along ``direction``, (envs,) [1/kg]."""
+    """Returns the inverse of the mass that a point opposes to a force along ``direction``, (envs,) [1/kg]."""
     if point.body is None:
         return np.zeros(model.envs)
-    return inverse_mass(model, point.body, arm, direction)
+    return mobility_along(model, point.body, arm, direction)

@@ -43,7 +43,8 @@ class CouplingCurve:
             self.points = np.stack(ends, axis=2)
         status = replay.series(f"{coupling.name}.status")
         everywhere = np.ones(self.points.shape[:2], dtype=bool)
-        self.shown = everywhere if status is None else status != COUPLING_BROKEN
+        may_break = isinstance(coupling, SpringDamper) and status is not None
+        self.shown = status != COUPLING_BROKEN if may_break else everywhere
 
     def declare(self, stage: Any, path: str, width: float) -> None:
         """Writes what the curve has in common in all environments."""
