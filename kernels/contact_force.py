@@ -13,7 +13,8 @@ import warp as wp
 from warpcontact.kernels import frames, memory
 from warpcontact.kernels.formula import Formula, coefficient_struct, named_struct
 from warpcontact.kernels.frictions import Frictionless
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, INLINED, Work, structs
+from warpcontact.kernels.motions import bodies
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, FREE, HERTZ_PATCH, INLINED, Work, structs
 
 
 class Parts(NamedTuple):
@@ -42,10 +43,11 @@ def arrays_of(name: str, elements: tuple[tuple[str, Any], ...]) -> Any:
 
 
 @functools.cache
-def kernel(parts: Parts, real: type, projected: bool = False) -> wp.Kernel:
+def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = False) -> wp.Kernel:
     """Returns the kernel for the classes of ``parts``; items: blocks of the group.
 
-    With ``projected`` a contact has the share of the area that faces the surface, by the normal of its point.
+    With ``moves``, bodies that are not free oppose to a force what their motions let them. With ``projected`` a
+    contact has the share of the area that faces the surface, by the normal of its point.
 
     What a block adds to its bodies goes to the block if ``ordered``, to be summed in order; else to the bodies,
     whoever comes first.
@@ -68,6 +70,7 @@ def kernel(parts: Parts, real: type, projected: bool = False) -> wp.Kernel:
     hertz_arm = wp.constant(real(3.0 * math.pi / 16.0))
     frame = frames.functions(real)
     velocity_at, orientation_to_world, apart = frame.velocity_at, frame.orientation_to_world, frame.apart
+    mobility_of_motion = bodies.functions(real).mobility
     facing, rotation_to_world = frame.facing, frame.rotation_to_world
 
     @wp.func
@@ -75,6 +78,10 @@ def kernel(parts: Parts, real: type, projected: bool = False) -> wp.Kernel:
         """Inverse of the mass that ``body`` opposes to a force along ``n_W`` at ``arm_W``; 0 for the world."""
         if body < 0:
             return real(0.0)
+        if wp.static(moves):
+            motion = model.body_motion[env, body]
+            if motion.kind != FREE:
+                return mobility_of_motion(model, state, env, body, motion, arm_W, n_W)
         q_WB = state.body_orientation[env, body]
         lever_B = wp.quat_rotate_inv(q_WB, wp.cross(arm_W, n_W))
         turning = wp.dot(lever_B, model.body_inverse_inertia[env, body] * lever_B)

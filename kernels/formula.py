@@ -1,10 +1,10 @@
-"""What laws and frictions have in common: named parameters, and a device function of a few scalars.
+"""What laws, frictions and motions have in common: named parameters, and device functions of a few scalars.
 
-A formula is a class with annotated parameters and a ``force`` written as a ``wp.func``. Its instances are frozen
-and hold values for the host; the device sees one struct of coefficients per contact and environment. Most
-formulas use their parameters as they are; one that needs something derived from them (a damping factor from a
-restitution) names its ``device`` coefficients and computes them, vectorised, in ``coefficients``. One that
-remembers declares its ``memory`` and how it advances; ``memory.py`` keeps it.
+A formula is a class with annotated parameters and device functions, written as ``wp.func``: the ``force`` of a
+law. Its instances are frozen and hold values for the host; the device sees one struct of coefficients per contact,
+or body, and environment. Most formulas use their parameters as they are; one that needs something derived from
+them (a damping factor from a restitution) names its ``device`` coefficients and computes them, vectorised, in
+``coefficients``. One that remembers declares its ``memory`` and how it advances; ``memory.py`` keeps it.
 """
 
 import ast
@@ -17,6 +17,7 @@ from typing import Any, ClassVar, dataclass_transform
 
 import numpy as np
 import warp as wp
+from warpcontact.kernels.types import structs
 
 
 def parameter(
@@ -27,6 +28,8 @@ def parameter(
     above: float = -math.inf,
     at_least: float = -math.inf,
     at_most: float = math.inf,
+    shape: tuple[int, ...] = (),
+    direction: bool = False,
 ) -> Any:
     """Declares a parameter of a formula.
 
@@ -37,9 +40,42 @@ def parameter(
         above: Every value must be greater than this.
         at_least: Every value must be at least this.
         at_most: Every value must be at most this.
+        shape: Shape of a value, () for a number and (3,) for a vector. ``ROWS`` stands for any number of rows:
+            such a table is the same in all environments.
+        direction: Whether it is a vector of which only the direction counts, and which must not be zero.
     """
     limits = {"unit": unit, "meaning": meaning, "above": above, "at_least": at_least, "at_most": at_most}
-    return dataclasses.field(default=default, metadata=limits)
+    metadata = {**limits, "shape": shape, "direction": direction}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+#: In the shape of a parameter: any number of rows.
+ROWS = -1
+
+
+def table(unit: str, meaning: str) -> Any:
+    """Declares a table of a spring or damper: values over the distance, linear in between and held outside.
+
+    Instances take it as pairs (distance [m], value), at least two, with increasing distances. The device function
+    gets the row that the distance is in as its last argument, with ``start`` [m], ``value`` there, ``slope`` and
+    ``integral``, the area below the table from its first distance to ``start``. A formula has one at most.
+
+    Args:
+        unit: SI unit of the values.
+        meaning: What they are, in a few words.
+    """
+    field = parameter(unit, meaning, shape=(ROWS, 2))
+    return dataclasses.field(metadata={**field.metadata, "table": True})
+
+
+def check_table(name: str, values: np.ndarray) -> None:
+    """Raises ``ValueError`` unless the distances of a table (n, 2) increase."""
+    if len(values) < 2:
+        raise ValueError(f"{name} must have two rows at least, got {len(values)}")
+    down = np.flatnonzero(np.diff(values[:, 0]) <= 0.0)
+    if len(down):
+        before, after = values[down[0] : down[0] + 2, 0]
+        raise ValueError(f"{name} must have increasing distances, got {before:g} before {after:g}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,9 +127,40 @@ def check_values(name: str, values: np.ndarray, limits: Mapping[str, Any]) -> No
     raise ValueError(f"{entry} must be {rule}, got {values[tuple(where)]:g}{unit}")
 
 
-@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter,))
+def unit_vectors(name: str, values: np.ndarray) -> np.ndarray:
+    """Returns vectors (…, 3) scaled to length 1.
+
+    Raises:
+        ValueError: If one of them is zero.
+    """
+    # By the largest component first: the square of a long one would be infinite, of a short one zero.
+    largest = np.abs(values).max(axis=-1, keepdims=True)
+    bad = np.argwhere(largest[..., 0] == 0.0)
+    if len(bad):
+        where = list(map(int, bad[0]))
+        raise ValueError(f"{name}{where or ''} must be a direction, got {values[tuple(bad[0])].tolist()}")
+    scaled = values / largest
+    return scaled / np.linalg.norm(scaled, axis=-1, keepdims=True)
+
+
+def shape_in_words(shape: tuple[int, ...]) -> str:
+    """Returns what a value of a parameter of ``shape`` is, in words."""
+    if shape == ():
+        return "one number"
+    words = f"{shape[-1]} numbers" if shape[-1] != ROWS else "numbers"
+    return words if len(shape) == 1 and shape[0] != ROWS else f"a list of {words}{' each' * (len(shape) > 1)}"
+
+
+def has_shape(values: np.ndarray, shape: tuple[int, ...]) -> bool:
+    """Whether ``values`` have the ``shape`` of a parameter."""
+    return values.ndim == len(shape) and all(
+        size == own or (size == ROWS and own > 0) for size, own in zip(shape, values.shape, strict=True)
+    )
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter, table))
 class Formula:
-    """Base of laws and frictions. Subclasses become frozen dataclasses with keyword-only parameters."""
+    """Base of laws, frictions and motions. Subclasses become frozen dataclasses with keyword-only parameters."""
 
     #: The formula as text, with the letters of the field.
     formula: ClassVar[str] = ""
@@ -107,9 +174,14 @@ class Formula:
     exactly_one_of: ClassVar[tuple[str, ...]] = ()
     #: Names of the device coefficients; the parameters themselves if empty.
     device: ClassVar[tuple[str, ...]] = ()
-    #: What it is of a contact, as in the names of its parameters in a model; a friction may be others, too.
+    #: What it is part of, and as what, as in the names of its parameters; a friction may be others, too.
+    whole: ClassVar[str] = "contact"
     part: ClassVar[str] = "law"
-    #: The device function.
+    #: Whether it may have a ``table``.
+    may_have_table: ClassVar[bool] = False
+    #: Names of its device functions, and what each of them returns, in words.
+    functions: ClassVar[Mapping[str, str]] = {"force": "the force"}
+    #: The device function of laws and frictions.
     force: ClassVar[wp.Function]
     #: What it remembers, by name.
     memories: ClassVar[Mapping[str, Memory]] = {}
@@ -140,14 +212,30 @@ class Formula:
                     f"{cls.__name__}.{field.name} must be declared with wc.parameter: "
                     f"{field.name}: float = wc.parameter(unit, meaning, default=…)"
                 )
-        for name in ("force", "advance"):
+        tables = [field.name for field in dataclasses.fields(cls) if "table" in field.metadata]
+        if len(tables) > int(cls.may_have_table):
+            most = "one table at most" if cls.may_have_table else "no table"
+            raise TypeError(f"{cls.__name__} can have {most}, got {', '.join(tables)}")
+        for name in (*cls.functions, "advance"):
             if isinstance(vars(cls).get(name), wp.Function):
                 cls._check_function(name)
 
     @classmethod
-    def arguments(cls) -> str:
-        """Returns what ``force`` takes, in words."""
-        return "(coefficients, state, memory)" if cls.memories else "(coefficients, state)"
+    def table_field(cls) -> dataclasses.Field | None:
+        """Returns the field that is a ``table``, if there is one."""
+        return next((field for field in dataclasses.fields(cls) if "table" in field.metadata), None)
+
+    @classmethod
+    def arguments(cls) -> tuple[str, ...]:
+        """Returns what its device functions take, in words."""
+        more = ["memory"] * bool(cls.memories) + ["row"] * (cls.table_field() is not None)
+        return ("coefficients", "state", *more)
+
+    @classmethod
+    def missing_function(cls) -> str:
+        """Returns the name of a device function that it lacks; an empty text: none."""
+        needed = [*cls.functions, *(["advance"] if cls.memories else [])]
+        return next((name for name in needed if not isinstance(getattr(cls, name, None), wp.Function)), "")
 
     @classmethod
     def _check_function(cls, name: str) -> None:
@@ -155,19 +243,19 @@ class Formula:
         function = getattr(cls, name)
         if name == "advance" and not cls.memories:
             raise TypeError(f"{cls.__name__}.advance has nothing to advance; declare what it remembers: wc.memory")
-        wanted = 3 if cls.memories else 2
-        if len(inspect.signature(function.func).parameters) != wanted:
-            raise TypeError(f"{cls.__name__}.{name} must take {wanted} arguments, {cls.arguments()}")
+        wanted = cls.arguments()
+        if len(inspect.signature(function.func).parameters) != len(wanted):
+            raise TypeError(f"{cls.__name__}.{name} must take {len(wanted)} arguments, ({', '.join(wanted)})")
         if not any(isinstance(node, ast.Return) and node.value for node in ast.walk(function.adj.tree)):
-            what = "the memory: end it with return m" if name == "advance" else "the force"
+            what = "the memory: end it with return m" if name == "advance" else cls.functions[name]
             raise TypeError(f"{cls.__name__}.{name} returns nothing; it must return {what}")
 
     def __post_init__(self) -> None:
         cls = type(self)
-        for name in ("force", "advance") if cls.memories else ("force",):
-            if not isinstance(getattr(cls, name, None), wp.Function):
-                raise TypeError(f"{cls.__name__}.{name} must be a wp.func of {cls.arguments()}")
-        given = self.parameters()
+        if name := cls.missing_function():
+            raise TypeError(f"{cls.__name__}.{name} must be a wp.func of ({', '.join(cls.arguments())})")
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        given = {name: value for name, value in values.items() if value is not None}
         if self.exactly_one_of:
             chosen = [name for name in self.exactly_one_of if name in given]
             if len(chosen) != 1:
@@ -177,25 +265,44 @@ class Formula:
                 )
         for name, value in given.items():
             limits = self.limits(name)
+            shape = limits["shape"]
+            what = "a number" if shape == () else shape_in_words(shape)
             try:
                 values = np.asarray(value)
             except ValueError:  # rows of different length
                 values = np.empty(0, object)
             if values.dtype.kind not in "iuf":  # not text that reads like a number, nor True for 1
-                raise ValueError(f"{type(self).__name__}.{name} must be a number, got {value!r}")
-            if values.ndim != 0:
-                raise ValueError(
-                    f"{type(self).__name__}.{name} must be one number, got shape {values.shape}; values per "
-                    f"environment are set on the model: model['<contact>.{self.part}.{name}'] = values"
+                raise ValueError(f"{cls.__name__}.{name} must be {what}, got {value!r}")
+            if not has_shape(values, shape):
+                hint = (
+                    ""
+                    if ROWS in shape
+                    else f"; values per environment are set on the model: "
+                    f"model['<{self.whole}>.{self.part}.{name}'] = values"
                 )
-            check_values(f"{type(self).__name__}.{name}", values, limits)
+                raise ValueError(
+                    f"{cls.__name__}.{name} must be {shape_in_words(shape)}, got shape {values.shape}{hint}"
+                )
+            check_values(f"{cls.__name__}.{name}", values, limits)
+            if limits["direction"]:
+                unit_vectors(f"{cls.__name__}.{name}", values.astype(np.float64))
+            if "table" in limits:
+                check_table(f"{cls.__name__}.{name}", values)
 
     def parameters(self, area: Any = None) -> dict[str, Any]:
-        """Returns the parameters that have a value; an area that was left to the points is ``area``."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        """Returns the parameters of a model that have a value; an area that was left to the points is ``area``.
+
+        Tables are the same in all environments, and not among them.
+        """
+        values = {name: getattr(self, name) for name in self.varying()}
         if self.takes_area:
             values["area"] = area
         return {name: value for name, value in values.items() if value is not None}
+
+    @classmethod
+    def varying(cls) -> tuple[str, ...]:
+        """Returns the names of the parameters that may differ between environments: all but tables."""
+        return tuple(field.name for field in dataclasses.fields(cls) if ROWS not in field.metadata["shape"])
 
     @property
     def takes_area(self) -> bool:
@@ -215,7 +322,7 @@ class Formula:
     @classmethod
     def device_names(cls) -> tuple[str, ...]:
         """Returns the names of the coefficients that ``force`` sees."""
-        return cls.device or tuple(field.name for field in dataclasses.fields(cls))
+        return cls.device or cls.varying()
 
     @classmethod
     def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -227,7 +334,10 @@ def coefficient_struct(formula: type[Formula], real: type) -> Any:
     """Returns the struct of ``formula``'s device coefficients in precision ``real``."""
     # Warp has no empty structs.
     names = formula.device_names() or ("unused",)
-    return named_struct(f"{formula.__name__}Coefficients", tuple((name, real) for name in names))
+    vector = structs(real).vec3
+    vectors = {field.name for field in dataclasses.fields(formula) if field.metadata["shape"] == (3,)}
+    fields = tuple((name, vector if name in vectors else real) for name in names)
+    return named_struct(f"{formula.__name__}Coefficients", fields)
 
 
 @functools.cache

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_FAILED, ENV_FROZEN, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_FAILED, ENV_FROZEN, FREE, Work, structs
 
 
 @functools.cache
@@ -21,8 +21,10 @@ def _spin(real: type) -> wp.Function:
 
 
 @functools.cache
-def semi_implicit_euler(real: type) -> wp.Kernel:
+def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
     """Returns the semi-implicit Euler kernel; items: bodies.
+
+    With ``moves``, bodies that are not free are left to ``motions``.
 
     Velocities first, from the wrenches at ``state_in``; positions with the new velocities. Rotation advances the
     angular momentum L, which carries the gyroscopic term without an approximation, and turns the body by the
@@ -49,6 +51,9 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
+            if wp.static(moves):  # noqa: SIM102  Warp would evaluate both sides
+                if model.body_motion[env, body].kind != FREE:
+                    continue
             dt = step[env, 0]
             acceleration = wrenches.force[env, body] / model.body_mass[env, body] + model.gravity[env, 0]
             velocity = state_in.body_linear_velocity[env, body] + dt * acceleration
@@ -91,8 +96,10 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
 
 
 @functools.cache
-def change_step(real: type) -> wp.Kernel:
+def change_step(real: type, moves: bool = False) -> wp.Kernel:
     """Returns the kernel that readies a state for steps of another length; items: bodies.
+
+    With ``moves``, bodies that are not free are left to ``motions``.
 
     The velocities of semi-implicit Euler belong to half a step before the positions, so a step that is longer by
     ``change`` begins from velocities of change/2 earlier. Without this the energy of a contact jumps.
@@ -115,6 +122,9 @@ def change_step(real: type) -> wp.Kernel:
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
+            if wp.static(moves):  # noqa: SIM102  Warp would evaluate both sides
+                if model.body_motion[env, body].kind != FREE:
+                    continue
             earlier = real(0.5) * change[env, 0]
             acceleration = wrenches.force[env, body] / model.body_mass[env, body] + model.gravity[env, 0]
             turning = spin(

@@ -13,7 +13,7 @@ import warp as wp
 from warpcontact.kernels import closest_point as closest
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels.closest_point import ROUNDING, WHOLE
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, INLINED, OPEN, Work, structs
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, INLINED, LATCHED, OPEN, Work, structs
 
 # Of what a block is free by: a contact with less left would soon be looked at again.
 FEW = 0.25
@@ -61,8 +61,22 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         return around - rounded_up * wp.length(arm_B) - model.contact_geometry[env, contact].radius
 
     @wp.func
+    def to_be_armed(model: Model, history: History, env: int, contact: int):
+        """Whether a latched contact is not armed yet: a look has to tell when it comes into sight."""
+        if wp.static(follows):
+            return (model.contact_options[contact] & LATCHED) != 0 and history.armed[env, contact] == 0
+        return False
+
+    @wp.func
     def free_around(
-        model: Model, contacts: Contacts, cache: Cache, env: int, block: int, contact: int, around: real
+        model: Model,
+        history: History,
+        contacts: Contacts,
+        cache: Cache,
+        env: int,
+        block: int,
+        contact: int,
+        around: real,
     ):
         """Fills ``contacts`` for one that is far away on the outer side, as the middle of its block shows.
 
@@ -71,6 +85,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         if not (around > real(0.0)) or cache.faces[env, contact] != 0:
             return real(-1.0)
         if model.contact_geometry[env, contact].enabled == 0:
+            return real(-1.0)
+        if to_be_armed(model, history, env, contact):
             return real(-1.0)
         free = left_of(model, env, block, contact, around)
         if not (free > real(FEW) * around):
@@ -88,9 +104,20 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         return rounded_down * (travel + free)
 
     @wp.func
-    def longer_wake(model: Model, cache: Cache, env: int, block: int, contact: int, travel: real, around: real):
+    def longer_wake(
+        model: Model,
+        history: History,
+        cache: Cache,
+        env: int,
+        block: int,
+        contact: int,
+        travel: real,
+        around: real,
+    ):
         """Lets a contact that is asleep sleep longer if the middle of its block shows that it can."""
         wake = cache.wake[env, contact]
+        if to_be_armed(model, history, env, contact):
+            return wake
         if around > real(0.0):
             longer = rounded_down * (travel + left_of(model, env, block, contact, around))
             if longer > wake:
@@ -185,12 +212,12 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
             for place in range(start, stop):
                 contact = model.block_contact[place]
                 if cached and travelled < cache.wake[env, contact]:
-                    wake = longer_wake(model, cache, env, block, contact, travel, around)
+                    wake = longer_wake(model, history, cache, env, block, contact, travel, around)
                     first_wake = wp.min(first_wake, wake)
                 else:
                     free = real(-1.0)
                     if cached:
-                        free = free_around(model, contacts, cache, env, block, contact, around)
+                        free = free_around(model, history, contacts, cache, env, block, contact, around)
                     if free < real(0.0):
                         free = look(model, view, history, contacts, cached, cache, env, contact)
                     if cached:

@@ -103,9 +103,9 @@ def probe(real: type, follows: bool) -> wp.Kernel:
             for place in range(model.block_start[block], model.block_start[block + 1]):
                 contact = model.block_contact[place]
                 if travelled < cache.wake[env, contact]:
-                    longer_wake(model, cache, env, block, contact, travel, around)
+                    longer_wake(model, history, cache, env, block, contact, travel, around)
                 else:
-                    free = free_around(model, contacts, cache, env, block, contact, around)
+                    free = free_around(model, history, contacts, cache, env, block, contact, around)
                     if free < real(0.0):
                         put(cache, wp.static(QUEUE_OF[KNOWN]), member * items + contact)
                     else:

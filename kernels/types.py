@@ -37,6 +37,24 @@ HERTZ_PATCH = 4  # the arm of torsion follows from the overlap
 SWEPT = 8  # a point that crosses the surface within a step is caught
 AT_POINT = 16  # the force acts at the point itself, as in a contact coupling
 
+# Status of a spring-damper or bushing.
+COUPLING_ACTIVE = 0
+COUPLING_SLACK = 1  # tension_only, and not stretched
+COUPLING_BROKEN = 2
+COUPLING_OUTSIDE = 3  # of its table, the ends of which are held
+COUPLING_NO_DIRECTION = 4  # its ends are in one place, and nothing is known of where they came from
+COUPLING_DISABLED = 5
+
+# Status of a catenary.
+LINE_HANGING = 0  # its length is longer than the distance of its ends
+LINE_TAUT = 1  # shorter: it is stretched
+LINE_FOLDED = 2  # its ends are above one another, and it hangs from both
+LINE_GROUNDED = 3  # a part of it rests on the floor
+LINE_SUNK = 4  # an end lies below the floor, and is taken to be on it
+LINE_LOOSE = 5  # without weight, and not stretched
+LINE_DISABLED = 6
+LINE_FAILED = 7  # no solution was found: the forces are those of the last iterate
+
 # Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its corners.
 FEATURE_COUNT = 7
 # Bits of a feature.
@@ -53,6 +71,17 @@ REMEMBERED = 8
 
 # Queues of a GPU.
 QUEUES = 4
+
+# How a body may move.
+FREE = 0
+FIXED = 1
+TRANSLATION = 2
+PLANAR = 3
+HINGE = 4
+SLIDER = 5
+BALL = 6
+PRESCRIBED = 7  # by the velocities in its state
+DRIVEN = 8  # by a function of time
 
 # What the geometry says about the latch of entry="latched".
 LATCH_KEEP = 0
@@ -81,6 +110,17 @@ class Work:
     threads: wp.int32
 
 
+@wp.struct
+class BodyMotion:
+    """How a body may move, in float64 whatever the precision: what is built from it does not drift."""
+
+    kind: wp.int32  # FREE, FIXED, …
+    axis: wp.vec3d  # unit: of a hinge or a slider, the normal of a plane; W
+    anchor: wp.vec3d  # what a hinge, a ball or a function of time turns it about, W [m]
+    position: wp.vec3d  # initial centre of mass, W [m]
+    orientation: wp.quatd  # initial, B → W
+
+
 @functools.cache
 def structs(real: type) -> SimpleNamespace:
     """Returns the structs for ``real``, ``wp.float32`` or ``wp.float64``."""
@@ -107,6 +147,9 @@ def structs(real: type) -> SimpleNamespace:
         body_inertia: wp.array2d(dtype=mat33)  # B, about the centre of mass [kg·m²]
         body_inverse_inertia: wp.array2d(dtype=mat33)  # B [1/(kg·m²)]
         body_round: wp.array2d(dtype=wp.bool)  # whether the inertia is the same about all axes
+        body_external_force: wp.array2d(dtype=vec3)  # [env, body] at the centre of mass, W [N]
+        body_external_torque: wp.array2d(dtype=vec3)  # [env, body] W [N·m]
+        body_motion: wp.array2d(dtype=BodyMotion)  # empty if all bodies are free
         # Points
         point_body: wp.array(dtype=wp.int32)  # [point] body or WORLD
         point_position: wp.array2d(dtype=vec3)  # [env, point], B (or W, from its anchor) [m]
@@ -152,6 +195,10 @@ def structs(real: type) -> SimpleNamespace:
         block_center: wp.array2d(dtype=vec3)  # [env, block] in the middle of its points, as they are given [m]
         body_block_start: wp.array(dtype=wp.int32)  # [body + 1] first of its blocks in the list
         body_block: wp.array(dtype=wp.int32)  # 2 × block + 0 as the points' body, 1 as the surface's
+        # Ends of couplings: 2 × coupling, 2 × coupling + 1
+        end_point: wp.array(dtype=wp.int32)  # [end] index of its point
+        body_end_start: wp.array(dtype=wp.int32)  # [body + 1] first of its ends in the list
+        body_end: wp.array(dtype=wp.int32)  # ends by body
 
     @wp.struct
     class State:
@@ -248,6 +295,13 @@ def structs(real: type) -> SimpleNamespace:
         direction: wp.array2d(dtype=vec3)  # [env, contact × REMEMBERED] its slope there, unit or zero, S
 
     @wp.struct
+    class Ends:
+        """What couplings do to the bodies at their ends; of an end on the world it is what the world holds."""
+
+        force: wp.array2d(dtype=vec3)  # [env, end] on what the end is fixed to, W [N]
+        torque: wp.array2d(dtype=vec3)  # [env, end] about the centre of mass (world: the anchor), W [N·m]
+
+    @wp.struct
     class Wrenches:
         force: wp.array2d(dtype=vec3)  # [env, body], W [N]
         torque: wp.array2d(dtype=vec3)  # [env, body] about the centre of mass, W [N·m]
@@ -287,6 +341,7 @@ def structs(real: type) -> SimpleNamespace:
         Reached=Reached,
         Near=Near,
         Cache=Cache,
+        Ends=Ends,
         Wrenches=Wrenches,
         Touch=Touch,
         Slip=Slip,

@@ -10,10 +10,13 @@ import pytest
 import xarray as xr
 import zarr
 from test_experiment import EXAMPLE, content
-from test_memory_plan import with_room
+from test_memory_plan import MIB, with_room
 
 import warpcontact as wc
+from warpcontact import available
+from warpcontact.draft import Draft
 from warpcontact.experiment.plan import batch_size
+from warpcontact.footprint import Need
 
 VARIED = {
     "ball.mass": {"uniform": [0.5, 2.0]},
@@ -97,6 +100,29 @@ def test_the_plan_decides_on_batches(at_once, device, tmp_path, monkeypatch):
     with pytest.raises(MemoryError, match=r"batch 11: 11 environments need .*; at most \d+ at once fits on"):
         varied().run(tmp_path / "more", device=device, batch=11)
     assert not (tmp_path / "more").exists()
+
+
+def test_a_plan_looks_at_all_devices(monkeypatch):
+    """What fits on the first may be too much for the second."""
+    memory = Draft.memory
+
+    def with_gpus(draft, envs, *varied, **stepping):
+        """Each part takes memory of a GPU of its own, too."""
+        shares = enumerate(draft.shares(envs))
+        needs = [Need("state", f"cuda:{number}", own * MIB, MIB / 2) for number, (_, own) in shares]
+        return memory(draft, envs, *varied, **stepping).with_needs(needs)
+
+    monkeypatch.setattr(Draft, "memory", with_gpus)
+    monkeypatch.setattr(available, "_host", lambda: None)
+    monkeypatch.setattr(available, "_device", {"cuda:0": 100 * MIB, "cuda:1": 4 * MIB}.get)
+    plan = varied().plan(device=["cpu", "cpu"])
+    # Of 5, 3 would be on the first and 2, up to 70 % of what there is, on the second; 3 batches of 4 do as well.
+    assert (plan.batch, plan.batches) == (4, 3)
+    assert "available: 4 MiB of the memory of cuda:1" in str(plan)
+    with pytest.raises(
+        MemoryError, match=r"batch 11: 11 environments need 5 MiB of the memory of cuda:1, .* 7 at"
+    ):
+        varied().plan(device=["cpu", "cpu"], batch=11)
 
 
 def test_frozen_environments_keep_their_numbers(device, tmp_path):

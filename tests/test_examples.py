@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import warpcontact as wc
+
 FOLDER = Path(__file__).resolve().parents[1] / "examples"
 
 
@@ -96,3 +98,24 @@ def test_surface_on_surface_converges_to_its_closed_forms(device, capsys):
         # With 250 points on the whole sphere 10 of them touch, with 4000 it is 160.
         assert values[0] < 0.05
         assert values[-1] < 0.005
+
+
+def test_the_pendulum_rebounds_from_the_outer_side_of_a_wall_only(device, tmp_path):
+    experiment = wc.Experiment.from_toml(FOLDER / "pendulum.toml")
+    with pytest.warns(wc.ContactWarning, match=r"literal_touch: starts 0.342 m deep .* 108 m/s"):
+        data = experiment.run(tmp_path / "out", device=device).recording
+    start, e = np.radians(20.0), np.linspace(0.2, 1.0, 9)
+    struck = np.argmax(data["outer_touch.normal_force"].values[:, 0] > 0.0)
+    # The angle from the start; the swing back ends within the record.
+    back = start - data["outer.angle"].values[struck + 5 :].min(axis=0)
+    # A contact of a hundred steps, 2 mm deep: the weight and the arc beyond the wall count for some 0.01°.
+    np.testing.assert_allclose(back, np.arccos(1.0 - e**2 * (1.0 - np.cos(start))), atol=np.radians(0.01))
+    # Thrown out at up to 108 m/s, at once.
+    assert (data["literal_touch.normal_force"].values[0] > 0.0).all()
+    assert (np.abs(data["literal.angle_rate"].values).max(axis=0) > 50.0).all()
+    # The latched one swings through to the outer side, to its full angle, and is struck there.
+    swing = -data["latched.angle"].values
+    np.testing.assert_allclose(swing.max(axis=0), 2.0 * start, rtol=1e-3)
+    force = data["latched_touch.normal_force"].values
+    assert (np.argmax(force > 0.0, axis=0) > np.argmax(swing, axis=0)).all()
+    assert (force > 0.0).any(axis=0).all()

@@ -47,13 +47,13 @@ def test_files_stay_short():
 
 
 def find_factories():
-    """Every factory of kernels by precision: a cached function of the module with the one argument ``real``."""
+    """Every factory of kernels by precision: a cached function of ``real``, and whether bodies have motions."""
     for name in MODULES:
         module = importlib.import_module(name)
         for key, value in vars(module).items():
             if isinstance(value, functools._lru_cache_wrapper) and value.__module__ == name:
                 names = value.__wrapped__.__code__.co_varnames[: value.__wrapped__.__code__.co_argcount]
-                if names == ("real",):
+                if names in (("real",), ("real", "moves")):
                     yield pytest.param(value, id=f"{name.removeprefix('warpcontact.kernels.')}.{key}")
 
 

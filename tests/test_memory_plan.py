@@ -325,6 +325,43 @@ def test_recordings_that_do_not_fit_are_refused_before_anything_runs(device, mon
         model.reading("touch.point")
 
 
+@pytest.mark.parametrize("parts", [1, 2])
+def test_values_for_each_environment_that_do_not_fit_are_refused(parts, device, monkeypatch):
+    model = ball_scene().build(1000, [device] * parts)
+    mass = np.linspace(1, 2, 1000)
+    with_room(monkeypatch, 5000)  # the host keeps 8 bytes of each
+    message = (
+        r"^for a value of ball\.mass in each, 1000 environments need .*; at most \d+ environments at once fit on"
+    )
+    with pytest.raises(MemoryError, match=message):
+        model["ball.mass"] = mass
+    assert not model.varies("ball.mass")
+    assert (model["ball.mass"] == 0.5).all()
+    model["ball.mass"] = 2.0
+    assert (model["ball.mass"] == 2.0).all()
+    with_room(monkeypatch, 50_000)
+    model["ball.mass"] = mass
+    with_room(monkeypatch, 5000)  # nothing more is taken
+    model["ball.mass"] = 2.0 * mass
+    assert (model["ball.mass"] == 2.0 * mass).all()
+
+
+def test_what_all_parts_measure_into_is_refused_together(device, monkeypatch):
+    """What fits for each part alone may be too much for all."""
+    model = ball_scene().build(100, [device] * 2)
+    sim = wc.Simulation(model, dt=1e-4, graphs=False)
+    part = model.parts[0]
+    needed = sum(need.size for need in part.measures_needs(part.device, {"points"}, part.envs))
+    with_room(monkeypatch, int(1.5 * needed / 0.85))
+    with pytest.raises(MemoryError, match=r"^to measure them, 100 environments need"):
+        model.reading("touch.point")
+    with pytest.raises(MemoryError, match=r"^to measure them, 100 environments need"):
+        sim.run(1e-3, ["touch.point"])
+    assert [part.arrays.points for part in model.parts] == [None, None]
+    with_room(monkeypatch, None)
+    assert model.reading("touch.point").shape == (100, 3)
+
+
 def test_a_recording_takes_what_is_planned(device):
     from warpcontact.recorder import Recorder
 

@@ -2,6 +2,7 @@
 
 import signal
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -141,6 +142,20 @@ def assert_same(left, right):
             np.testing.assert_array_equal(value, other, err_msg=f"after part {now}")
 
 
+def with_queues(monkeypatch):
+    """Has one thread look at contacts as a GPU does."""
+
+    def queued(model, first, count, cached, ordered, _):
+        tasks, contacts = model.envs * model.blocks.count, model.envs * model.contact_count
+        cache = model.arrays.cache
+        cache.waiting_block = wp.zeros(tasks, dtype=wp.int32, device="cpu")
+        cache.waiting_contact = wp.zeros((QUEUES, contacts), dtype=wp.int32, device="cpu")
+        return Span(model, first, count, cached, ordered, queued=True)
+
+    monkeypatch.setattr(simulation, "Span", queued)
+    monkeypatch.setattr(simulation, "slice_size", lambda model, envs, *_: envs)
+
+
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("name", SCENES)
@@ -151,33 +166,68 @@ def test_what_is_known_of_distances_changes_nothing(name, precision, device):
     assert_same(known, afresh)
 
 
-@PRECISIONS
+@pytest.fixture(params=["blocks", "queues"])
+def looked_at(request, monkeypatch):
+    """Contacts are looked at as on a CPU, or as on a GPU."""
+    if request.param == "queues":
+        with_queues(monkeypatch)
+
+
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-def test_nor_does_it_where_steps_are_taken_again_while_other_contacts_end(precision, device):
-    """What a contact did in a step that is taken again in parts is not forgotten."""
+def test_what_was_seen_before_a_step_is_taken_again_is_not_forgotten(looked_at):
+    """A point is armed while the step is taken again, sleeps, and is looked at next when it touches."""
 
     def run(distance_cache):
-        scene = wc.Scene()
+        scene = wc.Scene(gravity=(0, 0, 0))
         ground = scene.add_surface(wc.meshes.grid((9, 9), (4, 4)), name="ground")
-        bouncing = wc.Template(law=wc.laws.HuntCrossley(stiffness=3e4, restitution=0.97), friction=STUCK.friction)
-        for name, swept in (("ball", False), ("shot", True)):
-            body = scene.add_body(0.5, (1e-3, 1e-3, 1e-3), position=(0, 0, 0.12), name=name)
-            centre = scene.add_point(body, (0, 0, 0))
-            radius = 0.0 if swept else 0.05
-            scene.add_contact(centre, ground, bouncing, radius=radius, swept=swept, name=f"{name}_on_ground")
-        model = scene.build(envs=3 * ENVS, precision=precision, device=device)
-        # It comes to the ground in every step in which the ball, after a fall of 0.12 s, may leave it.
-        heights = 0.5 * 9.81 * np.linspace(0.115, 0.15, 3 * ENVS) ** 2
-        model["shot.position"] = np.column_stack([np.ones((3 * ENVS, 2)), heights])
+        for name, x, options in (("ball", 0.1, {"entry": "latched"}), ("shot", 1.1, {"swept": True})):
+            body = scene.add_body(
+                0.5, (1e-3, 1e-3, 1e-3), position=(x, 0.2, 1.5e-3), linear_velocity=(0, 0, -1), name=name
+            )
+            scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, TEMPLATE, name=f"{name}_touch", **options)
+        model = scene.build(device="cpu")
+        model["shot.linear_velocity"] = (0, 0, -30)  # through the ground in the first step
         sim = wc.Simulation(model, dt=1e-3, crossing_steps=3, distance_cache=distance_cache)
         states = []
-        for _ in range(8):
-            sim.step(120)
-            states.append([model.reading(f"{b.name}.{key}") for b in scene.bodies for key in STATE])
-        assert (model.reading("shot_on_ground.crossings") > 2).all()
+        for _ in range(4):
+            sim.step()
+            states.append([model.reading(f"ball.{key}") for key in STATE])
+        assert model.reading("shot_touch.crossings")[0] > 0
+        assert model.reading("ball_touch.normal_force")[0] > 0
         return states
 
     assert_same(run(True), run(False))
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize(
+    ("arm", "places", "touches"),
+    [
+        # From above, past the rim where it is not seen, to below: never armed.
+        (0.02, [(1.0, 0), (-0.05, 0), (-0.05, 0)], [False, False]),
+        # Turned over in between, so that of two points another comes into sight first: armed there.
+        (0.03, [(0.28, 0), (0.28, 1), *((z, 1) for z in np.arange(0.27, -0.05, -0.026))], [True, True]),
+    ],
+    ids=["out of sight", "into sight"],
+)
+def test_points_of_a_block_are_armed_where_they_are_seen(arm, places, touches, looked_at):
+    def run(distance_cache):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        ground = scene.add_surface(wc.meshes.grid((2, 2), (4, 4)), name="ground")
+        body = scene.add_body(1.0, (1, 1, 1), name="body")
+        points = scene.add_points(body, [(0, 0, -arm), (0, 0, arm)])
+        scene.add_contact(points, ground, TEMPLATE, search_radius=0.2, entry="latched", name="touch")
+        model = scene.build(device="cpu")
+        sim = wc.Simulation(model, dt=1e-3, distance_cache=distance_cache)
+        for height, turned in places:
+            sim.state.body_position.assign(np.array([[(0.1, 0.2, height)]]))
+            sim.state.body_orientation.assign(np.array([[(turned, 0.0, 0.0, 1.0 - turned)]]))
+            sim.state.body_linear_velocity.zero_()
+            sim.state.body_angular_velocity.zero_()
+            sim.step()
+        return (model.reading("touch.normal_force")[0] > 0).tolist()
+
+    assert run(True) == run(False) == touches
 
 
 @PRECISIONS
@@ -259,7 +309,6 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
     assert_same(alone, shared)
 
 
-@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("name", SCENES)
@@ -267,15 +316,7 @@ def test_queues_change_nothing(name, precision, monkeypatch):
     """As a GPU looks at contacts, here by one thread."""
     usual, _ = run(name, precision, "cpu")
 
-    def queued(model, first, count, cached, ordered, _):
-        tasks, contacts = model.envs * model.blocks.count, model.envs * model.contact_count
-        cache = model.arrays.cache
-        cache.waiting_block = wp.zeros(tasks, dtype=wp.int32, device="cpu")
-        cache.waiting_contact = wp.zeros((QUEUES, contacts), dtype=wp.int32, device="cpu")
-        return Span(model, first, count, cached, ordered, queued=True)
-
-    monkeypatch.setattr(simulation, "Span", queued)
-    monkeypatch.setattr(simulation, "slice_size", lambda model, envs, *_: envs)
+    with_queues(monkeypatch)
     assert_same(run(name, precision, "cpu")[0], usual)
 
 
@@ -321,6 +362,21 @@ def test_an_interruption_leaves_all_environments_at_one_time(crossing_steps, dev
     other.step(sim.steps)
     for key in STATE:
         np.testing.assert_array_equal(sim.model.reading(f"body.{key}"), other.model.reading(f"body.{key}"))
+
+
+def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
+    """However long a step takes, and however many are asked for."""
+
+    class Piece:
+        envs, captured, device = 1, False, wp.get_device("cpu")
+
+        def capture(self, count):
+            pass
+
+        def step(self, count):
+            time.sleep(0.02 * count)
+
+    assert list(crew.Crew([Piece()], 1).step(24)) == [8, 16, 24]
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "4"])

@@ -479,7 +479,7 @@ class Piece:
 def test_gpus_that_the_host_decides_about_do_not_wait_for_each_other():
     log, meeting = [], threading.Barrier(3)
     pieces = [Piece(name, False, log, meeting) for name in ("cuda:0", "cuda:1", "cpu")]
-    assert list(crew.Crew(pieces, 1).step(32)) == [32]
+    assert list(crew.Crew(pieces, 1).step(8)) == [8]
     assert sorted(name for name, _ in log) == ["cpu", "cuda:0", "cuda:1"]
 
 
@@ -487,7 +487,7 @@ def test_of_one_gpu_only_one_slice_is_launched_at_a_time():
     log = []
     pieces = [Piece(name, False, log) for name in ("cuda:0", "cuda:1", "cuda:0")]
     made = crew.Crew(pieces, 8)
-    list(made.step(32))
+    list(made.step(8))
     assert made._threads == 2
     assert sorted(name for name, _ in log) == ["cuda:0", "cuda:0", "cuda:1"]
 

@@ -16,44 +16,55 @@ if TYPE_CHECKING:
     from warpcontact.benchmark import BenchReport, bench
     from warpcontact.contact_coupling import ContactCoupling
     from warpcontact.contact_range import ContactRange
+    from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError
     from warpcontact.health import Health
-    from warpcontact.kernels import frictions, laws
-    from warpcontact.kernels.formula import memory, parameter
+    from warpcontact.kernels import frictions, laws, motions, springs
+    from warpcontact.kernels.formula import memory, parameter, table
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
+    from warpcontact.kernels.motions.base import Motion
+    from warpcontact.kernels.springs.base import Damper, Spring
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
     from warpcontact.recorder import Recording
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.split_model import SplitModel
-    from warpcontact.status import Status
+    from warpcontact.status import CouplingStatus, LineStatus, Status
     from warpcontact.usd import export_usd
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
     "BenchReport": "warpcontact.benchmark",
     "Body": "warpcontact.elements",
+    "Bushing": "warpcontact.couplings.elements",
+    "Catenary": "warpcontact.couplings.elements",
     "Contact": "warpcontact.elements",
     "ContactCoupling": "warpcontact.contact_coupling",
     "ContactRange": "warpcontact.contact_range",
     "ContactWarning": "warpcontact.advice",
+    "CouplingStatus": "warpcontact.status",
+    "Damper": "warpcontact.kernels.springs.base",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
     "Friction": "warpcontact.kernels.frictions.base",
     "Health": "warpcontact.health",
     "Law": "warpcontact.kernels.laws.base",
+    "LineStatus": "warpcontact.status",
     "Mesh": "warpcontact.meshes",
     "MeshError": "warpcontact.meshes",
     "MeshReport": "warpcontact.meshes",
     "Model": "warpcontact.model",
+    "Motion": "warpcontact.kernels.motions.base",
     "Points": "warpcontact.elements",
     "Recording": "warpcontact.recorder",
     "Scene": "warpcontact.scene",
     "Simulation": "warpcontact.simulation",
     "SplitModel": "warpcontact.split_model",
+    "Spring": "warpcontact.kernels.springs.base",
+    "SpringDamper": "warpcontact.couplings.elements",
     "Status": "warpcontact.status",
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
@@ -67,31 +78,42 @@ _HOME = {
     "load_mesh": "warpcontact.meshes",
     "memory": "warpcontact.kernels.formula",
     "meshes": "warpcontact.meshes",
+    "motions": "warpcontact.kernels.motions",
     "parameter": "warpcontact.kernels.formula",
     "sample_surface": "warpcontact.meshes",
+    "springs": "warpcontact.kernels.springs",
+    "table": "warpcontact.kernels.formula",
 }
 
 __all__ = [
     "BenchReport",
     "Body",
+    "Bushing",
+    "Catenary",
     "Contact",
     "ContactCoupling",
     "ContactRange",
     "ContactWarning",
+    "CouplingStatus",
+    "Damper",
     "Experiment",
     "ExperimentError",
     "Friction",
     "Health",
     "Law",
+    "LineStatus",
     "Mesh",
     "MeshError",
     "MeshReport",
     "Model",
+    "Motion",
     "Points",
     "Recording",
     "Scene",
     "Simulation",
     "SplitModel",
+    "Spring",
+    "SpringDamper",
     "Status",
     "Surface",
     "SurfaceSamples",
@@ -106,8 +128,11 @@ __all__ = [
     "load_mesh",
     "memory",
     "meshes",
+    "motions",
     "parameter",
     "sample_surface",
+    "springs",
+    "table",
 ]
 
 

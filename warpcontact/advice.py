@@ -5,10 +5,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.coupling_advice import coupling_advice
-from warpcontact.friction_advice import LOOKED_AT, USUAL_SPEED, friction_advice
+from warpcontact.contact_coupling_advice import contact_coupling_advice
+from warpcontact.couplings.advice import coupling_advice
+from warpcontact.friction_advice import LEAST_MOBILITY, LOOKED_AT, USUAL_SPEED, friction_advice
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
+from warpcontact.mobility import mobility_of
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
@@ -23,7 +25,7 @@ class ContactWarning(UserWarning):
 
 
 def advice(model: "Environments", dt: float) -> list[str]:
-    """Returns what to say about the start of a model, a sentence or two per contact.
+    """Returns what to say about the start of a model, a sentence or two per contact or coupling.
 
     Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
     steeply a friction rises; nothing is said of laws that do not tell their elastic part. Of a set of points as
@@ -33,7 +35,7 @@ def advice(model: "Environments", dt: float) -> list[str]:
     if model.scene.contacts:
         model.evaluate()
     for coupling in model.scene.contact_couplings:
-        sentences += coupling_advice(model, coupling, dt)
+        sentences += contact_coupling_advice(model, coupling, dt)
     for contact in model.scene.contacts:
         sentences += friction_advice(model, contact, dt)
         if contact.facing is not None:
@@ -58,7 +60,7 @@ def advice(model: "Environments", dt: float) -> list[str]:
         # The energy of all overlaps, as speed.
         energy = (stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)).sum(axis=1, keepdims=True)
         sentences += _about_overlap(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
-    return sentences
+    return sentences + coupling_advice(model, dt)
 
 
 def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array) -> Array:
@@ -132,15 +134,16 @@ def _about_overlap(model: "Environments", name: str, depth: Array, thrown: Array
 
 
 def _mass_and_speed(model: "Environments", contact: "Contact") -> tuple[Array, Array]:
-    """Returns the reduced mass [kg] and an impact speed to expect [m/s], (envs, 1)."""
+    """Returns the reduced mass [kg], as bodies may move, and an impact speed to expect [m/s], (envs, 1)."""
     mobility = np.zeros((model.envs, 1))
     speed = np.full((model.envs, 1), USUAL_SPEED)
     for body in (contact.points.body, contact.surface.body):
         if body is not None:
-            mobility += 1.0 / model[f"{body.name}.mass"][:, None]
+            mobility += mobility_of(model, contact, body).push
             velocity = np.linalg.norm(model[f"{body.name}.linear_velocity"], axis=1)[:, None]
             speed = np.maximum(speed, velocity)
-    return 1.0 / mobility, speed
+    # Of bodies that no force moves a mass that nothing stops.
+    return 1.0 / np.maximum(mobility, LEAST_MOBILITY), speed
 
 
 def _column(model: "Environments", name: str) -> Array:

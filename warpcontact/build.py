@@ -14,9 +14,11 @@ from warpcontact import elements as limits_of
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks, make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
-from warpcontact.couplings import Couplings
+from warpcontact.contact_couplings import ContactCouplings
+from warpcontact.couplings.sets import make_sets
 from warpcontact.devices import find_devices
 from warpcontact.draft import Draft, PartDraft
+from warpcontact.drives import add_motions
 from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
@@ -94,7 +96,7 @@ class _Common:
 def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     """Prepares the model of the environments on one device."""
     scene, contacts, blocks = common.scene, common.contacts, common.blocks
-    couplings = Couplings.order(scene.contact_couplings, contacts)
+    contact_couplings = ContactCouplings.order(scene.contact_couplings, contacts)
     t = types.structs(PRECISIONS[common.precision])
     layout = Layout(where)
     parameters = Parameters(where, t.real)
@@ -108,6 +110,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         initial=t.State(),
         state=layout.struct("state", t.State, bodies),
         wrenches=layout.struct("state", t.Wrenches, bodies),
+        ends=layout.struct("couplings", t.Ends, per_env(2 * len(scene.couplings))),
         history=layout.struct("contacts", t.History, each, records=records),
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
@@ -115,27 +118,36 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         status=None,
         time=None,
         instant=None,
+        constrained=None,
+        active=None,
         bodies=None,  # measures, allocated by the first reading that needs them
         points=None,
+        reactions=None,
+        coordinates=None,
     )
     layout.array("state", arrays, "status", wp.int32, per_env())
     layout.array("state", arrays, "time", wp.float64, per_env())
     layout.array("state", arrays, "instant", t.real, fixed(1, 1))
+    layout.array("state", arrays, "active", wp.int32, fixed(1))
     gravity = Field(scene.gravity[None])
     upload = parameters.upload(arrays.model, "gravity", t.vec3, lambda: gravity.values)
     parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [upload], tail=(3,))
     _add_bodies(scene, arrays, parameters, t)
+    drives = add_motions(scene, arrays, layout, parameters)
     _add_surfaces(scene, arrays, layout, parameters, t)
     places, moving = _add_points(scene, arrays, layout, parameters, t)
     following = upload_blocks(blocks, contacts, scene.bodies, arrays.model, layout, parameters, t, places)
     for parameter in moving:
         parameter.uploads.extend(following)
-    couplings.declare(arrays, layout, t)
-    couplings.upload_normals(arrays.model, sum(len(points.positions) for points in scene.points), parameters, t)
+    contact_couplings.declare(arrays, layout, t)
+    point_count = sum(len(points.positions) for points in scene.points)
+    contact_couplings.upload_normals(arrays.model, point_count, parameters, t)
     meshes = upload_patches(common.patches, arrays.model, layout, t)
-    _add_contacts(contacts, start_of, common.patches.of_contact, couplings, arrays, layout, parameters, t)
+    _add_contacts(contacts, start_of, common.patches.of_contact, contact_couplings, arrays, layout, parameters, t)
+    couplings = make_sets(scene, arrays, layout, parameters, t)
+    moves = any(body.motion.kind != types.FREE for body in scene.bodies)
     groups = [
-        make_group(group, start_of[group[0]], couplings, blocks, layout, parameters, t.real)
+        make_group(group, start_of[group[0]], contact_couplings, blocks, layout, parameters, t.real, moves)
         for group in common.groups
     ]
     return PartDraft(
@@ -147,8 +159,10 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         arrays=arrays,
         parameters=parameters,
         groups=groups,
+        couplings=couplings,
+        drives=drives,
         blocks=blocks,
-        readings=readings_of(scene, start_of, groups, couplings),
+        readings=readings_of(scene, start_of, groups, contact_couplings, couplings),
         meshes=meshes,
     )
 
@@ -204,6 +218,8 @@ def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t
         if key == "position":
             _add_remainder(parameters, field, uploads, arrays.initial, t)
     _add_orientation(parameters, bodies, arrays.initial, "body_orientation", t)
+    for key, unit in (("external_force", "N"), ("external_torque", "N·m")):
+        _add_vector(parameters, bodies, key, unit, model, f"body_{key}", t)
 
 
 def _add_points(
@@ -328,7 +344,7 @@ def _add_contacts(
     contacts: list[Contact],
     start_of: dict[Contact, int],
     patch_of: dict[Contact, int],
-    couplings: Couplings,
+    couplings: ContactCouplings,
     arrays: SimpleNamespace,
     layout: Layout,
     parameters: Parameters,

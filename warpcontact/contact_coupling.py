@@ -14,7 +14,7 @@ from warpcontact.meshes.quadrature import ORDERS, face_points
 from warpcontact.surface_contact import SIDES
 
 if TYPE_CHECKING:
-    from warpcontact.coupling_report import CouplingReport
+    from warpcontact.contact_coupling_report import CouplingReport
     from warpcontact.environments import Environments
     from warpcontact.scene import Scene
 
@@ -50,7 +50,7 @@ class ContactCoupling:
 
     def report(self, model: "Environments") -> "CouplingReport":
         """Returns how close the surfaces of each environment came since its reset, and over which area."""
-        from warpcontact.coupling_report import report
+        from warpcontact.contact_coupling_report import report
 
         return report(self, model)
 

@@ -15,6 +15,9 @@ from warpcontact.slices import Slice
 
 # Between two looks at whether somebody wants to interrupt [s]; the threads wait for each other then.
 _CHUNK = 0.1
+# Steps between two such looks at least, in whole graphs: on the CPU, and where a GPU has graphs.
+_FEWEST = 8
+_FEWEST_QUEUED = 32
 # Environment-steps below which starting threads takes longer than what they would save.
 ALONE = 4096
 
@@ -49,7 +52,8 @@ class Crew:
         self._threads = sum(members for _, members in self._teams)
         self._pool: ThreadPoolExecutor | None = None
         self._envs = sum(piece.envs for piece in slices)
-        self._chunk = 32
+        self._fewest = _FEWEST_QUEUED if self._queued else _FEWEST
+        self._chunk = self._fewest
 
     def step(self, count: int) -> Iterator[int]:
         """Takes ``count`` steps in all slices, some at a time; yields how many were taken so far.
@@ -69,7 +73,7 @@ class Crew:
                 yield done
             if took < 0.5 * _CHUNK and some == self._chunk:
                 self._chunk *= 2
-            elif took > 2.0 * _CHUNK and self._chunk > 32:
+            elif took > 2.0 * _CHUNK and self._chunk > self._fewest:
                 self._chunk //= 2
 
     def _step_all(self, count: int) -> None:

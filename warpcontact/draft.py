@@ -9,7 +9,10 @@ import warp as wp
 
 from warpcontact.arrays import Layout
 from warpcontact.blocks import Blocks
+from warpcontact.captures import beside_captures
+from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.devices import spread
+from warpcontact.drives import Drive
 from warpcontact.footprint import Footprint, Need, require, total
 from warpcontact.groups import Group, compile_group
 from warpcontact.model import Model
@@ -34,6 +37,8 @@ class PartDraft(OfScene):
         arrays: The arrays, once they are built.
         parameters: The parameters.
         groups: The contacts by the code of their laws and frictions.
+        couplings: The couplings by their code.
+        drives: The bodies that follow functions of time, by class.
         blocks: The contacts by what lies together.
         readings: What can be measured.
         meshes: What is searched, once it is built.
@@ -48,6 +53,8 @@ class PartDraft(OfScene):
     arrays: SimpleNamespace
     parameters: Parameters
     groups: list[Group]
+    couplings: list[CouplingSet]
+    drives: list[Drive]
     blocks: Blocks
     readings: dict[str, Reading]
     meshes: list[wp.Mesh]
@@ -57,14 +64,19 @@ class PartDraft(OfScene):
         """Returns what ``envs`` environments would take; ``varied`` are to have a value in each."""
         return self.layout.needs(envs) + needs_of(self.parameters.by_name, self.parameters.uploads, envs, varied)
 
+    @beside_captures()
     def build(self, envs: int) -> Model:
         """Returns the model of ``envs`` environments; once.
 
         Raises:
-            TypeError: If a law or friction does not compile.
+            TypeError: If a law, a friction, a spring or a motion does not compile.
         """
         for group in self.groups:
             compile_group(group, self.device, self.types.real)
+        for couplings in self.couplings:
+            couplings.compile(self.device)
+        for drive in self.drives:
+            drive.compile(self.device, self.types.real)
         self.layout.allocate(envs)
         return Model(
             scene=self.scene,
@@ -77,6 +89,8 @@ class PartDraft(OfScene):
             parameters=self.parameters.by_name,
             uploads=self.parameters.uploads,
             groups=self.groups,
+            couplings=self.couplings,
+            drives=self.drives,
             blocks=self.blocks,
             readings=self.readings,
             meshes=self.meshes,

@@ -12,6 +12,7 @@ from warpcontact.kernels.contact_force import Parts
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction, Frictionless
 from warpcontact.kernels.laws import Law
+from warpcontact.kernels.motions import Motion
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.topology import seen_from
 
@@ -100,6 +101,9 @@ class Body:
     orientation: Array
     linear_velocity: Array
     angular_velocity: Array
+    external_force: Array
+    external_torque: Array
+    motion: Motion
     color: Array | None
 
 

@@ -2,7 +2,7 @@
 
 import difflib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,8 +10,12 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array
-from warpcontact.footprint import Footprint, total
+from warpcontact.couplings.catenaries import CatenarySet
+from warpcontact.couplings.elements import Catenary
+from warpcontact.devices import spread
+from warpcontact.footprint import Footprint, require, total
 from warpcontact.health import Health
+from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
@@ -52,6 +56,10 @@ class Environments(ABC):
             first = part.first_env - self.first_env
             yield part, slice(first, first + part.envs)
 
+    def shares_of(self, envs: int) -> list[tuple["Model", int]]:
+        """Returns the parts over which ``envs`` environments would be split, each with how many it would have."""
+        return list(zip(self.parts, spread(envs, len(self.parts)), strict=False))
+
     @property
     def devices(self) -> tuple[wp.Device, ...]:
         """The Warp device of each part."""
@@ -82,6 +90,7 @@ class Environments(ABC):
         Raises:
             KeyError: If there is no such parameter.
             ValueError: If the value is not allowed; nothing is changed then.
+            MemoryError: If one value per environment takes more memory than there is; nothing is changed then.
         """
         self.assign(name, self.find_parameter(name).parse(value, self.envs))
 
@@ -91,10 +100,13 @@ class Environments(ABC):
         Raises:
             KeyError: If there is no such parameter.
             ValueError: If the values do not fit into the precision of the device; nothing is changed then.
+            MemoryError: If they take more memory than there is; nothing is changed then.
         """
         self.find_parameter(name)
         shared = len(values) == 1
         changed = [(part, part.parameters[name], own) for part, own in self.shares()]
+        if not shared and any(parameter.field.shared for _, parameter, _ in changed):
+            self._require_values(name)
         before = [parameter.field.copy() for _, parameter, _ in changed]
         try:
             for part, parameter, own in changed:
@@ -112,6 +124,17 @@ class Environments(ABC):
             raise
         if self.at_start and any(part.starts_from(parameter) for part, parameter, _ in changed):
             self.reset()
+
+    def _require_values(self, name: str) -> None:
+        """Raises ``MemoryShortage`` if there is no room for a value of ``name`` in each environment."""
+
+        def footprint(envs: int) -> Footprint:
+            return total(
+                Footprint(own, str(part.device), tuple(part.parameters[name].widening(own)))
+                for part, own in self.shares_of(envs)
+            )
+
+        require(footprint, self.envs, f"for a value of {name} in each, ")
 
     def __contains__(self, name: object) -> bool:
         return name in self.parts[0].parameters
@@ -132,11 +155,13 @@ class Environments(ABC):
         if name in self.parts[0].readings:
             raise KeyError(f"{name!r} is a reading, not a parameter; use model.reading({name!r})")
         element, _, quantity = name.rpartition(".")
-        for contact in self.scene.contacts:
-            for part, formula in contact.template.formulas.items():
-                if element == f"{contact.name}.{part}" and quantity in formula.__dataclass_fields__:
+        owners = {contact.name: contact.template.formulas for contact in self.scene.contacts}
+        owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
+        for owner, formulas in owners.items():
+            for part, formula in formulas.items():
+                if element == f"{owner}.{part}" and quantity in formula.varying():
                     raise KeyError(
-                        f"no parameter {name!r}: the {type(formula).__name__} of {contact.name!r} was made "
+                        f"no parameter {name!r}: the {type(formula).__name__} of {owner!r} was made "
                         f"without {quantity}; it has {', '.join(formula.parameters())}"
                     )
         return _look_up("parameter", name, parameters)
@@ -195,18 +220,101 @@ class Environments(ABC):
 
         Raises:
             KeyError: If there is no such reading.
+            MemoryError: If what it is measured into is more than there is.
         """
         needs = {*self.find_reading(name).needs}
+        self.make_measures(needs)
         # All parts are at work before the first is waited for.
         for part in self.parts:
             part.prepare(needs)
         return self.measured(name)
+
+    def make_measures(self, needs: Set[str]) -> None:
+        """Allocates what readings are measured into, by their ``needs``, if it is not there yet.
+
+        Raises:
+            MemoryError: If that is more than there is.
+        """
+        missing = [
+            name
+            for name in MEASURES
+            if name in needs and any(getattr(part.arrays, name) is None for part in self.parts)
+        ]
+        if not missing:
+            return
+
+        def footprint(envs: int) -> Footprint:
+            return total(
+                Footprint(own, str(part.device), tuple(part.measures_needs(part.device, missing, own)))
+                for part, own in self.shares_of(envs)
+            )
+
+        require(footprint, self.envs, "to measure them, ")
+        for part in self.parts:
+            part.add_measures(missing)
 
     def measured(self, name: str) -> NDArray[Any]:
         """Returns reading ``name`` as it was computed last, in a new array."""
         # On the CPU what is read is a view of memory that the next step overwrites; this copies it.
         values = [part.readings[name].array(part.arrays).numpy() for part in self.parts]
         return self.find_reading(name).finish(np.concatenate(values))
+
+    def line_shape(self, name: str, count: int = 50) -> NDArray[np.float64]:
+        """Returns where a catenary is at the current state, to be drawn.
+
+        Args:
+            name: Its name.
+            count: Number of points, evenly along its unstretched length from end a to end b, at least 2.
+
+        Returns:
+            Places (envs, count, 3), world [m]. More of a line on the floor than it takes is drawn straight.
+
+        Raises:
+            KeyError: If there is no such catenary.
+        """
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 2:
+            raise ValueError(f"count must be a whole number of at least 2, got {count!r}")
+        self.evaluate()
+        return np.concatenate([lines.shape(part, item, count) for part, lines, item in self._lines(name)])
+
+    def line_stiffness(self, name: str) -> NDArray[np.float64]:
+        """Returns the derivative of the force on end b of a catenary by the place of that end.
+
+        Of an end that lies on the floor, as it slides there.
+
+        Args:
+            name: Its name.
+
+        Returns:
+            Symmetric matrices (envs, 3, 3), world [N/m].
+
+        Raises:
+            KeyError: If there is no such catenary.
+        """
+        self.evaluate()
+        return np.concatenate([lines.stiffness(part, item) for part, lines, item in self._lines(name)])
+
+    def _lines(self, name: str) -> "list[tuple[Model, CatenarySet, int]]":
+        """Returns each part with the set that has the catenary, and its place there."""
+        _look_up("catenary", name, {one.name: one for one in self.scene.couplings if isinstance(one, Catenary)})
+        return [
+            (part, lines, item)
+            for part in self.parts
+            for lines in part.couplings
+            if isinstance(lines, CatenarySet)
+            for item, one in enumerate(lines.couplings)
+            if one.name == name
+        ]
+
+    def failed_lines(self) -> dict[str, int]:
+        """Returns in how many environments a catenary was without a solution since reset; of those that were."""
+        counts = {}
+        for one in self.scene.couplings:
+            if isinstance(one, Catenary):
+                failures = [lines.failures(item) for _, lines, item in self._lines(one.name)]
+                if failed := int(np.count_nonzero(np.concatenate(failures))):
+                    counts[one.name] = failed
+        return counts
 
     def health(self) -> Health:
         """Returns which environments are frozen."""

@@ -16,3 +16,15 @@ def placed(points: Array, position: Array, orientation: Array) -> Array:
     axis, angle = orientation[..., None, :3], orientation[..., None, 3:]
     turn = 2.0 * np.cross(axis, points)
     return points + angle * turn + np.cross(axis, turn) + position[..., None, :]
+
+
+def product(first: Array, second: Array) -> Array:
+    """Returns the quaternions (…, 4) of two rotations one after the other, ``second`` before ``first``."""
+    a, p = first[..., :3], first[..., 3:]
+    b, q = second[..., :3], second[..., 3:]
+    return np.concatenate([p * b + q * a + np.cross(a, b), p * q - (a * b).sum(axis=-1, keepdims=True)], axis=-1)
+
+
+def inverse(orientation: Array) -> Array:
+    """Returns the quaternions (…, 4) of the rotations back."""
+    return orientation * np.array([-1.0, -1.0, -1.0, 1.0])

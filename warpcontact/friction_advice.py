@@ -8,6 +8,7 @@ import warp as wp
 from warpcontact.checks import Array
 from warpcontact.kernels import steepness
 from warpcontact.kernels.frictions import Frictionless
+from warpcontact.mobility import mobility_of
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 LOOKED_AT = 4096
 # Impact speed that estimates assume of bodies that start slower [m/s].
 USUAL_SPEED = 1.0
+# Bodies that yield less than this to a force cannot be moved by it [1/kg].
+LEAST_MOBILITY = 1.0e-20
 
 
 def friction_advice(model: "Environments", contact: "Contact", dt: float) -> list[str]:
@@ -39,6 +42,8 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     if not parts:
         return []
     mobility = {name: values[:envs] for name, values in _mobilities(model, contact).items()}
+    if (mobility["load"] < LEAST_MOBILITY).any():
+        return []  # nothing rests here by its weight
     gravity = np.linalg.norm(model["scene.gravity"][:envs], axis=1)[:, None]
     load = np.broadcast_to(gravity / mobility["load"] / contact.count, (envs, contact.count))
     # A sphere's patch under that load is a matter of the law; a depth of a thousandth of the radius is usual.
@@ -110,15 +115,13 @@ def _mobilities(model: "Environments", contact: "Contact") -> dict[str, Array]:
     for body in (contact.points.body, contact.surface.body):
         if body is None:
             continue
-        mass = model[f"{body.name}.mass"][:, None]
-        least = np.diagonal(model[f"{body.name}.inertia"], axis1=1, axis2=2).min(axis=1)[:, None]
-        lever = reach if body is contact.points.body else 0.0
-        total["load"] = total["load"] + 1.0 / mass
-        total["friction"] = total["friction"] + 1.0 / mass + lever**2 / least
-        total["rolling"] = total["rolling"] + radius**2 / least
-        total["torsion"] = total["torsion"] + arm**2 / least
-    with np.errstate(divide="ignore"):
-        return {key: np.maximum(values, np.finfo(np.float64).tiny) for key, values in total.items()}
+        own = mobility_of(model, contact, body)
+        lever = reach if body is contact.points.body and own.turns_by_push else 0.0
+        total["load"] = total["load"] + own.push
+        total["friction"] = total["friction"] + own.push + lever**2 * own.turn
+        total["rolling"] = total["rolling"] + radius**2 * own.turn
+        total["torsion"] = total["torsion"] + arm**2 * own.turn
+    return {key: np.maximum(values, np.finfo(np.float64).tiny) for key, values in total.items()}
 
 
 def _radius(model: "Environments", contact: "Contact") -> Array:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks
-from warpcontact.couplings import Couplings
+from warpcontact.contact_couplings import ContactCouplings
+from warpcontact.formula_errors import explained
 from warpcontact.kernels import contact_force
 from warpcontact.kernels.contact_force import Parts, group_structs
 from warpcontact.kernels.formula import Formula, coefficient_struct
@@ -86,13 +87,17 @@ def by_code(contacts: Sequence[Contact]) -> list[list[Contact]]:
 def make_group(
     contacts: list[Contact],
     first: int,
-    couplings: Couplings,
+    couplings: ContactCouplings,
     blocks: Blocks,
     layout: Layout,
     parameters: Parameters,
     real: type,
+    moves: bool,
 ) -> Group:
-    """Adds the parameters of the laws and frictions of ``contacts``, and the memory that these have."""
+    """Adds the parameters of the laws and frictions of ``contacts``, and the memory that these have.
+
+    ``moves`` says whether any body of the scene is not free.
+    """
     parts, projected = contacts[0].code
     Coefficients, Memory = group_structs(parts, real)
     coefficients, memory, kept = Coefficients(), Memory(), Memory()
@@ -103,7 +108,9 @@ def make_group(
             # Never looked at if the formula remembers nothing.
             shape = per_env(count) if formula.memories else fixed(1, 1)
             layout.array("contacts", target, part, memory_struct(formula, real), shape)
-    kernel = contact_force.kernel(parts, real, projected)
+    # Only a mass depends on how bodies may move.
+    moves = moves and parts.law.needs_mass
+    kernel = contact_force.kernel(parts, real, moves, projected)
     return Group(
         parts,
         projected,
@@ -124,37 +131,18 @@ def compile_group(group: Group, device: wp.Device, real: type) -> None:
     Raises:
         TypeError: If a law or friction does not compile.
     """
-    parts = group.parts
-    try:
-        group.kernel.module.load(device, block_dim=None if device.is_cuda else 1)
-    except Exception as error:
-        text = str(error).replace("\\n", "\n")
-        hint = ""
-        if "types must be the same" in text:
-            hint = (
-                "\nConstants take the precision of the simulation when written as type(c.delta)(1.5) in a law, "
-                "type(s.speed)(1.5) in a friction."
-            )
-        elif "array_store" in text:
-            hint = "\nThe force of a law is a number, that of a friction a vector."
-        present = {part: formula for part, formula in parts._asdict().items() if formula is not Frictionless}
-        named = " with ".join(f"{part} {formula.__name__}" for part, formula in present.items())
-        raise TypeError(
-            f"{named} does not compile in {real.__name__}: {text}\n"
-            + "\n".join(_what_is_there(part, formula, real) for part, formula in present.items())
-            + hint
-        ) from error
-
-
-def _what_is_there(part: str, formula: type[Formula], real: type) -> str:
-    """Returns in words what the functions of ``formula`` are given."""
     t = structs(real)
-    state, seen = ("c", t.Touch) if part == "law" else ("s", t.Slip)
-    given = {"p": formula.device_names() or ("nothing",), state: tuple(seen.vars)}
-    if formula.memories:
-        given["m"] = (*formula.memories, "elapsed")
-    parts = [f"{letter} has {', '.join(names)}" for letter, names in given.items()]
-    return f"In the {part}, {'; '.join(parts)}."
+    parts = group.parts._asdict()
+    present = {part: formula for part, formula in parts.items() if formula is not Frictionless}
+    with explained(
+        present,
+        real,
+        lambda part: ("c", t.Touch) if part == "law" else ("s", t.Slip),
+        "\nConstants take the precision of the simulation when written as type(c.delta)(1.5) in a law, "
+        "type(s.speed)(1.5) in a friction.",
+        "\nThe force of a law is a number, that of a friction a vector.",
+    ):
+        group.kernel.module.load(device, block_dim=None if device.is_cuda else 1)
 
 
 def _add_formula(
@@ -162,7 +150,7 @@ def _add_formula(
     part: str,
     formula: type[Formula],
     target: Any,
-    couplings: Couplings,
+    couplings: ContactCouplings,
     parameters: Parameters,
     real: type,
 ) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from warpcontact.kernels import integrate
+from warpcontact.kernels.motions import step
 
 
 class Integrator(ABC):
@@ -15,14 +16,25 @@ class Integrator(ABC):
     order: int
 
     @abstractmethod
-    def kernel(self, real: type) -> wp.Kernel:
-        """Returns the kernel (work, status, dt, model, state_in, wrenches, state_out); items: bodies."""
+    def kernel(self, real: type, moves: bool = False) -> wp.Kernel:
+        """Returns the kernel (work, status, dt, model, state_in, wrenches, state_out); items: bodies.
 
-    def change_step(self, real: type) -> wp.Kernel | None:
+        With ``moves`` it leaves bodies that are not free to the kernels of ``motions``.
+        """
+
+    @abstractmethod
+    def motions(self, real: type) -> wp.Kernel:
+        """Returns the kernel of constrained bodies; items: ``members``.
+
+        It takes (work, status, dt, model, members, state_in, wrenches, state_out).
+        """
+
+    def change_step(self, real: type, moves: bool = False) -> wp.Kernel | None:
         """Returns the kernel (work, status, change, model, wrenches, state) between unequal steps.
 
         It readies ``state`` for a step that is longer by ``change`` [s] than the last. ``None``: a state does not
-        depend on the step that led to it.
+        depend on the step that led to it. With ``moves`` it leaves bodies that are not free to the kernels of
+        ``motions``.
         """
         return None
 
@@ -36,13 +48,17 @@ class SemiImplicitEuler(Integrator):
 
     order = 1
 
-    def kernel(self, real: type) -> wp.Kernel:
+    def kernel(self, real: type, moves: bool = False) -> wp.Kernel:
         """Returns the kernel for precision ``real``."""
-        return integrate.semi_implicit_euler(real)
+        return integrate.semi_implicit_euler(real, moves)
 
-    def change_step(self, real: type) -> wp.Kernel:
+    def motions(self, real: type) -> wp.Kernel:
+        """Returns the kernel of constrained bodies for precision ``real``."""
+        return step.semi_implicit_euler(real)
+
+    def change_step(self, real: type, moves: bool = False) -> wp.Kernel:
         """Returns the kernel for precision ``real``; velocities are half a step behind the positions."""
-        return integrate.change_step(real)
+        return integrate.change_step(real, moves)
 
 
 __all__ = ["Integrator", "SemiImplicitEuler"]

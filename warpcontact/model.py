@@ -1,6 +1,6 @@
 """A built scene: parameters, state and memory of many environments on one device."""
 
-from collections.abc import Iterable, Set
+from collections.abc import Collection, Iterable, Set
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, broadcast
 from warpcontact.blocks import Blocks
+from warpcontact.captures import beside_captures
+from warpcontact.couplings.coupling_set import CouplingSet
+from warpcontact.drives import Drive
 from warpcontact.environments import Environments
-from warpcontact.footprint import Footprint, Need, require
+from warpcontact.footprint import Need
 from warpcontact.groups import Group
 from warpcontact.of_scene import MEASURES, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
@@ -43,6 +46,19 @@ class State:
     body_angular_velocity: wp.array
 
 
+@dataclass(frozen=True)
+class External:
+    """Forces from outside on all bodies: Warp arrays (envs, bodies), to be written between steps.
+
+    Attributes:
+        force: Force at the centre of mass, world [N].
+        torque: Torque, world axes [N·m].
+    """
+
+    force: wp.array
+    torque: wp.array
+
+
 class Model(Environments, OfScene):
     """Many environments of one scene on a device. Made by ``Scene.build``.
 
@@ -71,6 +87,8 @@ class Model(Environments, OfScene):
         parameters: dict[str, Parameter],
         uploads: list[Upload],
         groups: list[Group],
+        couplings: list[CouplingSet],
+        drives: list[Drive],
         blocks: Blocks,
         readings: dict[str, Reading],
         meshes: list[wp.Mesh],
@@ -83,6 +101,8 @@ class Model(Environments, OfScene):
         self.layout = layout
         self.arrays = arrays
         self.groups = groups
+        self.couplings = couplings
+        self.drives = drives
         self.blocks = blocks
         self.parameters = parameters
         self.first_env = 0
@@ -96,7 +116,10 @@ class Model(Environments, OfScene):
         self._meshes = meshes  # kept alive: a kernel only holds their ids
         # Step of 0 [env, 0]: for the forces of an instant.
         self.no_step = broadcast(arrays.instant, envs)
+        # Status [env] of environments that are all active: a frozen one can be measured as well.
+        self._all_active = broadcast(arrays.active, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
+        self._handed_out = False
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
         self.send(uploads, (upload.content() for upload in uploads))
         self._state = State(**{name: getattr(arrays.state, name) for name in types.State.vars})
@@ -112,13 +135,37 @@ class Model(Environments, OfScene):
         """The current state: arrays (envs, bodies)."""
         return self._state
 
+    @property
+    def external(self) -> External:
+        """Forces from outside as arrays, to be written between steps without a copy.
+
+        From the first look at them each environment has its own. To set ``<body>.external_force`` or
+        ``<body>.external_torque`` afterwards writes all of its array anew.
+        """
+        if not self._handed_out:
+            self._handed_out = True
+            for quantity in ("external_force", "external_torque"):
+                name = f"{self.scene.bodies[0].name}.{quantity}"
+                self.assign(name, self[name][:, None])
+        model = self.arrays.model
+        return External(force=model.body_external_force, torque=model.body_external_torque)
+
+    def _is_pushed(self) -> bool:
+        names = [f"{self.scene.bodies[0].name}.{quantity}" for quantity in ("external_force", "external_torque")]
+        return self._handed_out or any(bool(self.parameters[name].field.values.any()) for name in names)
+
     def starts_from(self, parameter: Parameter) -> bool:
         """Whether ``parameter`` says where the state begins."""
-        return any(upload.struct is self.arrays.initial for upload in parameter.uploads)
+        starts = [self.arrays.initial, *(drive.arrays for drive in self.drives)]
+        return any(
+            upload.attribute == "body_motion" or any(upload.struct is start for start in starts)
+            for upload in parameter.uploads
+        )
 
+    @beside_captures()
     def restart(self, mask: NDArray[np.bool_]) -> None:
         """Puts the environments of ``mask`` (envs,) back to their initial state, with empty history."""
-        from warpcontact.kernels import coupling, reset
+        from warpcontact.kernels import contact_coupling, reset
 
         a = self.arrays
         chosen = wp.array(mask, dtype=wp.bool, device=self.device)
@@ -143,7 +190,7 @@ class Model(Environments, OfScene):
         )
         if a.reached is not None:
             wp.launch(
-                coupling.forget(self.types.real),
+                contact_coupling.forget(self.types.real),
                 dim=(self.envs, len(self.scene.contact_couplings)),
                 inputs=[chosen, a.reached],
                 device=self.device,
@@ -156,43 +203,57 @@ class Model(Environments, OfScene):
                     inputs=[chosen, memory],
                     device=self.device,
                 )
+        for couplings in self.couplings:
+            couplings.restart(chosen, self.envs)
+        if self.moves:
+            self._start_motions(chosen)
+
+    def _start_motions(self, chosen: wp.array) -> None:
+        """Takes off velocities that joints do not allow, and puts what follows a function of time to its start."""
+        from warpcontact.kernels.motions import driven, project
+
+        a, real = self.arrays, self.types.real
+        shape = (self.envs, self.body_count)
+        wp.launch(project.kernel(real), dim=shape, inputs=[chosen, a.model, a.state], device=self.device)
+        for drive in self.drives:
+            wp.launch(
+                driven.start(drive.motion, real),
+                dim=(self.envs, drive.count),
+                inputs=[chosen, a.time, a.model, *drive.inputs, a.state],
+                device=self.device,
+            )
 
     def _evaluate(self) -> None:
         if self._evaluation[0] != self.revision:
             everything = Span(self, 0, self.envs, cached=False, ordered=True)
-            self._evaluation = (self.revision, force_stages(everything, self.arrays.state, self.no_step))
+            stages = force_stages(everything, self.arrays.state, self.no_step, self._all_active)
+            self._evaluation = (self.revision, stages)
         for launch in self._evaluation[1]:
             launch.launch()
 
+    @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
-        """Computes what readings of the current state need, by their ``needs``."""
-        self.make_measures(needs)
-        if not needs.isdisjoint(("contacts", "points", "couplings")):
+        """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
+        if not needs.isdisjoint(("contacts", "points", "contact_couplings")):
             self._evaluate()
         if "bodies" in needs:
             self._measure_bodies()
         if "points" in needs:
             self._measure_points()
-        if "couplings" in needs:
-            self._measure_couplings()
+        if "reactions" in needs:
+            self._measure_reactions()
+        if "coordinates" in needs:
+            self._measure_coordinates()
+        if "contact_couplings" in needs:
+            self._measure_contact_couplings()
 
-    def make_measures(self, needs: Set[str]) -> None:
-        """Allocates what readings are measured into, by their ``needs``, if it is not there yet.
-
-        Raises:
-            MemoryError: If that is more than there is.
-        """
-        missing = [name for name in MEASURES if name in needs and getattr(self.arrays, name) is None]
-        if not missing:
-            return
-
-        def footprint(envs: int) -> Footprint:
-            return Footprint(envs, str(self.device), tuple(self.measures_needs(self.device, missing, envs)))
-
-        require(footprint, self.envs)
-        for name in missing:
-            setattr(self.arrays, name, MEASURES[name](self.layout, self))
+    @beside_captures()
+    def add_measures(self, names: Collection[str]) -> None:
+        """Allocates those of ``MEASURES`` with ``names`` that are not there yet."""
+        made = {name: MEASURES[name](self.layout, self) for name in names if getattr(self.arrays, name) is None}
         self.layout.allocate(self.envs)
+        for name, arrays in made.items():
+            setattr(self.arrays, name, arrays)
 
     def needs(self) -> list[Need]:
         """Returns what its arrays take, on the device and on the host."""
@@ -213,13 +274,35 @@ class Model(Environments, OfScene):
         inputs = [a.model, a.state, a.contacts]
         wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.points], device=self.device)
 
-    def _measure_couplings(self) -> None:
-        from warpcontact.kernels import coupling
+    def _measure_reactions(self) -> None:
+        from warpcontact.kernels.motions import driven, measures
+
+        a, real = self.arrays, self.types.real
+        for drive in self.drives:
+            wp.launch(
+                driven.accelerate(drive.motion, real),
+                dim=(self.envs, drive.count),
+                inputs=[a.time, a.model, *drive.inputs],
+                outputs=[a.reactions.linear, a.reactions.angular],
+                device=self.device,
+            )
+        inputs, shape = [a.model, a.state, a.wrenches], (self.envs, self.body_count)
+        wp.launch(measures.reactions(real), dim=shape, inputs=inputs, outputs=[a.reactions], device=self.device)
+
+    def _measure_coordinates(self) -> None:
+        from warpcontact.kernels.motions import measures
+
+        a, shape = self.arrays, (self.envs, self.body_count)
+        kernel = measures.coordinates(self.types.real)
+        wp.launch(kernel, dim=shape, inputs=[a.model, a.state], outputs=[a.coordinates], device=self.device)
+
+    def _measure_contact_couplings(self) -> None:
+        from warpcontact.kernels import contact_coupling
 
         a, shape = self.arrays, (self.envs, len(self.scene.contact_couplings))
-        kernel = coupling.measure(self.types.real)
-        inputs = [a.model, a.state, a.contacts, a.sets]
-        wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.couplings], device=self.device)
+        kernel = contact_coupling.measure(self.types.real)
+        inputs = [a.model, a.state, a.contacts, a.coupling_contacts]
+        wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.contact_couplings], device=self.device)
 
     def group_of(self, contact: Contact) -> tuple[Group, int]:
         """Returns the group that ``contact`` is computed in, and the index of its first item there."""
@@ -227,11 +310,16 @@ class Model(Environments, OfScene):
         group = next(group for group in self.groups if (group.parts, group.projected) == contact.code)
         return group, sum(other.count for other in own[: own.index(contact)])
 
+    @beside_captures()
     def send(self, uploads: Iterable[Upload], contents: Iterable[NDArray[Any]]) -> None:
         """Puts the content of each of ``uploads`` into its array on the device."""
         for upload, content in zip(uploads, contents, strict=True):
             if upload.send(content, self.envs):
                 self.revision += 1
+        # Steps without them do not look for them.
+        if self.pushed != (pushed := self._is_pushed()):
+            self.pushed = pushed
+            self.revision += 1
         # What was known of distances may not hold for other radii, poses or meshes.
         cache = self.arrays.cache
         for known in (cache.set_wake, cache.block_wake, cache.wake, cache.faces):

@@ -8,7 +8,9 @@ import warp as wp
 
 from warpcontact.arrays import Layout, per_env
 from warpcontact.footprint import Need
-from warpcontact.kernels import coupling, measures
+from warpcontact.kernels import contact_coupling, measures
+from warpcontact.kernels.motions.measures import Coordinates, Reactions
+from warpcontact.kernels.types import DRIVEN, FREE
 from warpcontact.scene import Scene
 
 
@@ -37,6 +39,21 @@ class OfScene:
         """Whether any contact stays with what it touched."""
         return self.sweeps or any(contact.entry == "latched" for contact in self.scene.contacts)
 
+    @cached_property
+    def pushed(self) -> bool:
+        """Whether there are forces from outside."""
+        return any(body.external_force.any() or body.external_torque.any() for body in self.scene.bodies)
+
+    @cached_property
+    def moves(self) -> bool:
+        """Whether any body is not free."""
+        return any(body.motion.kind != FREE for body in self.scene.bodies)
+
+    @cached_property
+    def constrained_count(self) -> int:
+        """Number of bodies that are neither free nor follow a function of time."""
+        return sum(body.motion.kind not in (FREE, DRIVEN) for body in self.scene.bodies)
+
     def measures_needs(self, device: wp.Device, needs: Collection[str], envs: int) -> list[Need]:
         """Returns what ``envs`` environments take that readings with these ``needs`` are measured into."""
         layout = Layout(device)
@@ -54,13 +71,24 @@ def _points(layout: Layout, model: OfScene) -> Any:
     return layout.struct("measures", measures.Points, per_env(model.contact_count))
 
 
-def _couplings(layout: Layout, model: OfScene) -> Any:
-    return layout.struct("measures", coupling.Couplings, per_env(len(model.scene.contact_couplings)))
+def _reactions(layout: Layout, model: OfScene) -> Any:
+    return layout.struct("measures", Reactions, per_env(model.body_count))
+
+
+def _coordinates(layout: Layout, model: OfScene) -> Any:
+    return layout.struct("measures", Coordinates, per_env(model.body_count))
+
+
+def _contact_couplings(layout: Layout, model: OfScene) -> Any:
+    shape = per_env(len(model.scene.contact_couplings))
+    return layout.struct("measures", contact_coupling.ContactCouplings, shape)
 
 
 #: How to declare what readings are measured into, by what they need.
 MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {
     "bodies": _bodies,
     "points": _points,
-    "couplings": _couplings,
+    "reactions": _reactions,
+    "coordinates": _coordinates,
+    "contact_couplings": _contact_couplings,
 }

@@ -144,6 +144,15 @@ class Parameter:
         values = np.broadcast_to(values, (envs, *values.shape[1:]))
         return values[:, 0] if self.single else values
 
+    def widening(self, envs: int) -> list[Need]:
+        """Returns what it takes to have a value in each of ``envs`` environments, shared so far."""
+        row = row_bytes(self.field.values)
+        needs = [Need("parameters", HOST, envs * row, row)]
+        for upload in self.uploads:
+            if not upload.wide:
+                needs.append(Need("parameters", str(upload.device), *upload.size(envs, varied=True)))
+        return needs
+
 
 class Upload:
     """One device array of a struct, and how its content follows from fields.
@@ -172,6 +181,11 @@ class Upload:
         self._memory: wp.array | None = None
         self._row_bytes: int | None = None
 
+    @property
+    def wide(self) -> bool:
+        """Whether each environment has values of its own."""
+        return self._memory is not None and self._memory.shape[0] > 1
+
     def size(self, envs: int, varied: bool = False) -> tuple[int, int]:
         """Returns what the array takes, and what of it is for each environment [bytes].
 
@@ -181,7 +195,7 @@ class Upload:
         """
         if self._row_bytes is None:
             self._row_bytes = row_bytes(self.compute())
-        own = varied or (self._memory is not None and self._memory.shape[0] > 1)
+        own = varied or self.wide
         return (envs if own else 1) * self._row_bytes, self._row_bytes if own else 0
 
     def content(self) -> NDArray[Any]:
@@ -267,12 +281,12 @@ def needs_of(
 
 
 def pack(struct: Any, columns: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-    """Returns a structured array for a Warp struct from one array (1 or envs, items) per field."""
+    """Returns a structured array for a Warp struct from one array (1 or envs, items, …) per field."""
     envs = max(len(column) for column in columns.values())
     items = max(column.shape[1] for column in columns.values())
     packed = np.zeros((envs, items), dtype=struct.numpy_dtype())
     for name, column in columns.items():
-        packed[name] = rounded(name, column, packed.dtype[name])
+        packed[name] = rounded(name, column, packed.dtype[name].base)
     return packed
 
 

@@ -2,16 +2,22 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact.couplings import Couplings
+from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.groups import Group
+from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
 from warpcontact.scene import Contact, Scene
 from warpcontact.status import Status
+
+if TYPE_CHECKING:
+    from warpcontact.couplings.coupling_set import CouplingSet
 
 AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
 
@@ -22,7 +28,7 @@ _BODY_STATE = {
     "angular_velocity": ("body_angular_velocity", "rad/s", "angular velocity, world axes"),
 }
 _BODY_WRENCH = {
-    "force": ("force", "N", "sum of the contact forces, world"),
+    "force": ("force", "N", "sum of all forces but gravity, world"),
     "torque": ("torque", "N·m", "sum of their moments about the centre of mass, world axes"),
 }
 # In float64 whatever the precision: sums, and places far from the origin.
@@ -31,6 +37,14 @@ _BODY_MEASURE = {
     "potential_energy": ("potential_energy", "J", "potential energy of gravity, 0 at the world's origin"),
     "linear_momentum": ("linear_momentum", "kg·m/s", "linear momentum, world"),
     "angular_momentum": ("angular_momentum", "kg·m²/s", "angular momentum about the world's origin"),
+}
+_HINGE = {
+    "angle": ("coordinates", "angle", "rad", "angle from the initial pose about the axis, −π to π"),
+    "angle_rate": ("coordinates", "angle_rate", "rad/s", "angular velocity about the axis"),
+}
+_SLIDER = {
+    "displacement": ("coordinates", "displacement", "m", "way from the initial position along the axis"),
+    "displacement_rate": ("coordinates", "displacement_rate", "m/s", "velocity along the axis"),
 }
 _CONTACT = {
     "gap": ("gap", "m", "signed distance, negative in overlap"),
@@ -48,8 +62,8 @@ _SWEPT = {
     "crossing_time": ("crossing_time", "s", "time of the first of them since reset; NaN: none"),
 }
 _COUPLING = {
-    "force": ("couplings", "force", "N", "force on the body of its first surface, world"),
-    "torque": ("couplings", "torque", "N·m", "its moment about the centre of mass of that body, world axes"),
+    "force": ("contact_couplings", "force", "N", "force on the body of its first surface, world"),
+    "torque": ("contact_couplings", "torque", "N·m", "its moment about the centre of mass of it, world axes"),
     "effective_area": (
         "reached",
         "effective_area",
@@ -75,9 +89,11 @@ class Reading:
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
         needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, contact
-            ``"points"``, or the forces of ``"couplings"``.
+            ``"points"``, of motions ``"reactions"`` and ``"coordinates"``, or the forces of
+            ``"contact_couplings"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
+        codes: What its numbers stand for.
     """
 
     name: str
@@ -87,6 +103,17 @@ class Reading:
     needs: tuple[str, ...] = ()
     items: int = 0
     total: bool = False
+    codes: type[IntEnum] | None = None
+
+    @property
+    def flags(self) -> dict[str, Any]:
+        """CF attributes that explain its codes; none if they are no codes."""
+        if self.codes is None:
+            return {}
+        return {
+            "flag_values": [int(code) for code in self.codes],
+            "flag_meanings": " ".join(code.name for code in self.codes),
+        }
 
     def finish(self, values: NDArray[Any], axis: int = 1) -> NDArray[Any]:
         """Returns what is reported from what was read; ``axis`` is the item axis."""
@@ -94,7 +121,11 @@ class Reading:
 
 
 def readings_of(
-    scene: Scene, start_of: Mapping[Contact, int], groups: Sequence[Group], couplings: Couplings
+    scene: Scene,
+    start_of: Mapping[Contact, int],
+    groups: Sequence[Group],
+    contact_couplings: ContactCouplings,
+    couplings: "Sequence[CouplingSet]",
 ) -> dict[str, Reading]:
     """Returns all readings of a scene by name.
 
@@ -102,7 +133,8 @@ def readings_of(
         scene: The scene.
         start_of: Where a contact's values begin.
         groups: What its contacts are computed in.
-        couplings: Its contact couplings.
+        contact_couplings: Its contact couplings.
+        couplings: Its other couplings.
     """
     table: dict[str, Reading] = {}
 
@@ -123,6 +155,10 @@ def readings_of(
         for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
             array = column("bodies", attribute, body.index)
             add(f"{body.name}.{key}", unit, meaning, array, needs=("bodies",))
+        for key, (need, attribute, unit, meaning) in motion_readings(body.motion).items():
+            array = column(need, attribute, body.index)
+            needs = ("contacts", need) if need == "reactions" else (need,)
+            add(f"{body.name}.{key}", unit, meaning, array, needs=needs)
     for contact in scene.contacts:
         single = contact.points.single
         start = start_of[contact]
@@ -133,7 +169,8 @@ def readings_of(
         add(f"{contact.name}.point", "m", meaning, place, needs=("points",), items=count)
         for key, (attribute, unit, meaning) in _CONTACT.items():
             array = column("contacts", attribute, items)
-            add(f"{contact.name}.{key}", unit, meaning, array, needs=("contacts",), items=count)
+            codes = Status if key == "status" else None
+            add(f"{contact.name}.{key}", unit, meaning, array, needs=("contacts",), items=count, codes=codes)
         group = next(group for group in groups if group.first <= start < group.first + group.count)
         for part, formula in contact.template.formulas.items():
             for key, memory in formula.memories.items():
@@ -151,19 +188,27 @@ def readings_of(
                 )
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
             add(f"{contact.name}.{key}", unit, meaning, column("history", attribute, items), items=count)
-    for number, coupling in enumerate(couplings.all):
+    for number, coupling in enumerate(contact_couplings.all):
         for key, (part, attribute, unit, meaning) in _COUPLING.items():
-            needs = ("couplings",) if part == "couplings" else ()
-            add(f"{coupling.name}.{key}", unit, meaning, column(part, attribute, number), needs=needs)
+            options = {"needs": (part,)} if part == "contact_couplings" else {}
+            add(f"{coupling.name}.{key}", unit, meaning, column(part, attribute, number), **options)
+    for couplings_of_code in couplings:
+        table.update((reading.name, reading) for reading in couplings_of_code.readings())
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
         array = column("bodies", attribute, slice(0, len(scene.bodies)))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)
     return table
 
 
-def status_attributes() -> dict[str, Any]:
-    """Returns the CF attributes that explain the codes of a status."""
-    return {
-        "flag_values": [int(status) for status in Status],
-        "flag_meanings": " ".join(status.name for status in Status),
+def motion_readings(motion: Motion) -> dict[str, tuple[str, str, str, str]]:
+    """Returns what can be measured of a body with this motion: (need, array, unit, meaning) by name."""
+    if motion.kind == FREE:
+        return {}
+    place = "anchor" if motion.kind in (HINGE, BALL) else "centre of mass"
+    table = {
+        "reaction_force": ("reactions", "force", "N", f"force of its motion on it, at the {place}, world"),
+        "reaction_torque": ("reactions", "torque", "N·m", f"moment of its motion about the {place}, world axes"),
     }
+    if motion.kind in (HINGE, PLANAR):
+        table |= _HINGE
+    return table | _SLIDER if motion.kind == SLIDER else table

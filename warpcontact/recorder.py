@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from warpcontact._version import __version__
 from warpcontact.arrays import row_bytes
 from warpcontact.available import HOST, Room
+from warpcontact.captures import beside_captures
 from warpcontact.environments import Environments
 from warpcontact.footprint import (
     Footprint,
@@ -27,7 +28,7 @@ from warpcontact.footprint import (
 )
 from warpcontact.model import Model
 from warpcontact.parameters import Parameter
-from warpcontact.readings import AXES, status_attributes
+from warpcontact.readings import AXES
 from warpcontact.scene import Scene
 
 # Frames wait on the device up to this size, then move to the host in one copy.
@@ -108,6 +109,7 @@ class _Channel:
         self.frame = Frame(name, row, self._sample.nbytes)
         self.rings: list[_Ring] = []
 
+    @beside_captures()
     def allocate(self, frames: int) -> None:
         self.result = np.zeros((frames, self.model.envs, *self._sample.shape), dtype=self._sample.dtype)
         self.rings = [_Ring(part, self.frame, self.result[:, own]) for part, own in self.model.shares()]
@@ -139,6 +141,7 @@ class _Ring:
         self.taken = 0
         self.drained = 0
 
+    @beside_captures()
     def take(self) -> None:
         wp.copy(self.memory[self.taken - self.drained], self.source)
         self.taken += 1
@@ -199,8 +202,7 @@ class Recorder:
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
         readings = [model.find_reading(name) for name in dict.fromkeys(wanted)]
         self.needs = {need for reading in readings for need in reading.needs}
-        for part in model.parts:
-            part.make_measures(self.needs)
+        model.make_measures(self.needs)
         self.channels = [_Channel(model, reading.name) for reading in readings]
         self.times = np.zeros(frames)
         self.taken = 0
@@ -282,9 +284,7 @@ class Recorder:
             values = channel.result[: self.taken]
             if values.ndim > len(dims):
                 dims.append(AXES[values.shape[-1]][0])
-            notes = {"units": reading.unit, "long_name": reading.meaning}
-            if reading.name.endswith(".status"):
-                notes |= status_attributes()
+            notes = {"units": reading.unit, "long_name": reading.meaning, **reading.flags}
             variables[reading.name] = (dims, values, notes)
         for parameter in self.kept:
             variables |= self._parameter_variable(parameter)

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
+from warpcontact.couplings.adding import Couplings
+from warpcontact.couplings.elements import Coupling
 from warpcontact.elements import (
     AREA,
     KAPPA,
@@ -26,22 +28,22 @@ from warpcontact.elements import (
     Surface,
     Template,
 )
+from warpcontact.kernels.motions import Free, Motion
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
 from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of
+from warpcontact.start import check_start
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
-    from warpcontact.contact_range import ContactRange
-    from warpcontact.kernels.frictions import Friction
     from warpcontact.model import Model
     from warpcontact.split_model import SplitModel
 
-_LISTS = ("bodies", "surfaces", "points", "contacts", "contact_couplings")
+_LISTS = ("bodies", "surfaces", "points", "contacts", "contact_couplings", "couplings")
 
 
-class Scene:
-    """Bodies, surfaces, points and contacts of one environment; ``build`` makes many of it.
+class Scene(Couplings):
+    """Bodies, surfaces, points, contacts and couplings of one environment; ``build`` makes many of it.
 
     Args:
         gravity: Acceleration of gravity, world axes [m/s²].
@@ -54,6 +56,7 @@ class Scene:
         self.points: list[Points] = []
         self.contacts: list[Contact] = []
         self.contact_couplings: list[ContactCoupling] = []
+        self.couplings: list[Coupling] = []
         self._elements: dict[str, Any] = {}
 
     def add_body(
@@ -65,6 +68,9 @@ class Scene:
         linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
         angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
         *,
+        external_force: ArrayLike = (0.0, 0.0, 0.0),
+        external_torque: ArrayLike = (0.0, 0.0, 0.0),
+        motion: Motion | None = None,
         name: str | None = None,
         color: ArrayLike | None = None,
     ) -> Body:
@@ -78,6 +84,11 @@ class Scene:
             orientation: Initial rotation body → world, quaternion (x, y, z, w).
             linear_velocity: Initial velocity of the centre of mass, world [m/s].
             angular_velocity: Initial angular velocity, world axes [rad/s].
+            external_force: Force from outside at the centre of mass, world axes [N].
+            external_torque: Torque from outside, world axes [N·m].
+            motion: How it may move, of ``wc.motions`` or your own ``wc.Motion``; ``None``: free. Axes and anchors
+                are those of the initial pose, in the world. On a hinge or a ball the linear velocity follows from
+                the angular one and may be left out.
             name: Name in parameters and readings; made up if not given.
             color: Display colour, RGB in 0…1.
 
@@ -102,8 +113,12 @@ class Scene:
             ),
             linear_velocity=checks.numbers(f"{name}.linear_velocity", linear_velocity, (3,), limits("m/s")),
             angular_velocity=checks.numbers(f"{name}.angular_velocity", angular_velocity, (3,), limits("rad/s")),
+            external_force=checks.numbers(f"{name}.external_force", external_force, (3,), limits("N")),
+            external_torque=checks.numbers(f"{name}.external_torque", external_torque, (3,), limits("N·m")),
+            motion=Free() if motion is None else motion,
             color=checks.color(f"{name}.color", color),
         )
+        check_start(body)
         self.bodies.append(body)
         self._elements[name] = body
         return body
@@ -377,72 +392,6 @@ class Scene:
 
         return add_surface_contact(
             self, surface_a, surface_b, template, samples, seed=seed, sides=sides, name=name, options=options
-        )
-
-    def add_contact_coupling(
-        self,
-        surface_a: Surface,
-        surface_b: Surface,
-        range: "ContactRange",
-        friction: "Friction | None" = None,
-        *,
-        facing: str = "projected",
-        sides: str = "first",
-        quadrature: int = 1,
-        damping_ramp: float = 0.0,
-        search: str = "whole",
-        rim: str = "off",
-        enabled: bool = True,
-        name: str | None = None,
-        color: ArrayLike | None = None,
-        visible: bool = True,
-    ) -> "ContactCoupling":
-        """Adds a force per area that keeps the faces of a body off another surface before they touch.
-
-        On each active face, at its points r_f, f = a max(0, k₁ (d₀ − d) − k₂ ḋ) n, with the signed distance d to
-        the other surface and its normal n there, and friction against the velocity at r_f; both bodies get the
-        force at r_f.
-
-        Args:
-            surface_a: From ``add_surface``, on a body.
-            surface_b: From ``add_surface``: on the world, or on another body.
-            range: Coefficients k₁, k₂ and the range d₀.
-            friction: Friction model; ``None``: none.
-            facing: ``"projected"``: a face counts with the area that it turns to the other surface.
-                ``"all"``: with all of it, whichever way it looks.
-            sides: ``"first"``: the faces of ``surface_a`` feel ``surface_b``. ``"average"``: the faces of each
-                feel the other, with half the force each.
-            quadrature: Points per face: 1, 3, 6 or 7, exact for fields of order 1, 2, 4 or 5 over a face.
-            damping_ramp: Depth within the range over which damping sets in [m]; 0: at once.
-            search: ``"whole"`` or ``"active"``, as in ``add_contact``.
-            rim: ``"off"``: a face beyond an open border is not held; ``"outer"``: the border itself is.
-            enabled: Whether it acts.
-            name: Name in parameters and readings; made up if not given. Its contacts are ``<name>_first`` and,
-                with two sides, ``<name>_second``.
-            color: Colour of its arrows, RGB in 0…1.
-            visible: Whether its arrows are drawn.
-
-        Raises:
-            ValueError: If a value is out of range; the message names it, and the scene is as before.
-        """
-        from warpcontact.contact_coupling import add_contact_coupling
-
-        return add_contact_coupling(
-            self,
-            surface_a,
-            surface_b,
-            range,
-            friction,
-            facing=facing,
-            sides=sides,
-            quadrature=quadrature,
-            damping_ramp=damping_ramp,
-            search=search,
-            rim=rim,
-            enabled=enabled,
-            name=name,
-            color=color,
-            visible=visible,
         )
 
     def build(

@@ -2,7 +2,9 @@
 
 Each stage reads what earlier ones wrote:
 
-    travel → closest point → contact force (one launch per law) → wrenches → integrate → sweep → finish → history
+    travel → closest point → couplings → contact force (one launch per law) → wrenches → integrate, motions → sweep
+    → finish
+    → history
 """
 
 from dataclasses import dataclass
@@ -10,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.kernels import coupling, history, integrate, near, queues, sweep, travel, wrenches
+from warpcontact.kernels import contact_coupling, history, integrate, near, queues, sweep, travel, wrenches
 from warpcontact.kernels.closest_point import KNOWN, LISTED, SEARCH
+from warpcontact.kernels.motions import driven, step
 from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
@@ -73,34 +76,40 @@ class Span:
         return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=together)]
 
 
-def force_stages(span: Span, state: Any, step: wp.array) -> list[wp.Launch]:
+def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that compute contacts and wrenches of ``state``; they change nothing else.
 
-    ``step`` [env, 0] is what the forces act over [s]; zeros for the forces of the instant.
+    Args:
+        span: The environments.
+        state: Their state.
+        step: What the forces act over [env, 0] [s]; zeros for the forces of the instant.
+        status: Of the environments [env]; left out are those that are not active.
     """
     model = span.model
     a, real = model.arrays, model.types.real
     launches = []
     if span.cached:
-        launches += span.prepare(
-            travel.kernel(real), len(model.scene.contacts), [a.status, a.model, state, a.cache]
-        )
+        launches += span.prepare(travel.kernel(real), len(model.scene.contacts), [status, a.model, state, a.cache])
     if span.cached and span.queued:
-        launches += queue_stages(span, state)
+        launches += queue_stages(span, state, status)
     else:
         launches += span.prepare(
             near.kernel(real, model.follows),
             model.blocks.count,
-            [a.status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near],
+            [status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near],
         )
+    for couplings in model.couplings:
+        launches += couplings.force_stages(span, state, status)
+    sources = (bool(model.couplings), model.pushed)
     if not span.ordered:
-        launches += span.prepare(wrenches.clear(real), model.body_count, [a.status, a.wrenches])
+        kernel = wrenches.clear(real, *sources)
+        launches += span.prepare(kernel, model.body_count, [status, a.model, a.ends, a.wrenches])
     for group in model.groups:
         launches += span.prepare(
             group.kernel,
             group.block_count,
             [
-                a.status,
+                status,
                 a.model,
                 state,
                 a.history,
@@ -117,11 +126,12 @@ def force_stages(span: Span, state: Any, step: wp.array) -> list[wp.Launch]:
             ],
         )
     if span.ordered:
-        launches += span.prepare(wrenches.add_up(real), model.body_count, [a.status, a.model, a.near, a.wrenches])
+        kernel = wrenches.add_up(real, *sources)
+        launches += span.prepare(kernel, model.body_count, [status, a.model, a.near, a.ends, a.wrenches])
     return launches
 
 
-def queue_stages(span: Span, state: Any) -> list[wp.Launch]:
+def queue_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that look at what is near on a GPU, by what it takes."""
     model = span.model
     a, real, follows = model.arrays, model.types.real, model.follows
@@ -130,7 +140,7 @@ def queue_stages(span: Span, state: Any) -> list[wp.Launch]:
     def some(items: int, most: int) -> int:
         return min(most, -(-span.count * items // 32) * 32)
 
-    launches = span.prepare(queues.pick(real, follows), blocks, [contacts, a.status, a.model, a.cache])
+    launches = span.prepare(queues.pick(real, follows), blocks, [contacts, status, a.model, a.cache])
     if contacts > blocks:
         launches += span.prepare(
             queues.probe(real, follows),
@@ -147,7 +157,7 @@ def queue_stages(span: Span, state: Any) -> list[wp.Launch]:
             threads=some(contacts, most),
             together=FEW_TOGETHER,
         )
-    return launches + span.prepare(queues.gather(real), blocks, [a.status, a.model, a.cache, a.near])
+    return launches + span.prepare(queues.gather(real), blocks, [status, a.model, a.cache, a.near])
 
 
 def step_stages(
@@ -160,10 +170,13 @@ def step_stages(
     """
     model = span.model
     a, real = model.arrays, model.types.real
-    launches = force_stages(span, state_in, dt)
+    launches = force_stages(span, state_in, dt, a.status)
     launches += span.prepare(
-        integrator.kernel(real), model.body_count, [a.status, dt, a.model, state_in, a.wrenches, state_out]
+        integrator.kernel(real, model.moves),
+        model.body_count,
+        [a.status, dt, a.model, state_in, a.wrenches, state_out],
     )
+    launches += motion_stages(span, integrator, dt, state_in, state_out)
     if model.sweeps:
         marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark
         launches += span.prepare(
@@ -185,15 +198,52 @@ def step_stages(
     return launches
 
 
+def motion_stages(
+    span: Span, integrator: "Integrator", dt: wp.array, state_in: Any, state_out: Any
+) -> list[wp.Launch]:
+    """Returns the launches that step the bodies that are not free; none if all are."""
+    model = span.model
+    a, real = model.arrays, model.types.real
+    if not model.moves:
+        return []
+    launches = span.prepare(
+        integrator.motions(real),
+        model.constrained_count,
+        [a.status, dt, a.model, a.constrained, state_in, a.wrenches, state_out],
+    )
+    for drive in model.drives:
+        launches += span.prepare(
+            driven.follow(drive.motion, real),
+            drive.count,
+            [a.status, dt, a.time, a.model, *drive.inputs, state_out],
+        )
+    return launches
+
+
 def change_stages(span: Span, integrator: "Integrator", change: wp.array, state: Any) -> list[wp.Launch]:
     """Returns the launches that ready ``state`` for steps longer by ``change`` [env, 0] than those before [s]."""
     model = span.model
-    a, kernel = model.arrays, integrator.change_step(model.types.real)
+    a, real = model.arrays, model.types.real
+    kernel = integrator.change_step(real, model.moves)
     if kernel is None:
         return []
-    return force_stages(span, state, model.no_step) + span.prepare(
+    launches = force_stages(span, state, model.no_step, a.status) + span.prepare(
         kernel, model.body_count, [a.status, change, a.model, a.wrenches, state]
     )
+    if not model.moves:
+        return launches
+    launches += span.prepare(
+        step.change_step(real),
+        model.constrained_count,
+        [a.status, change, a.model, a.constrained, a.wrenches, state],
+    )
+    for drive in model.drives:
+        launches += span.prepare(
+            driven.change_step(drive.motion, real),
+            drive.count,
+            [a.status, change, a.time, a.model, *drive.inputs, state],
+        )
+    return launches
 
 
 def accept_stages(span: Span, dt: wp.array, state_in: Any, state_out: Any) -> list[wp.Launch]:
@@ -211,7 +261,7 @@ def accept_stages(span: Span, dt: wp.array, state_in: Any, state_out: Any) -> li
     for group in model.groups:
         if group.coupling_count:
             launches += span.prepare(
-                coupling.advance(group.parts.law, real, group.projected),
+                contact_coupling.advance(group.parts.law, real, group.projected),
                 group.coupling_count,
                 [
                     a.status,
@@ -219,7 +269,7 @@ def accept_stages(span: Span, dt: wp.array, state_in: Any, state_out: Any) -> li
                     state_in,
                     a.contacts,
                     a.near,
-                    a.sets,
+                    a.coupling_contacts,
                     group.first_coupling,
                     group.first,
                     group.coefficients.law,
@@ -232,6 +282,8 @@ def accept_stages(span: Span, dt: wp.array, state_in: Any, state_out: Any) -> li
                 group.block_count,
                 [a.status, a.model, a.near, group.first_block, group.first, kept, memory],
             )
+    for couplings in model.couplings:
+        launches += couplings.accept_stages(span)
     return launches
 
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
+from warpcontact.captures import beside_captures
 from warpcontact.crew import Crew, available_threads
-from warpcontact.devices import spread
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
@@ -114,9 +114,8 @@ class Simulation:
 
     def _stepping(self, envs: int) -> Footprint:
         """Returns what this simulation would take if it had ``envs`` environments, beside the model."""
-        parts = self.model.parts
         return stepping_footprint(
-            list(zip(parts, spread(envs, len(parts)), strict=False)),
+            self.model.shares_of(envs),
             self.integrator,
             crossing_steps=self.crossing_steps,
             threads=self.threads,
@@ -155,6 +154,7 @@ class Simulation:
             for part, elapsed in zip(model.parts, before, strict=True):
                 part.elapsed = elapsed + done * self.dt
 
+    @beside_captures()
     def _slices(self) -> list[Slice]:
         parts = self.model.parts
         on_threads = on_cpu((part, part.envs) for part in parts)
@@ -222,6 +222,7 @@ class Simulation:
         start = self.time
         recorder.take(start)
         frozen = len(self.model.health().frozen)
+        failed = self.model.failed_lines()
         done = 0
         bar_of_run = (
             contextlib.nullcontext(progress)
@@ -245,6 +246,14 @@ class Simulation:
         health = self.model.health()
         if len(health.frozen) > frozen:
             warnings.warn(str(health), RuntimeWarning, stacklevel=2)
+        for line, count in self.model.failed_lines().items():
+            if count > failed.get(line, 0):
+                warnings.warn(
+                    f"catenary {line!r} was without a solution in some steps of {count} of {self.model.envs} "
+                    f"environments; {line}.failures has their number",
+                    RuntimeWarning,
+                    stacklevel=2,
+                )
         return recorder.finish(
             {
                 "dt": self.dt,

@@ -4,7 +4,6 @@ A step is a list of launches. Where nothing has to be decided on the host they a
 time, and replayed; launches and replays compute the same.
 """
 
-import threading
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpcontact.arrays import Layout, broadcast, per_env
+from warpcontact.captures import beside_captures, capturing
 from warpcontact.integrators import Integrator
 from warpcontact.schedule import (
     Span,
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, and slices are many.
 GRAPH_STEPS = (32, 2, 1)
 CPU_GRAPH_STEPS = (8, 2, 1)
-
-# One capture at a time, in the whole process.
-_capturing = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -70,6 +67,7 @@ class Buffers:
         for name, length in lengths.items():
             self.layout.content("stepping", self._lengths, name, [[length]], model.types.real)
 
+    @beside_captures()
     def allocate(self, envs: int) -> None:
         """Makes them for ``envs`` environments."""
         self.layout.allocate(envs)
@@ -161,7 +159,7 @@ class Slice:
             return
         for steps in self.graph_steps:
             if count >= steps and steps not in self._graphs:
-                with _capturing, wp.ScopedCapture(device=self.device) as capture:
+                with capturing(), wp.ScopedCapture(device=self.device) as capture:
                     _launch(self.graph(steps))
                 self._graphs[steps] = capture.graph
             count %= steps
@@ -174,10 +172,11 @@ class Slice:
                     wp.capture_launch(self._graphs[steps])
                     count -= steps
             return
-        for number in range(count):
-            self._take(number % 2)
-        if count % 2:
-            _launch(self._steps[0].back)
+        with beside_captures():
+            for number in range(count):
+                self._take(number % 2)
+            if count % 2:
+                _launch(self._steps[0].back)
 
     def _take(self, way: int) -> None:
         """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""

@@ -1,4 +1,4 @@
-"""State of a contact, as ``<contact>.status`` reports it."""
+"""State of a contact, a coupling or a line, as ``<contact>.status`` and ``<coupling>.status`` report it."""
 
 from enum import IntEnum
 
@@ -19,3 +19,38 @@ class Status(IntEnum):
     FAR = types.FAR
     WRONG_SIDE = types.WRONG_SIDE
     DISABLED = types.DISABLED
+
+
+class CouplingStatus(IntEnum):
+    """State of a spring-damper or a bushing.
+
+    ACTIVE: acting. SLACK: ``tension_only``, and not stretched. BROKEN: by more than its ``break_force``. OUTSIDE:
+    of the distances of its table, the end of which is held. NO_DIRECTION: its ends are in one place, and nothing
+    is known of where they came from, so that no force acts. DISABLED: not enabled.
+    """
+
+    ACTIVE = types.COUPLING_ACTIVE
+    SLACK = types.COUPLING_SLACK
+    BROKEN = types.COUPLING_BROKEN
+    OUTSIDE = types.COUPLING_OUTSIDE
+    NO_DIRECTION = types.COUPLING_NO_DIRECTION
+    DISABLED = types.COUPLING_DISABLED
+
+
+class LineStatus(IntEnum):
+    """State of a catenary.
+
+    HANGING: longer than the distance of its ends. TAUT: shorter, and stretched. FOLDED: its ends are above one
+    another, and it hangs from both. GROUNDED: a part of it rests on the floor. SUNK: an end lies below the floor,
+    and is taken to be on it. LOOSE: without weight and not stretched. DISABLED: not enabled. FAILED: no solution
+    was found, and the forces are those of the last iterate.
+    """
+
+    HANGING = types.LINE_HANGING
+    TAUT = types.LINE_TAUT
+    FOLDED = types.LINE_FOLDED
+    GROUNDED = types.LINE_GROUNDED
+    SUNK = types.LINE_SUNK
+    LOOSE = types.LINE_LOOSE
+    DISABLED = types.LINE_DISABLED
+    FAILED = types.LINE_FAILED

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 import warp as wp
 
 from warpcontact.available import HOST
+from warpcontact.captures import beside_captures
 from warpcontact.crew import available_threads
 from warpcontact.footprint import Footprint, Need, total
 from warpcontact.integrators import Integrator, SemiImplicitEuler
@@ -60,6 +61,7 @@ def on_cpu(shares: Iterable[tuple["Model | PartDraft", int]]) -> int:
     return sum(envs for part, envs in shares if part.device.is_cpu)
 
 
+@beside_captures()
 def stepping_footprint(
     shares: Sequence[tuple["Model | PartDraft", int]],
     integrator: Integrator | None = None,

@@ -8,9 +8,11 @@ from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, ShapeMes
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import (
+    BodySettings,
     ContactCouplingSettings,
     ContactOptions,
     ContactSettings,
+    CouplingOptions,
     PointSettings,
     PointsSettings,
     SurfaceContactSettings,
@@ -57,14 +59,17 @@ class Assembler:
         scene = Scene() if settings is None else Scene(gravity=settings.gravity)
         self.made = {section: {} for section in self.parts.entries}
         add: dict[str, Callable[..., Any]] = {
-            "body": lambda path, entry: scene.add_body(**entry.model_dump()),
+            "body": lambda path, entry: self._body(scene, entry),
             "surface": lambda path, entry: self._surface(scene, path, entry, problems),
             "point": lambda path, entry: self._points(scene, path, entry, problems),
             "points": lambda path, entry: self._points(scene, path, entry, problems),
             "template": lambda path, entry: self._template(entry),
             "contact": lambda path, entry: self._contact(scene, path, entry, problems),
             "surface_contact": lambda path, entry: self._surface_contact(scene, path, entry, problems),
-            "contact_coupling": lambda path, entry: self._coupling(scene, path, entry, problems),
+            "spring_damper": lambda path, entry: self._coupling(scene.add_spring_damper, path, entry, problems),
+            "bushing": lambda path, entry: self._coupling(scene.add_bushing, path, entry, problems),
+            "catenary": lambda path, entry: self._coupling(scene.add_catenary, path, entry, problems),
+            "contact_coupling": lambda path, entry: self._contact_coupling(scene, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:
@@ -74,6 +79,10 @@ class Assembler:
             except ValueError as error:
                 problems.add(path, _continued(str(error), entry.name))
         return scene
+
+    def _body(self, scene: Scene, entry: BodySettings) -> Any:
+        motion = entry.motion.make() if isinstance(entry.motion, FormulaSettings) else None
+        return scene.add_body(**entry.model_dump(exclude={"motion"}), motion=motion)
 
     def _surface(self, scene: Scene, path: str, entry: SurfaceSettings, problems: Problems) -> Any:
         # First, so that the defects of all are found in any case.
@@ -129,7 +138,16 @@ class Assembler:
         targets = self._find_all(path, entry, references, problems)
         return scene.add_surface_contact(*targets, **entry.model_dump(exclude=set(references), exclude_none=True))
 
-    def _coupling(self, scene: Scene, path: str, entry: ContactCouplingSettings, problems: Problems) -> Any:
+    def _coupling(self, add: Callable[..., Any], path: str, entry: CouplingOptions, problems: Problems) -> Any:
+        references = {"point_a": _POINTS, "point_b": _POINTS}
+        targets = self._find_all(path, entry, references, problems)
+        formulas = {key: table.make() for key, table in entry if isinstance(table, FormulaSettings)}
+        options = entry.model_dump(exclude={*references, *formulas}, exclude_none=True)
+        return add(*targets, **options, **formulas)
+
+    def _contact_coupling(
+        self, scene: Scene, path: str, entry: ContactCouplingSettings, problems: Problems
+    ) -> Any:
         references = {"surface_a": _SURFACE, "surface_b": _SURFACE}
         targets = self._find_all(path, entry, references, problems)
         friction = entry.friction.make() if isinstance(entry.friction, FormulaSettings) else None
@@ -139,7 +157,7 @@ class Assembler:
     def _find_all(
         self,
         path: str,
-        entry: ContactOptions | ContactCouplingSettings,
+        entry: ContactOptions | CouplingOptions | ContactCouplingSettings,
         references: Mapping[str, tuple[str, tuple[str, ...]]],
         problems: Problems,
     ) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Tables of the experiment file that follow from classes and functions: laws, frictions, meshes.
+"""Tables of the experiment file that follow from classes and functions: laws, frictions, motions, meshes.
 
 Their keys are the parameters of the classes and generators, with the ranges that are declared there. What a table
 says it is decides which model it is validated with; a law or friction of the library and one of a user's own are
@@ -29,9 +29,9 @@ from warpcontact.checks import limits
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.errors import shown, suggestion
 from warpcontact.experiment.own import OwnFiles, blame
-from warpcontact.kernels import frictions, laws
+from warpcontact.kernels import frictions, laws, motions, springs
 from warpcontact.kernels.contact_force import Parts
-from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.formula import ROWS, Formula, unit_vectors
 
 #: Meshes that need no file, by the name of their generator.
 SHAPES: dict[str, Callable[..., meshes.Mesh]] = {
@@ -71,7 +71,7 @@ class ShapeMesh(Section):
 
 
 class FormulaSettings(Section):
-    """A law or a friction: its class, by a name of the catalogue or as ``FILE.py:CLASS``, and its parameters."""
+    """A law, friction or motion: its class, of the catalogue or as ``FILE.py:CLASS``, and its parameters."""
 
     model_config = ConfigDict(protected_namespaces=())  # a user names the parameters
 
@@ -79,7 +79,7 @@ class FormulaSettings(Section):
     type: str
 
     def make(self) -> Any:
-        """Returns the law or friction."""
+        """Returns the law, friction or motion."""
         return self.formula(**self.model_dump(exclude={"type"}, exclude_none=True))
 
     @model_validator(mode="after")
@@ -136,10 +136,10 @@ def mesh_model(value: Any, key: str = "") -> type[FileMesh] | type[ShapeMesh]:
 
 
 def formula_model(key: str, value: Any, own: OwnFiles) -> type[FormulaSettings]:
-    """Returns the model of a law or friction as it stands in the file.
+    """Returns the model of a law, friction or motion as it stands in the file.
 
     Args:
-        key: Its key in a template.
+        key: Its key in a template or body.
         value: What is there.
         own: Where classes are that are not of the catalogue.
 
@@ -178,7 +178,7 @@ def own_class(given: Any) -> tuple[str, str]:
 
 @functools.cache
 def settings_model(formula: type[Formula]) -> type[FormulaSettings]:
-    """Returns the model of the tables of a law or friction class.
+    """Returns the model of the tables of a class of laws, frictions or motions.
 
     Raises:
         ValueError: If a parameter has a name that a table cannot have; the message continues the key ``type``.
@@ -191,7 +191,7 @@ def settings_model(formula: type[Formula]) -> type[FormulaSettings]:
         allowed = formula.limits(field.name)
         default = ... if field.default is dataclasses.MISSING else field.default
         fields[field.name] = (
-            Annotated[float, q.numbers((), allowed=allowed)],
+            _kind_of(allowed),
             Field(
                 default,
                 description=f"{allowed['meaning']} [{allowed['unit']}]",
@@ -203,12 +203,31 @@ def settings_model(formula: type[Formula]) -> type[FormulaSettings]:
     return model
 
 
-#: What the formulas of a template are, by their keys.
-FORMULAS: dict[str, Any] = {part: laws.Law if part == "law" else frictions.Friction for part in Parts._fields}
+def _kind_of(allowed: Any) -> Any:
+    """Returns the type of a parameter, from its limits."""
+    shape = allowed["shape"]
+    if shape == ():
+        return Annotated[float, q.numbers((), allowed=allowed)]
+    if ROWS in shape:
+        return Annotated[tuple[Any, ...], q.table(shape, allowed)]
+    check = unit_vectors if allowed["direction"] else None
+    return Annotated[tuple[float, ...], q.numbers(shape, allowed=allowed, check=check)]
+
+
+#: What the formulas of a template, of a spring-damper and of a body are, by their keys.
+FORMULAS: dict[str, Any] = {
+    **{part: laws.Law if part == "law" else frictions.Friction for part in Parts._fields},
+    "spring": springs.Spring,
+    "damper": springs.Damper,
+    "motion": motions.Motion,
+}
 #: The classes that come with the library, by what they are and by name.
 CATALOGUES: dict[Any, dict[str, Any]] = {
     laws.Law: {law.__name__: law for law in laws.CATALOGUE},
     frictions.Friction: {friction.__name__: friction for friction in frictions.CATALOGUE},
+    springs.Spring: {spring.__name__: spring for spring in springs.SPRINGS},
+    springs.Damper: {damper.__name__: damper for damper in springs.DAMPERS},
+    motions.Motion: {motion.__name__: motion for motion in motions.CATALOGUE},
 }
 _SHAPE_MODELS = {name: _shape_model(name, make) for name, make in SHAPES.items()}
 
@@ -231,7 +250,7 @@ def _meshes(value: Any) -> FileMesh | ShapeMesh | tuple[FileMesh | ShapeMesh, ..
 
 
 # Which keys there are depends on what is in the table: its model is found first.
-TemplateFormula = Annotated[SerializeAsAny[FormulaSettings], PlainValidator(_formula)]
+FormulaTable = Annotated[SerializeAsAny[FormulaSettings], PlainValidator(_formula)]
 Mesh = Annotated[SerializeAsAny[FileMesh | ShapeMesh], PlainValidator(_mesh)]
 SurfaceMesh = Annotated[SerializeAsAny[FileMesh | ShapeMesh | tuple[Mesh, ...]], PlainValidator(_meshes)]
 _LISTED: TypeAdapter[tuple[FileMesh | ShapeMesh, ...]] = TypeAdapter(

@@ -1,4 +1,4 @@
-"""Laws and frictions out of a user's own Python file, which an experiment names as ``FILE.py:CLASS``.
+"""Formulas out of a user's own Python file, laws for instance, which an experiment names as ``FILE.py:CLASS``.
 
 Such a file is run as any module is that one imports. It has to lie inside of the folder of the experiment, so that
 an experiment from elsewhere runs nothing but what came with it. What is wrong with a file, or goes wrong in it, is
@@ -20,12 +20,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import warp as wp
-
 from warpcontact.experiment.errors import ExperimentError, shown, suggestion
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction
 from warpcontact.kernels.laws import Law
+from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.springs import Damper, Spring
+
+#: What a user's class may be.
+KINDS: tuple[type[Formula], ...] = (Law, Friction, Spring, Damper, Motion)
 
 # Modules by file and content: experiments of an unchanged file share its classes, and so its compiled kernels.
 _MODULES: dict[tuple[Path, bytes], ModuleType] = {}
@@ -83,7 +86,7 @@ class OwnFiles:
         Args:
             file: The file, relative to the folder.
             name: Name of the class.
-            bases: What the class may be: ``Law``, ``Friction`` or both.
+            bases: What the class may be: one or several of ``KINDS``.
 
         Raises:
             ValueError: If there is none; the message continues the key ``type``.
@@ -95,12 +98,13 @@ class OwnFiles:
             hint = suggestion(name, known) or f"; there are: {', '.join(known) or 'none'}"
             raise ValueError(f": {file} has no {_words(bases)} {name!r}{hint}")
         if not _is_formula(given, bases):
-            kinds = [kind for kind in (Law, Friction) if _is_formula(given, (kind,))]
+            kinds = [kind for kind in KINDS if _is_formula(given, (kind,))]
             derived = " or ".join(f"wc.{base.__name__}" for base in bases)
             fact = f"a {_words(kinds)} and no {_words(bases)}" if kinds else f"no class derived from {derived}"
             raise ValueError(f": {name!r} in {file} is {fact}")
-        if not isinstance(getattr(given, "force", None), wp.Function):
-            raise ValueError(f": {name}.force in {file} must be a wp.func of {given.arguments()}")
+        if lacking := given.missing_function():
+            arguments = ", ".join(given.arguments())
+            raise ValueError(f": {name}.{lacking} in {file} must be a wp.func of ({arguments})")
         return given
 
     @contextmanager

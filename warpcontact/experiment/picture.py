@@ -28,6 +28,8 @@ TRACKS = 200
 # Quantiles of more environments than this look the same and take longer.
 SAMPLE = 4096
 COLORS = "plasma"
+# Of springs and lines.
+COUPLING_COLOR = "0.45"
 # Values that span more than this factor are coloured on a logarithmic scale.
 LOGARITHMIC = 30.0
 # Tracks with a smaller extent along y, as part of the largest, are seen from the side.
@@ -128,6 +130,9 @@ def _draw_tracks(
             draw_from_above(axes, ground, lower, upper)
         else:
             draw_section(axes, ground, float(np.mean([track[..., 1].mean() for track in tracks])))
+    shapes = _coupling_shapes(recording)
+    for shape in shapes:
+        axes.plot(*shape[:, plane].T, color=COUPLING_COLOR, lw=0.8, zorder=1.5)
     if not all(ground.active.all() for ground in grounds):
         # Below everything, where it hides no track.
         figure.legend(handles=legend_entries(from_above), loc="outside lower left", ncols=2, fontsize="small")
@@ -146,8 +151,10 @@ def _draw_tracks(
     view = "from above" if from_above else "from the side"
     which = f"{len(chosen)} of {envs} environments" if len(chosen) < envs else "all environments"
     # What differs between environments can be shown as it is in one.
-    surfaces = "" if all(ground.shared for ground in grounds) else "; surfaces as in environment 0"
-    axes.set_title(f"tracks {view}, {which}; dots: the end{surfaces}", fontsize="medium")
+    first = [] if all(ground.shared for ground in grounds) else ["surfaces"]
+    first += ["couplings"] if shapes else []
+    as_first = f"; {' and '.join(first)} as in environment 0" if first else ""
+    axes.set_title(f"tracks {view}, {which}; dots: the end{as_first}", fontsize="medium")
     if envs > 1:
         # Beside the tracks if they are wide, otherwise below.
         bar: dict[str, Any] = (
@@ -156,6 +163,19 @@ def _draw_tracks(
         if not isinstance(norm, LogNorm) and (values == np.round(values)).all():
             bar["ticks"] = MaxNLocator(integer=True)
         figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, label=label, pad=0.01, **bar)
+
+
+def _coupling_shapes(recording: Recording) -> list[NDArray[Any]]:
+    """Returns the couplings of the first environment at the end, (n, 3) each, world [m]."""
+    from warpcontact.usd.couplings import CouplingCurve
+    from warpcontact.usd.replay import Replay
+
+    shown = [coupling for coupling in recording.scene.couplings if coupling.visible]
+    if not shown:
+        return []
+    last = Replay.of(recording.isel(time=[-1]), recording.scene, [int(recording["env"].values[0])])
+    curves = [CouplingCurve(last, coupling) for coupling in shown]
+    return [curve.points[0, 0] for curve in curves if curve.shown[0, 0]]
 
 
 def _window(
@@ -206,14 +226,17 @@ def _chosen_readings(recording: Recording) -> list[tuple[NDArray[Any], str]]:
     scene, bodies = recording.scene, [body.name for body in recording.scene.bodies]
     contacts = [contact.name for contact in scene.contacts]
     found = []
-    for name in (*(f"{c}.gap" for c in contacts), f"{bodies[0]}.position"):
+    couplings = [coupling.name for coupling in scene.couplings]
+    angles = [f"{body}.{key}" for body in bodies for key in ("angle", "displacement")]
+    for name in (*angles, *(f"{c}.gap" for c in contacts), f"{bodies[0]}.position"):
         if name in recording:
             found.append(_per_environment(name, recording[name].isel(env=sample), smallest=True))
             break
-    forces = [f"{c}.normal_force" for c in contacts]
+    forces = [f"{c}.{key}" for c in couplings for key in ("force", "tension_b")]
+    forces += [f"{c}.normal_force" for c in contacts]
     energies = ["scene.kinetic_energy", *(f"{body}.kinetic_energy" for body in bodies)]
     for name in (*energies, *forces):
-        if name in recording:
+        if name in recording and "axis" not in recording[name].dims:
             found.append(_per_environment(name, recording[name].isel(env=sample), smallest=False))
             break
     if len(found) < 2:

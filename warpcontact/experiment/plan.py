@@ -111,7 +111,7 @@ def make_plan(
         )
 
     wanted = settings.envs if batch is None else min(batch, settings.envs)
-    rooms = rooms_of(footprint(1))
+    rooms = rooms_of(footprint(wanted))
     most = most_that_fit(footprint, wanted, rooms)
     if batch is None and 0 < most < wanted:
         most = max(1, most_that_fit(footprint, wanted, rooms, COMFORTABLE))

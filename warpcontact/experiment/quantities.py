@@ -16,6 +16,7 @@ from warpcontact.checks import limits
 from warpcontact.contact_coupling import check_quadrature
 from warpcontact.elements import AREA
 from warpcontact.experiment.errors import shown
+from warpcontact.kernels.formula import check_values, has_shape, shape_in_words
 from warpcontact.meshes.repair import REPAIRS, steps_of
 from warpcontact.surface_contact import check_amount
 
@@ -75,6 +76,25 @@ def numbers(
         values = checks.numbers("", entries, shape, allowed)
         if check is not None:
             check("", values)
+        return entries
+
+    return PlainValidator(validate)
+
+
+def table(shape: tuple[int, ...], allowed: Mapping[str, Any]) -> PlainValidator:
+    """Returns the validator of any number of rows, a parameter of ``shape`` with ``allowed`` as its limits."""
+    unit = "" if allowed["unit"] == "-" else f" [{allowed['unit']}]"
+    what = f"{shape_in_words(shape)}{unit}"
+
+    def validate(value: Any) -> Any:
+        entries = plain(value, what)
+        try:
+            values = np.array(entries, dtype=np.float64)
+        except ValueError:  # rows of different length
+            values = np.zeros(())
+        if not has_shape(values, shape):
+            raise ValueError(f"must be {what}, got {shown(value)}")
+        check_values("", values, allowed)
         return entries
 
     return PlainValidator(validate)
@@ -237,6 +257,8 @@ position = numbers((3,), allowed=limits("m"))
 quaternion = numbers((4,), what="a unit quaternion (x, y, z, w)", check=checks.unit_quaternions)
 velocity = numbers((3,), allowed=limits("m/s"))
 angular_velocity = numbers((3,), allowed=limits("rad/s"))
+force = numbers((3,), allowed=limits("N"))
+torque = numbers((3,), allowed=limits("N·m"))
 acceleration = numbers((3,), allowed=limits("m/s²"))
 time = numbers((), allowed=limits("s", above=0.0))
 inertia = numbers((3,), (3, 3), allowed=limits("kg·m²"), what="3 numbers or a 3×3 tensor [kg·m²]", check=_inertia)

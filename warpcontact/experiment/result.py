@@ -17,7 +17,7 @@ from warpcontact._version import __version__
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh, own_class
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.own import OwnFiles
-from warpcontact.experiment.schema import WITH_FORMULAS, Settings
+from warpcontact.experiment.schema import FORMULA_SECTIONS, Settings
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
 
@@ -167,8 +167,8 @@ def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
     """
     names: dict[Path, str] = {}
     files: dict[str, bytes] = {}
-    sections: dict[str, list[Section]] = {section: [] for section in WITH_FORMULAS}
-    for section, entry in [(key, one) for key in WITH_FORMULAS for one in getattr(settings, key)]:
+
+    def renamed(entry: Section) -> Section:
         changes = {}
         for key, table in entry:
             file, cls = own_class(table.type) if isinstance(table, FormulaSettings) else ("", "")
@@ -178,11 +178,10 @@ def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
                     names[found.path] = _free_name(found.path, names.values())
                     files[names[found.path]] = found.content
                 changes[key] = table.model_copy(update={"type": f"{names[found.path]}:{cls}"})
-        sections[section].append(entry.model_copy(update=changes))
-    changed = _with_meshes_from(settings, old, new).model_copy(
-        update={key: tuple(entries) for key, entries in sections.items()}
-    )
-    return Copy(changed, files)
+        return entry.model_copy(update=changes)
+
+    sections = {name: tuple(map(renamed, getattr(settings, name))) for name in FORMULA_SECTIONS}
+    return Copy(_with_meshes_from(settings, old, new).model_copy(update=sections), files)
 
 
 def _free_name(path: Path, taken: Iterable[str]) -> str:

@@ -12,13 +12,14 @@ from warpcontact import elements as limits_of
 from warpcontact.build import PRECISIONS
 from warpcontact.contact_coupling import FACINGS
 from warpcontact.contact_range import CLOSEST, DAMPING_RATIO, SPEED, ContactRange
+from warpcontact.couplings import elements as coupling_limits
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
     FileMesh,
+    FormulaTable,
     Section,
     ShapeMesh,
     SurfaceMesh,
-    TemplateFormula,
     formula_model,
     mesh_model,
     settings_model,
@@ -71,6 +72,9 @@ class BodySettings(Section):
     orientation: Quaternion = NO_ROTATION
     linear_velocity: Annotated[tuple[float, ...], q.velocity] = ORIGIN
     angular_velocity: Annotated[tuple[float, ...], q.angular_velocity] = ORIGIN
+    external_force: Annotated[tuple[float, ...], q.force] = ORIGIN
+    external_torque: Annotated[tuple[float, ...], q.torque] = ORIGIN
+    motion: FormulaTable | None = None
     color: Color | None = None
 
 
@@ -123,10 +127,10 @@ class TemplateSettings(Section):
     """``[[template]]``: a law, and frictions against sliding, rolling and spinning, that contacts share."""
 
     name: Name
-    law: TemplateFormula = Field(description="{ type = …, and its parameters }")
-    friction: TemplateFormula = settings_model(Frictionless)(type="Frictionless")
-    rolling: TemplateFormula | None = None
-    torsion: TemplateFormula | None = None
+    law: FormulaTable = Field(description="{ type = …, and its parameters }")
+    friction: FormulaTable = settings_model(Frictionless)(type="Frictionless")
+    rolling: FormulaTable | None = None
+    torsion: FormulaTable | None = None
 
 
 class ContactOptions(Section):
@@ -218,7 +222,7 @@ class ContactCouplingSettings(Section):
     surface_a: str = Field(description="the name of a surface, on a body")
     surface_b: str = Field(description="the name of a surface")
     range: RangeSettings = Field(description="{ k1, k2, effective_range } or { from_impact = { … } }")
-    friction: TemplateFormula | None = None
+    friction: FormulaTable | None = None
     facing: Annotated[str, q.one_of(FACINGS)] = "projected"
     sides: Annotated[str, q.one_of(SIDES)] = "first"
     quadrature: Annotated[int, q.quadrature] = 1
@@ -228,6 +232,54 @@ class ContactCouplingSettings(Section):
     enabled: bool = True
     color: Color | None = None
     visible: bool = True
+
+
+class CouplingOptions(Section):
+    """What all kinds of coupling have."""
+
+    name: Name
+    point_a: str = Field(description="the name of a point")
+    point_b: str = Field(description="the name of a point")
+    enabled: bool = True
+    color: Color | None = None
+    visible: bool = True
+
+
+class SpringDamperSettings(CouplingOptions):
+    """``[[spring_damper]]``: a spring and a damper side by side, along the line between two points."""
+
+    stiffness: Annotated[float | None, q.numbers((), allowed=coupling_limits.STIFFNESS)] = None
+    damping: Annotated[float | None, q.numbers((), allowed=coupling_limits.DAMPING)] = None
+    spring: FormulaTable | None = None
+    damper: FormulaTable | None = None
+    rest_length: Annotated[float | None, q.numbers((), allowed=coupling_limits.LENGTH)] = None
+    tension_only: bool = False
+    break_force: Annotated[float | None, q.numbers((), allowed=coupling_limits.BREAK_FORCE)] = None
+
+
+class BushingSettings(CouplingOptions):
+    """``[[bushing]]``: springs and dampers along three axes and about them, between two points."""
+
+    stiffness: Annotated[tuple[float, ...], q.numbers((3,), allowed=coupling_limits.STIFFNESS)] = ORIGIN
+    damping: Annotated[tuple[float, ...], q.numbers((3,), allowed=coupling_limits.DAMPING)] = ORIGIN
+    turn_stiffness: Annotated[tuple[float, ...], q.numbers((3,), allowed=coupling_limits.TURN_STIFFNESS)] = ORIGIN
+    turn_damping: Annotated[tuple[float, ...], q.numbers((3,), allowed=coupling_limits.TURN_DAMPING)] = ORIGIN
+    orientation: Quaternion = NO_ROTATION
+
+
+class CatenarySettings(CouplingOptions):
+    """``[[catenary]]``: an elastic line that hangs between two points under its own weight."""
+
+    length: Annotated[float, q.numbers((), allowed=coupling_limits.LINE_LENGTH)] = Field(
+        description="unstretched length [m]"
+    )
+    mass_per_length: Annotated[float, q.numbers((), allowed=coupling_limits.MASS_PER_LENGTH)] = Field(
+        description="mass per unstretched length [kg/m]"
+    )
+    axial_stiffness: Annotated[float, q.numbers((), allowed=coupling_limits.AXIAL_STIFFNESS)] = Field(
+        description="tension over strain [N]"
+    )
+    floor: Annotated[float | None, q.numbers((), allowed=coupling_limits.FLOOR)] = None
 
 
 class SolidSphere(Section):
@@ -294,6 +346,9 @@ class Settings(Section):
     contact: Rows[ContactSettings] = ()
     surface_contact: Rows[SurfaceContactSettings] = ()
     contact_coupling: Rows[ContactCouplingSettings] = ()
+    spring_damper: Rows[SpringDamperSettings] = ()
+    bushing: Rows[BushingSettings] = ()
+    catenary: Rows[CatenarySettings] = ()
     variation: dict[str, VariationSettings] = Field(default_factory=dict)
     record: RecordSettings = Field(default_factory=RecordSettings)
     output: OutputSettings = Field(default_factory=OutputSettings)
@@ -309,11 +364,14 @@ SECTIONS: dict[str, type[Section]] = {
     "contact": ContactSettings,
     "surface_contact": SurfaceContactSettings,
     "contact_coupling": ContactCouplingSettings,
+    "spring_damper": SpringDamperSettings,
+    "bushing": BushingSettings,
+    "catenary": CatenarySettings,
 }
 
 
-#: Those of them with laws or frictions.
-WITH_FORMULAS = ("template", "contact_coupling")
+#: Those with laws, frictions, springs and motions.
+FORMULA_SECTIONS = ("body", "template", "contact_coupling", "spring_damper")
 #: Tables within a contact coupling.
 _TABLES: dict[str, type[Section]] = {"range": RangeSettings, "from_impact": ImpactSettings}
 

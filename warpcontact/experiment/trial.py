@@ -14,9 +14,11 @@ from warpcontact.experiment.catalogue import FormulaSettings, own_class
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.own import blame
 from warpcontact.experiment.reading import Parts
-from warpcontact.experiment.schema import WITH_FORMULAS
+from warpcontact.experiment.schema import FORMULA_SECTIONS
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.laws import Hooke
+from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.springs import Damper, Linear, Spring
 from warpcontact.scene import Scene, Template
 
 
@@ -24,7 +26,7 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     """Returns a model of what is sound; ``None`` if there is none.
 
     Args:
-        parts: What there is; what has a class that does not work is taken out.
+        parts: What there is; tables with a class that does not work are taken out.
         folder: Folder to which the names of mesh files are relative.
         loaded: Meshes that were read before; filled.
         problems: Receives what is wrong.
@@ -33,7 +35,7 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     scene = Assembler(parts, folder, loaded).scene(problems)
     model, error = _built(scene, precision)
     # What the model contains works. The rest, or everything if there is none, is tried piece by piece.
-    working = set() if model is None else {type(f) for c in scene.contacts for f in vars(c.template).values()}
+    working = set() if model is None else _classes(scene)
     faults = 0
     for section, i, key, formula in list(_own_formulas(parts)):
         fault = None if type(formula) in working else _fault(key, formula, precision)
@@ -66,9 +68,16 @@ def _built(scene: Scene, precision: str) -> tuple[Environments | None, Exception
         return None, error
 
 
+def _classes(scene: Scene) -> set[type[Formula]]:
+    """Returns the classes of all formulas in ``scene``."""
+    formulas = [f for contact in scene.contacts for f in contact.template.formulas.values()]
+    formulas += [f for coupling in scene.couplings for f in coupling.formulas.values()]
+    return {type(formula) for formula in (*formulas, *(body.motion for body in scene.bodies))}
+
+
 def _own_formulas(parts: Parts) -> Iterator[tuple[str, int, str, Formula]]:
-    """Iterates over the formulas that are not of the library: section, number in it, key, formula."""
-    for section in WITH_FORMULAS:
+    """Iterates over the formulas that are not of the library: section, number of the entry, key, formula."""
+    for section in FORMULA_SECTIONS:
         for i, entry in parts.entries[section].items():
             for key, table in entry:
                 if isinstance(table, FormulaSettings) and own_class(table.type)[0]:
@@ -76,31 +85,48 @@ def _own_formulas(parts: Parts) -> Iterator[tuple[str, int, str, Formula]]:
 
 
 def _fault(key: str, formula: Formula, precision: str) -> str | None:
-    """Returns why ``formula``, as ``key`` of a template, cannot be computed or compiled; ``None`` if it can."""
+    """Returns why ``formula``, as ``key`` of its table, cannot be computed or compiled; ``None`` if it can."""
     cls = type(formula)
+    if isinstance(formula, Motion):
+        scene = Scene()
+        scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), motion=formula)
+        _, failure = _built(scene, precision)
+        return None if failure is None else _told(failure, cls)
     values = {name: np.full((1, 1), value) for name, value in formula.parameters(area=1.0).items()}
+    if along := isinstance(formula, Spring | Damper):
+        values["rest_length"] = np.ones((1, 1))
     try:
-        missing = set(cls.device_names()) - set(cls.coefficients(values))
+        missing = set(cls.device_names()) - set(formula.coefficients(values))
     except Exception as error:
         return blame(error, cls)
     if missing:
         return f"{cls.__name__}.coefficients must return {', '.join(cls.device_names())}, got no {min(missing)}"
     scene = Scene()
-    ground = scene.add_surface(meshes.grid())
     ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0))
-    try:
-        template = Template(**{"law": Hooke(stiffness=1.0), key: formula})
-    except ValueError as error:
-        return str(error)
-    # A set, because it has areas for a formula that asks for them.
-    scene.add_contact(scene.add_points(ball, [(0.0, 0.0, 0.0)], areas=[1.0]), ground, template, radius=0.1)
+    if along:
+        ends = (scene.add_point(None, (0.0, 0.0, 0.0)), scene.add_point(ball, (0.0, 0.0, 0.0)))
+        scene.add_spring_damper(*ends, **{"spring": Linear(stiffness=1.0), key: formula})
+    else:
+        try:
+            template = Template(**{"law": Hooke(stiffness=1.0), key: formula})
+        except ValueError as error:
+            return str(error)
+        # A set, because it has areas for a formula that asks for them.
+        points = scene.add_points(ball, [(0.0, 0.0, 0.0)], areas=[1.0])
+        scene.add_contact(points, scene.add_surface(meshes.grid()), template, radius=0.1)
     _, failure = _built(scene, precision)
     if failure is None:
         return None
+    text = _told(failure, cls)
+    if key in ("law", "spring"):
+        return text
+    helper = "spring Linear" if along else "law Hooke"
+    return re.sub(rf"^{helper} with |^In the {helper.partition(' ')[0]}, .*\n", "", text, flags=re.MULTILINE)
+
+
+def _told(failure: Exception, cls: type[Formula]) -> str:
+    """Returns in words why a model with a formula of class ``cls`` could not be built."""
     # That a formula does not compile is said in full by what compiles it, in names of modules that nobody knows.
     if isinstance(failure, TypeError):
-        text = str(failure).replace(f"{cls.__module__}.", "")
-        return (
-            text if key == "law" else re.sub(r"^law Hooke with |^In the law, .*\n", "", text, flags=re.MULTILINE)
-        )
+        return str(failure).replace(f"{cls.__module__}.", "")
     return blame(failure, cls)

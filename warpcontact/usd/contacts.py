@@ -13,10 +13,9 @@ from warpcontact.usd.author import (
     attribute_type,
     plain,
     series,
-    vectors,
     write_samples,
 )
-from warpcontact.usd.geometry import set_color
+from warpcontact.usd.curves import define_curves, write_curves
 from warpcontact.usd.replay import Replay
 
 FORCE_COLOR = (0.9, 0.25, 0.1)
@@ -120,31 +119,16 @@ class ForceLines:
 
     def declare(self, stage: Any, path: str, width: float) -> None:
         """Writes what the lines have in common in all environments."""
-        from pxr import UsdGeom, Vt
-
-        curves = UsdGeom.BasisCurves.Define(stage, path)
-        curves.CreateTypeAttr(UsdGeom.Tokens.linear)
-        curves.CreateCurveVertexCountsAttr(Vt.IntArray([2] * self.contact.count))
-        curves.CreateWidthsAttr(Vt.FloatArray([width]))
-        curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-        set_color(curves, FORCE_COLOR if self.contact.color is None else self.contact.color)
-        curves.GetPrim().SetDocumentation("Force on the body of the points, from the point where it acts.")
+        color = FORCE_COLOR if self.contact.color is None else self.contact.color
+        meaning = "Force on the body of the points, from the point where it acts."
+        define_curves(stage, path, [2] * self.contact.count, width, color, meaning)
 
     def write(self, prim: Any, replay: Replay, row: int, scale: float, width: float) -> None:
         """Writes the lines of environment number ``row`` of the export, ``scale`` metres per newton long."""
-        from pxr import UsdGeom
-
         start, force = self.start[:, row], self.force[:, row]
         ends = np.stack([start, start + scale * force], axis=2).reshape(len(start), -1, 3)
-        half = 0.5 * width
-        extents = np.stack([ends.min(axis=1) - half, ends.max(axis=1) + half], axis=1)
         acting = np.any(force.reshape(len(force), -1), axis=1).tolist()
-        tokens = UsdGeom.Tokens
-        curves = UsdGeom.BasisCurves(prim)
-        write_samples(curves.CreatePointsAttr(), replay.codes, [vectors(frame) for frame in ends])
-        write_samples(curves.CreateExtentAttr(), replay.codes, [vectors(frame) for frame in extents])
-        visibility = [tokens.inherited if some else tokens.invisible for some in acting]
-        write_samples(curves.CreateVisibilityAttr(), replay.codes, visibility)
+        write_curves(prim, replay, ends, acting, width)
 
 
 def length_scale(lines: list[ForceLines], size: float) -> float:

@@ -15,6 +15,7 @@ from warpcontact.scene import Body, Scene
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.author import identifiers, mark, pose_attributes, series, write_samples
 from warpcontact.usd.contacts import WIDTH, ForceLines, Readings, length_scale
+from warpcontact.usd.couplings import CouplingCurve
 from warpcontact.usd.replay import Replay
 from warpcontact.usd.surfaces import Placement, define_shapes, define_surfaces
 
@@ -22,7 +23,7 @@ SUFFIXES = (".usd", ".usda", ".usdc")
 # Width of what has no size, in sizes of its body.
 POINT = 0.03
 # Children of an environment that no element may take the name of.
-_RESERVED = ("contacts", "FixedPoints", "Surfaces")
+_RESERVED = ("contacts", "couplings", "FixedPoints", "Surfaces")
 _PROTOTYPE = "/World/Prototype"
 _SHAPES = "/World/Shapes"
 
@@ -41,7 +42,8 @@ def export_usd(
     ``/World/Surfaces/<surface>`` are the meshes fixed to the world; ``/World/env_<number>/<body>`` moves and
     carries the spheres, points and meshes of the body; ``/World/env_<number>/contacts/<contact>`` has what
     was recorded of a contact as attributes ``warpcontact:<reading>``, such as ``warpcontact:normalForce``, in
-    SI units and world axes, and draws its force if ``normal_force``, ``normal`` and ``point`` were recorded.
+    SI units and world axes, and draws its force if ``normal_force``, ``normal`` and ``point`` were recorded;
+    ``/World/env_<number>/couplings/<coupling>`` likewise, with the shape of the coupling as a curve.
     A surface whose pose, scale or mesh differs between environments is in each of them instead, as
     ``/World/env_<number>/Surfaces/<surface>`` or with its body; points move with their surface.
     What environments have in common is written once, in the class ``/World/Prototype`` that they refer to.
@@ -106,9 +108,10 @@ class _Export:
         self.placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
         self.size = geometry.scene_size(replay, list(self.placements.values()), self.spheres)
         self.poses = {body.name: replay.pose(body) for body in scene.bodies}
-        elements = [body.name for body in scene.bodies] + self._forces()
-        self.readings = {name: Readings(replay, name) for name in ("scene", *elements)}
+        named: list[Any] = [*scene.bodies, *scene.contacts, *scene.contact_couplings, *scene.couplings]
+        self.readings = {name: Readings(replay, name) for name in ("scene", *(element.name for element in named))}
         self.lines = [line for contact in scene.contacts if (line := ForceLines.of(replay, contact))]
+        self.curves = [CouplingCurve(replay, coupling) for coupling in scene.couplings]
         self.force_scale = length_scale(self.lines, self.size) if force_scale is None else force_scale
 
     def write(self) -> None:
@@ -175,7 +178,7 @@ class _Export:
             prim = UsdGeom.Xform.Define(self.stage, self._path(_PROTOTYPE, body)).GetPrim()
             Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
             mark(prim, body.name)
-            physics.apply_rigid_body(prim)
+            physics.apply_rigid_body(prim, body)
             self.readings[body.name].declare(prim)
         for name, placement in self.placements.items():
             if placement.surface.body is not None and placement.shared:
@@ -206,6 +209,16 @@ class _Export:
         for lines in self.lines:
             path = self._contact_path(_PROTOTYPE, lines.contact.name)
             lines.declare(self.stage, f"{path}/force", WIDTH * self.size)
+        if scene.couplings:
+            UsdGeom.Scope.Define(self.stage, f"{_PROTOTYPE}/couplings")
+        for curve in self.curves:
+            path = self._coupling_path(_PROTOTYPE, curve.coupling.name)
+            prim = UsdGeom.Scope.Define(self.stage, path).GetPrim()
+            mark(prim, curve.coupling.name)
+            self.readings[curve.coupling.name].declare(prim)
+            if not curve.coupling.visible:
+                UsdGeom.Imageable(prim).MakeInvisible()
+            curve.declare(self.stage, f"{path}/shape", WIDTH * self.size)
 
     def _environment(self, row: int) -> str:
         """Writes environment number ``row`` of the export and returns its path."""
@@ -239,6 +252,10 @@ class _Export:
         for lines in self.lines:
             prim = stage.GetPrimAtPath(f"{self._contact_path(path, lines.contact.name)}/force")
             lines.write(prim, replay, row, self.force_scale, WIDTH * self.size)
+        for curve in self.curves:
+            own = self._coupling_path(path, curve.coupling.name)
+            self.readings[curve.coupling.name].write(stage.GetPrimAtPath(own), row)
+            curve.write(stage.GetPrimAtPath(f"{own}/shape"), replay, row, WIDTH * self.size)
         return path
 
     def _move(self, xformable: Any, body: Body, row: int) -> None:
@@ -264,6 +281,9 @@ class _Export:
 
     def _contact_path(self, env: str, contact: str) -> str:
         return f"{env}/contacts/{self.names[contact]}"
+
+    def _coupling_path(self, env: str, coupling: str) -> str:
+        return f"{env}/couplings/{self.names[coupling]}"
 
 
 def _save(stage: Any, path: Path) -> None:

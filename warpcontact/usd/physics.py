@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array
+from warpcontact.kernels.types import DRIVEN, FIXED, PRESCRIBED
 from warpcontact.scene import Body
 from warpcontact.usd.author import vectors, write_samples
 from warpcontact.usd.replay import Replay
@@ -23,11 +24,16 @@ def define_gravity(stage: Any, path: str, gravity: Array) -> None:
     scene.CreateGravityMagnitudeAttr(magnitude)
 
 
-def apply_rigid_body(prim: Any) -> None:
-    """Makes a prim a rigid body whose centre of mass is its origin, as that of every ``Body`` is."""
+def apply_rigid_body(prim: Any, body: Body) -> None:
+    """Makes a prim a rigid body whose centre of mass is its origin, as that of every ``Body`` is.
+
+    One that no force moves is kinematic.
+    """
     from pxr import Gf, UsdPhysics
 
-    UsdPhysics.RigidBodyAPI.Apply(prim)
+    api = UsdPhysics.RigidBodyAPI.Apply(prim)
+    if body.motion.kind in (FIXED, PRESCRIBED, DRIVEN):
+        api.CreateKinematicEnabledAttr(True)
     UsdPhysics.MassAPI.Apply(prim).CreateCenterOfMassAttr(Gf.Vec3f(0.0))
 
 

@@ -7,8 +7,9 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.contact_range import ExpectedImpact
-from warpcontact.friction_advice import LOOKED_AT, USUAL_SPEED, steepness_under
+from warpcontact.friction_advice import LEAST_MOBILITY, LOOKED_AT, USUAL_SPEED, steepness_under
 from warpcontact.kernels.frictions import Frictionless
+from warpcontact.mobility import mobility_of
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
@@ -23,7 +24,7 @@ OVERSHOOT = 0.01
 LARGEST_FACES = 64
 
 
-def coupling_advice(model: "Environments", coupling: "ContactCoupling", dt: float) -> list[str]:
+def contact_coupling_advice(model: "Environments", coupling: "ContactCoupling", dt: float) -> list[str]:
     """Returns what to say about a contact coupling, a sentence for each of its problems.
 
     Contacts are those of the start. Masses are those of the bodies, without their rotation; the area is the
@@ -91,13 +92,13 @@ def _face_areas(mesh: object) -> Array:
 
 
 def _mass_and_speed(model: "Environments", coupling: "ContactCoupling", envs: int) -> tuple[Array, Array]:
-    """Returns the reduced mass [kg] and the speed of the bodies at the start [m/s], (env,)."""
+    """Returns the reduced mass [kg], as bodies may move, and their speed at the start [m/s], (env,)."""
     mobility, velocity = np.zeros(envs), np.zeros((envs, 3))
     for body, sign in ((coupling.surface_a.body, 1.0), (coupling.surface_b.body, -1.0)):
         if body is not None:
-            mobility += 1.0 / model[f"{body.name}.mass"][:envs]
+            mobility += mobility_of(model, coupling.contacts[0], body).push[:envs, 0]
             velocity += sign * model[f"{body.name}.linear_velocity"][:envs]
-    return 1.0 / mobility, np.linalg.norm(velocity, axis=1)
+    return 1.0 / np.maximum(mobility, LEAST_MOBILITY), np.linalg.norm(velocity, axis=1)
 
 
 def _about_steps(

@@ -13,7 +13,7 @@ from warpcontact.arrays import Layout, per_env
 from warpcontact.checks import Array
 from warpcontact.elements import ENABLED, RANGE, Contact
 from warpcontact.frames import placed
-from warpcontact.kernels import coupling as kernels
+from warpcontact.kernels import contact_coupling as kernels
 from warpcontact.parameters import Field, Parameters, Upload
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _OF_LAW = {"k1": "k1", "k2": "k2", "ramp": "damping_ramp"}
 
 
 @dataclass(frozen=True)
-class Couplings:
+class ContactCouplings:
     """All contact couplings, in the order of the device: that of their contacts.
 
     Attributes:
@@ -38,7 +38,7 @@ class Couplings:
     contacts: Sequence[Contact]
 
     @classmethod
-    def order(cls, couplings: Sequence["ContactCoupling"], contacts: Sequence[Contact]) -> "Couplings":
+    def order(cls, couplings: Sequence["ContactCoupling"], contacts: Sequence[Contact]) -> "ContactCouplings":
         """Returns ``couplings`` in the order of their ``contacts``."""
         of = {contact: coupling for coupling in couplings for contact in coupling.contacts}
         return cls(tuple(dict.fromkeys(of[contact] for contact in contacts if contact in of)), of, contacts)
@@ -87,16 +87,16 @@ class Couplings:
 
     def declare(self, arrays: SimpleNamespace, layout: Layout, t: SimpleNamespace) -> None:
         """Declares what is kept of couplings, and which contacts they have; nothing if there are none."""
-        arrays.reached, arrays.sets, arrays.couplings = None, None, None
+        arrays.reached, arrays.coupling_contacts, arrays.contact_couplings = None, None, None
         if not self.all:
             return
         arrays.reached = layout.struct("contacts", t.Reached, per_env(len(self.all)))
-        arrays.sets = kernels.Sets()
+        arrays.coupling_contacts = kernels.Sets()
         number = {contact: i for i, contact in enumerate(self.contacts)}
         firsts = [number[coupling.contacts[0]] for coupling in self.all]
         counts = [len(coupling.contacts) for coupling in self.all]
-        layout.content("contacts", arrays.sets, "first", firsts, wp.int32)
-        layout.content("contacts", arrays.sets, "count", counts, wp.int32)
+        layout.content("contacts", arrays.coupling_contacts, "first", firsts, wp.int32)
+        layout.content("contacts", arrays.coupling_contacts, "count", counts, wp.int32)
 
     def upload_normals(self, model: object, point_count: int, parameters: Parameters, t: SimpleNamespace) -> None:
         """Adds the normals of all points, in their bodies, if some contact is weighed by them."""

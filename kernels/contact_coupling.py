@@ -10,7 +10,7 @@ from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, structs
 
 
 @wp.struct
-class Couplings:
+class ContactCouplings:
     """What is measured of couplings."""
 
     force: wp.array2d(dtype=wp.vec3d)  # [env, coupling] on the body of the first surface, W [N]
@@ -116,7 +116,7 @@ def measure(real: type) -> wp.Kernel:
     wide = wide_of(real)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def measure_couplings(model: Model, state: State, contacts: Contacts, sets: Sets, measured: Couplings):
+    def measure_couplings(model: Model, state: State, contacts: Contacts, sets: Sets, measured: ContactCouplings):
         env, coupling = wp.tid()
         force = wp.vec3d()
         torque = wp.vec3d()

@@ -1,0 +1,129 @@
+"""Bushings: springs and dampers along three axes and about them, between frames of two bodies."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels import frames
+from warpcontact.kernels.couplings import ends
+from warpcontact.kernels.types import COUPLING_ACTIVE, COUPLING_DISABLED, ENV_ACTIVE, Work, structs
+
+
+@functools.cache
+def bushing_structs(real: type) -> SimpleNamespace:
+    """Returns the structs of bushings in one precision. Frame F: the axes of the bushing, on its first end."""
+    t = structs(real)
+    vec3, quat = t.vec3, t.quat
+
+    @wp.struct
+    class Settings:
+        stiffness: vec3  # along the axes [N/m]
+        damping: vec3  # [N·s/m]
+        turn_stiffness: vec3  # about the axes [N·m/rad]
+        turn_damping: vec3  # [N·m·s/rad]
+        orientation_1: quat  # F → first body
+        orientation_2: quat  # F at rest → second body
+        enabled: wp.int32  # 0 or 1
+
+    @wp.struct
+    class Bushings:
+        displacement: wp.array2d(dtype=vec3)  # [env, bushing] of the second end from the first, F [m]
+        rotation: wp.array2d(dtype=vec3)  # [env, bushing] of the second body, rotation vector, F [rad]
+        force: wp.array2d(dtype=vec3)  # [env, bushing] on the second body, F [N]
+        torque: wp.array2d(dtype=vec3)  # [env, bushing] couple on the second body, F [N·m]
+        status: wp.array2d(dtype=wp.int32)  # [env, bushing] COUPLING_*
+
+    return SimpleNamespace(Settings=Settings, Bushings=Bushings)
+
+
+@functools.cache
+def kernel(real: type) -> wp.Kernel:
+    """Returns the kernel of the forces of bushings; items: bushings.
+
+    The force acts at the second end on both bodies, so that nothing but the couple turns them as a pair.
+    """
+    t = structs(real)
+    s = bushing_structs(real)
+    vec3, quat, Model, State, Ends = t.vec3, t.quat, t.Model, t.State, t.Ends
+    Settings, Bushings = s.Settings, s.Bushings
+    end = ends.functions(real)
+    arm, separation, velocity = end.arm, end.separation, end.velocity
+    orientation_to_world = frames.functions(real).orientation_to_world
+    two = wp.constant(real(2.0))
+
+    @wp.func
+    def spin(state: State, env: int, body: int):
+        if body < 0:
+            return vec3()
+        return state.body_angular_velocity[env, body]
+
+    @wp.func
+    def rotation_vector(q: quat):
+        """Axis times angle of a rotation, the shorter way round."""
+        v = vec3(q[0], q[1], q[2])
+        w = q[3]
+        if w < real(0.0):
+            v = -v
+            w = -w
+        sine = wp.length(v)
+        if sine < real(1.0e-4):
+            # asin(s)/s to a rounding.
+            return (two + sine * sine / real(3.0)) * v
+        return (two * wp.atan2(sine, w) / sine) * v
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def bushing_forces(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        first: wp.int32,  # coupling
+        settings: wp.array2d(dtype=Settings),
+        bushings: Bushings,
+        ends: Ends,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            bushing = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            end_1 = 2 * (first + bushing)
+            point_1 = model.end_point[end_1]
+            point_2 = model.end_point[end_1 + 1]
+            body_1 = model.point_body[point_1]
+            body_2 = model.point_body[point_2]
+            own = settings[env, bushing]
+            q_WF = orientation_to_world(state, env, body_1, own.orientation_1)
+            q_W2 = orientation_to_world(state, env, body_2, own.orientation_2)
+            arm_1 = arm(model, state, env, point_1)
+            arm_2 = arm(model, state, env, point_2)
+            apart = separation(model, state, env, point_1, point_2, arm_1, arm_2)
+            # Of the second end relative to the point of the first body that is there.
+            moving = velocity(model, state, env, point_2, arm_2) - velocity(
+                model, state, env, point_1, arm_1 + apart
+            )
+            turning = spin(state, env, body_2) - spin(state, env, body_1)
+            shift = wp.quat_rotate_inv(q_WF, apart)
+            turn = rotation_vector(wp.quat_inverse(q_WF) * q_W2)
+            force = -wp.cw_mul(own.stiffness, shift) - wp.cw_mul(own.damping, wp.quat_rotate_inv(q_WF, moving))
+            couple = -wp.cw_mul(own.turn_stiffness, turn) - wp.cw_mul(
+                own.turn_damping, wp.quat_rotate_inv(q_WF, turning)
+            )
+            found = COUPLING_ACTIVE
+            if own.enabled == 0:
+                found = COUPLING_DISABLED
+                force = vec3()
+                couple = vec3()
+            bushings.displacement[env, bushing] = shift
+            bushings.rotation[env, bushing] = turn
+            bushings.force[env, bushing] = force
+            bushings.torque[env, bushing] = couple
+            bushings.status[env, bushing] = found
+            force_W = wp.quat_rotate(q_WF, force)
+            couple_W = wp.quat_rotate(q_WF, couple)
+            ends.force[env, end_1] = -force_W
+            ends.torque[env, end_1] = wp.cross(arm_1 + apart, -force_W) - couple_W
+            ends.force[env, end_1 + 1] = force_W
+            ends.torque[env, end_1 + 1] = wp.cross(arm_2, force_W) + couple_W
+
+    return bushing_forces

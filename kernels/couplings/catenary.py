@@ -1,0 +1,336 @@
+"""Catenaries: elastic lines under their own weight between two points, always in equilibrium.
+
+A line lies in the upright plane through its ends. In float64 whatever the precision of the model: the tension of a
+taut line hangs on the small difference of two lengths.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels.couplings import ends
+from warpcontact.kernels.couplings.elastic_line import mean_tension, scale, size, solve
+from warpcontact.kernels.couplings.grounded_line import lift, solve_grounded
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    LINE_DISABLED,
+    LINE_FAILED,
+    LINE_FOLDED,
+    LINE_GROUNDED,
+    LINE_HANGING,
+    LINE_LOOSE,
+    LINE_SUNK,
+    LINE_TAUT,
+    Work,
+    structs,
+)
+
+zero = wp.constant(wp.float64(0.0))
+one = wp.constant(wp.float64(1.0))
+half = wp.constant(wp.float64(0.5))
+
+
+@wp.struct
+class Settings:
+    """Parameters of a line."""
+
+    length: wp.float64  # unstretched [m]
+    mass_per_length: wp.float64  # of that [kg/m]
+    axial_stiffness: wp.float64  # EA [N]
+    floor: wp.float64  # height of the floor along the vertical, from the origin of W [m]
+    enabled: wp.int32  # 0 or 1
+
+
+@wp.struct
+class Held:
+    """The solution of a line."""
+
+    horizontal: wp.array2d(dtype=wp.float64)  # [env, line] horizontal tension [N]
+    low: wp.array2d(dtype=wp.float64)  # [env, line] force on the lower end, up [N]
+    grounded: wp.array2d(dtype=wp.int32)  # [env, line] 1: a part of it rests on the floor
+
+
+@functools.cache
+def line_structs(real: type) -> SimpleNamespace:
+    """Returns the struct of what is measured of lines in one precision."""
+
+    @wp.struct
+    class Lines:
+        tension_a: wp.array2d(dtype=real)  # [env, line] at the first end [N]
+        tension_b: wp.array2d(dtype=real)  # [env, line] at the second end [N]
+        horizontal_tension: wp.array2d(dtype=real)  # [env, line] [N]
+        dip: wp.array2d(dtype=real)  # [env, line] of its lowest point below its first end [m]
+        stretched_length: wp.array2d(dtype=real)  # [env, line] [m]
+        grounded_length: wp.array2d(dtype=real)  # [env, line] unstretched, of what rests on the floor [m]
+        iterations: wp.array2d(dtype=wp.int32)  # [env, line] evaluations of its span
+        status: wp.array2d(dtype=wp.int32)  # [env, line] LINE_*
+        # As of the last accepted step
+        failures: wp.array2d(dtype=wp.int32)  # [env, line] steps without a solution
+
+    return SimpleNamespace(Lines=Lines)
+
+
+@functools.cache
+def placement(real: type, floored: bool) -> SimpleNamespace:
+    """Returns the device functions that place a line; ``floored``: whether there is a floor."""
+    t = structs(real)
+    vec3, Model, State = t.vec3, t.Model, t.State
+
+    @wp.struct
+    class Plane:
+        """The upright plane of a line, and where its ends are in it."""
+
+        origin: wp.vec3d  # the lower end; one below the floor is raised to it; W
+        along: wp.vec3d  # horizontal unit vector from the lower end to the upper; 0: they are above one another; W
+        up: wp.vec3d  # unit vector; 0: without gravity; W
+        run: wp.float64  # horizontal distance of the ends [m]
+        rise: wp.float64  # of the upper end above the lower [m]
+        height: wp.float64  # of the lower end above the floor [m]
+        weight: wp.float64  # of the line [N]
+        b_is_lower: wp.int32  # 0 or 1
+        sunk: wp.int32  # 1: an end lies below the floor
+
+    @wp.func
+    def wide(v: vec3):
+        return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
+
+    @wp.func
+    def place(model: Model, state: State, env: int, point: int, arm_W: vec3):
+        """Where ``point`` is, W."""
+        body = model.point_body[point]
+        if body < 0:
+            return wide(model.point_anchor[env, point]) + wide(arm_W)
+        return wide(state.body_position[env, body]) + (
+            wide(state.body_position_remainder[env, body]) + wide(arm_W)
+        )
+
+    @wp.func
+    def upright_plane(gravity_W: vec3, place_a: wp.vec3d, place_b: wp.vec3d, own: Settings):
+        """The plane of a line between two places."""
+        plane = Plane()
+        gravity = wide(gravity_W)
+        strength = wp.length(gravity)
+        if strength > zero:
+            plane.up = -gravity / strength
+        plane.weight = own.mass_per_length * strength * own.length
+        apart = place_b - place_a
+        rise = wp.dot(apart, plane.up)
+        flat = apart - rise * plane.up
+        plane.run = wp.length(flat)
+        if plane.run > zero:
+            plane.along = flat / plane.run
+        raised_a = zero
+        raised_b = zero
+        if wp.static(floored) and plane.weight > zero:
+            height_a = wp.dot(place_a, plane.up) - own.floor
+            height_b = height_a + rise
+            raised_a = wp.max(-height_a, zero)
+            raised_b = wp.max(-height_b, zero)
+            rise += raised_b - raised_a
+            plane.height = wp.max(wp.min(height_a, height_b), zero)
+            plane.sunk = wp.where(raised_a + raised_b > zero, 1, 0)
+        plane.rise = rise
+        plane.origin = place_a + raised_a * plane.up
+        if rise < zero:
+            plane.b_is_lower = 1
+            plane.rise = -rise
+            plane.along = -plane.along
+            plane.origin = place_b + raised_b * plane.up
+        return plane
+
+    return SimpleNamespace(place=place, upright_plane=upright_plane)
+
+
+@functools.cache
+def kernel(real: type, floored: bool) -> wp.Kernel:
+    """Returns the kernel of the forces of lines; items: those of the set.
+
+    A pure function of model, state and ``held``, the solution of the last accepted step, from which the search
+    starts. The new one goes to ``found``.
+    """
+    t = structs(real)
+    vec2, vec3, Model, State, Ends = wp.vec2d, t.vec3, t.Model, t.State, t.Ends
+    Lines = line_structs(real).Lines
+    placing = placement(real, floored)
+    place, upright_plane = placing.place, placing.upright_plane
+    end = ends.functions(real)
+    arm, pull = end.arm, end.pull
+
+    @wp.func
+    def narrow(v: wp.vec3d):
+        return vec3(real(v[0]), real(v[1]), real(v[2]))
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def line_forces(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        first: wp.int32,  # coupling
+        settings: wp.array2d(dtype=Settings),
+        held: Held,
+        found: Held,
+        lines: Lines,
+        ends: Ends,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            line = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            end_a = 2 * (first + line)
+            point_a = model.end_point[end_a]
+            point_b = model.end_point[end_a + 1]
+            arm_a = arm(model, state, env, point_a)
+            arm_b = arm(model, state, env, point_b)
+            own = settings[env, line]
+            plane = upright_plane(
+                model.gravity[env, 0],
+                place(model, state, env, point_a, arm_a),
+                place(model, state, env, point_b, arm_b),
+                own,
+            )
+
+            # Without units: lengths by that of the line, forces by one like its tension.
+            x = plane.run / own.length
+            y = plane.rise / own.length
+            height = plane.height / own.length
+            chord = size(plane.run, plane.rise)
+            unit = scale(plane.weight, own.axial_stiffness, (chord - own.length) / own.length)
+            if own.enabled == 0:
+                unit = zero
+            weight = zero
+            give = zero
+            warm = vec2()
+            if unit > zero:
+                weight = plane.weight / unit
+                give = unit / own.axial_stiffness
+                warm = vec2(held.horizontal[env, line] / unit, held.low[env, line] / unit)
+            h = zero
+            low = zero
+            high = zero
+            lowest = zero  # below the lower end
+            hanging = one  # part of the line
+            used = wp.int32(0)
+            more = wp.int32(0)
+            met = wp.bool(True)
+            grounded = wp.bool(False)
+            if wp.static(floored) and held.grounded[env, line] == 1 and weight > zero:
+                h, used, met = solve_grounded(warm[0], x, height, height + y, weight, give)
+                low = -lift(h, height, weight, give)[0]
+                high = lift(h, height + y, weight, give)[0]
+                # It is lifted off where more hangs than there is.
+                grounded = high - low <= weight
+            if unit > zero and not grounded:
+                solution, more, met = solve(warm, x, y, weight, give)
+                used += more
+                h = solution[0]
+                low = solution[1]
+                high = low + weight
+                if low < zero and high > zero:
+                    lowest = low * low / weight * (one / (size(h, low) + h) + half * give)
+                if wp.static(floored) and lowest > height:
+                    h, more, met = solve_grounded(h, x, height, height + y, weight, give)
+                    used += more
+                    low = -lift(h, height, weight, give)[0]
+                    high = lift(h, height + y, weight, give)[0]
+                    grounded = True
+            tension_low = size(h, low)
+            tension_high = size(h, high)
+            mean = zero
+            if grounded:
+                lowest = height
+                # What hangs, from its lowest point upwards on either side, and the rest.
+                hanging = wp.min((high - low) / weight, one)
+                mean = (one - hanging) * h
+                if low < zero:
+                    mean -= low / weight * mean_tension(h, zero, -low)
+                if high > zero:
+                    mean += high / weight * mean_tension(h, zero, high)
+            elif tension_low + tension_high > zero:
+                mean = mean_tension(h, low, weight)
+
+            found_status = LINE_HANGING
+            if chord > own.length:
+                found_status = LINE_TAUT
+            elif unit == zero:
+                found_status = LINE_LOOSE
+            elif h == zero and low < zero:
+                found_status = LINE_FOLDED
+            if grounded:
+                found_status = LINE_GROUNDED
+            if plane.sunk == 1:
+                found_status = LINE_SUNK
+            if not met:
+                found_status = LINE_FAILED
+            if own.enabled == 0:
+                found_status = LINE_DISABLED
+            found.horizontal[env, line] = h * unit
+            found.low[env, line] = low * unit
+            found.grounded[env, line] = wp.where(grounded, 1, 0)
+
+            along = h * unit * plane.along
+            on_low = along + low * unit * plane.up
+            on_high = -along - high * unit * plane.up
+            dip = lowest * own.length
+            if plane.b_is_lower == 1:
+                pull(ends, env, end_a, arm_a, narrow(on_high))
+                pull(ends, env, end_a + 1, arm_b, narrow(on_low))
+                lines.tension_a[env, line] = real(tension_high * unit)
+                lines.tension_b[env, line] = real(tension_low * unit)
+                dip += plane.rise
+            else:
+                pull(ends, env, end_a, arm_a, narrow(on_low))
+                pull(ends, env, end_a + 1, arm_b, narrow(on_high))
+                lines.tension_a[env, line] = real(tension_low * unit)
+                lines.tension_b[env, line] = real(tension_high * unit)
+            lines.horizontal_tension[env, line] = real(h * unit)
+            lines.dip[env, line] = real(dip)
+            lines.stretched_length[env, line] = real(own.length * (one + give * mean))
+            lines.grounded_length[env, line] = real(own.length * (one - hanging))
+            lines.iterations[env, line] = used
+            lines.status[env, line] = found_status
+
+    return line_forces
+
+
+@functools.cache
+def remember(real: type) -> wp.Kernel:
+    """Returns the kernel that ends an accepted step of lines; items: those of the set."""
+    Lines = line_structs(real).Lines
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def remember_lines(work: Work, status: wp.array(dtype=wp.int32), found: Held, held: Held, lines: Lines):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            line = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            if lines.status[env, line] == LINE_FAILED:
+                # It starts anew.
+                lines.failures[env, line] = lines.failures[env, line] + 1
+                held.horizontal[env, line] = zero
+                held.grounded[env, line] = 0
+                continue
+            held.horizontal[env, line] = found.horizontal[env, line]
+            held.low[env, line] = found.low[env, line]
+            held.grounded[env, line] = found.grounded[env, line]
+
+    return remember_lines
+
+
+@functools.cache
+def forget(real: type) -> wp.Kernel:
+    """Returns the kernel that starts lines anew. Launch with dim (env, line)."""
+    Lines = line_structs(real).Lines
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def forget_lines(mask: wp.array(dtype=wp.bool), held: Held, lines: Lines):
+        env, line = wp.tid()
+        if mask[env]:
+            held.horizontal[env, line] = zero
+            held.low[env, line] = zero
+            held.grounded[env, line] = 0
+            lines.failures[env, line] = 0
+
+    return forget_lines

@@ -1,0 +1,55 @@
+"""Where the ends of a coupling are, how they move, and what pulls there does to the bodies."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels import frames
+from warpcontact.kernels.types import structs
+
+
+@functools.cache
+def functions(real: type) -> SimpleNamespace:
+    """Returns the device functions for ``real``.
+
+    The arm of a point goes to it from the centre of mass of its body, or from its anchor in the world; W.
+    """
+    t = structs(real)
+    vec3, Model, State, Ends = t.vec3, t.Model, t.State, t.Ends
+    frame = frames.functions(real)
+    turned, velocity_at = frame.turned, frame.velocity_at
+
+    @wp.func
+    def arm(model: Model, state: State, env: int, point: int):
+        """Arm of ``point``."""
+        return turned(state, env, model.point_body[point], model.point_position[env, point])
+
+    @wp.func
+    def separation(model: Model, state: State, env: int, point_1: int, point_2: int, arm_1: vec3, arm_2: vec3):
+        """Vector from the first point to the second, W, as fine as they are near each other."""
+        body_1 = model.point_body[point_1]
+        body_2 = model.point_body[point_2]
+        remainder = arm_2 - arm_1
+        difference = model.point_anchor[env, point_2]
+        if body_2 >= 0:
+            difference = state.body_position[env, body_2]
+            remainder += state.body_position_remainder[env, body_2]
+        if body_1 >= 0:
+            difference -= state.body_position[env, body_1]
+            remainder -= state.body_position_remainder[env, body_1]
+        else:
+            difference -= model.point_anchor[env, point_1]
+        return difference + remainder
+
+    @wp.func
+    def velocity(model: Model, state: State, env: int, point: int, arm_W: vec3):
+        """Velocity of ``point``, W."""
+        return velocity_at(state, env, model.point_body[point], arm_W)
+
+    @wp.func
+    def pull(ends: Ends, env: int, end: int, arm_W: vec3, force_W: vec3):
+        """Lets a force act at an end."""
+        ends.force[env, end] = force_W
+        ends.torque[env, end] = wp.cross(arm_W, force_W)
+
+    return SimpleNamespace(arm=arm, separation=separation, velocity=velocity, pull=pull)

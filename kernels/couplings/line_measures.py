@@ -1,0 +1,188 @@
+"""The shape of catenaries, and how their forces change with their ends. What is not needed in a step."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.couplings import ends
+from warpcontact.kernels.couplings.catenary import Held, Settings, one, placement, zero
+from warpcontact.kernels.couplings.elastic_line import mean_slackness, scale, size, span, yields
+from warpcontact.kernels.couplings.grounded_line import fall, lift
+from warpcontact.kernels.types import structs
+
+
+@wp.func
+def grounded_place(
+    s: wp.float64,
+    x: wp.float64,
+    h: wp.float64,
+    low: wp.float64,
+    high: wp.float64,
+    weight: wp.float64,
+    give: wp.float64,
+):
+    """Where a line with a part on the floor is at ``s`` from its lower end; ``low`` and ``high`` hang there."""
+    from_low = low / weight
+    from_high = high / weight
+    if s < from_low:
+        return s * span(h, -low, weight * s, give)
+    place = from_low * span(h, -low, low, give)
+    rest = one - from_low - from_high
+    lying = wp.min(s - from_low, rest)
+    if h > zero:
+        place[0] += lying * (one + give * h)
+    elif rest > zero:
+        # More than it takes: drawn straight.
+        place[0] += x * lying / rest
+    rising = s - from_low - lying
+    if rising > zero:
+        place += rising * span(h, zero, weight * rising, give)
+    return place
+
+
+@wp.func
+def free_stiffness(h: wp.float64, low: wp.float64, weight: wp.float64, give: wp.float64):
+    """−∂F/∂p of either end: in the plane along, up and across these, and out of it."""
+    rate = yields(h, low, weight, give)
+    across = zero
+    if rate[2] != zero:
+        across = rate[2] / (rate[0] * rate[1] - rate[2] * rate[2])
+    # A line that hangs straight down from both ends swings freely: its mean slackness is infinite.
+    return wp.vec4d(
+        one / (rate[0] - rate[2] * rate[2] / rate[1]),
+        one / (rate[1] - rate[2] * rate[2] / rate[0]),
+        across,
+        one / (mean_slackness(h, low, weight) + give),
+    )
+
+
+@wp.func
+def grounded_stiffness(
+    h: wp.float64, x: wp.float64, own: wp.float64, other: wp.float64, weight: wp.float64, give: wp.float64
+):
+    """Likewise of the end at height ``own`` of a line on the floor, away from the other end and up."""
+    hanging = lift(h, own, weight, give)
+    v = hanging[0]
+    tension = h + hanging[1]
+    taut = one + give * tension
+    # ∂V/∂h, which is −∂x/∂(height) as well. An end on the floor is seen as it slides there.
+    leans = zero
+    lifts = zero
+    if v > zero:
+        leans = hanging[1] / (v * taut)
+        lifts = weight * tension / (v * taut)
+    along = zero
+    sideways = zero
+    if h > zero:
+        along = one / (give + (fall(h, hanging, give) + fall(h, lift(h, other, weight, give), give)) / weight)
+        sideways = h / x
+    return wp.vec4d(along, lifts + leans * leans * along, leans * along, sideways)
+
+
+@functools.cache
+def shapes(real: type, floored: bool) -> wp.Kernel:
+    """Returns the kernel that places points of one line, evenly along its unstretched length from its first end.
+
+    Launch with dim (env, point).
+    """
+    t = structs(real)
+    Model, State = t.Model, t.State
+    placing = placement(real, floored)
+    place, upright_plane = placing.place, placing.upright_plane
+    arm = ends.functions(real).arm
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def measure_shapes(
+        model: Model,
+        state: State,
+        first: wp.int32,  # coupling
+        line: wp.int32,
+        settings: wp.array2d(dtype=Settings),
+        found: Held,
+        points: wp.array2d(dtype=wp.vec3d),  # [env, point] W [m]
+    ):
+        env, number = wp.tid()
+        point_a = model.end_point[2 * (first + line)]
+        point_b = model.end_point[2 * (first + line) + 1]
+        place_a = place(model, state, env, point_a, arm(model, state, env, point_a))
+        place_b = place(model, state, env, point_b, arm(model, state, env, point_b))
+        own = settings[env, line]
+        plane = upright_plane(model.gravity[env, 0], place_a, place_b, own)
+        s = wp.float64(number) / wp.float64(points.shape[1] - 1)
+        chord = size(plane.run, plane.rise)
+        unit = scale(plane.weight, own.axial_stiffness, (chord - own.length) / own.length)
+        if unit == zero or own.enabled == 0:
+            # Without form: drawn straight.
+            points[env, number] = place_a + s * (place_b - place_a)
+            return
+        if plane.b_is_lower == 1:
+            s = one - s
+        weight = plane.weight / unit
+        give = unit / own.axial_stiffness
+        h = found.horizontal[env, line] / unit
+        low = found.low[env, line] / unit
+        where = wp.vec2d()
+        if found.grounded[env, line] == 1:
+            high = lift(h, (plane.height + plane.rise) / own.length, weight, give)[0]
+            where = grounded_place(s, plane.run / own.length, h, -low, high, weight, give)
+        else:
+            where = s * span(h, low, weight * s, give)
+        points[env, number] = plane.origin + own.length * (where[0] * plane.along + where[1] * plane.up)
+
+    return measure_shapes
+
+
+@functools.cache
+def stiffness(real: type, floored: bool) -> wp.Kernel:
+    """Returns the kernel of the derivatives of the force on the second end by its place. Launch with dim env."""
+    t = structs(real)
+    Model, State = t.Model, t.State
+    placing = placement(real, floored)
+    place, upright_plane = placing.place, placing.upright_plane
+    arm = ends.functions(real).arm
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def measure_stiffness(
+        model: Model,
+        state: State,
+        first: wp.int32,  # coupling
+        line: wp.int32,
+        settings: wp.array2d(dtype=Settings),
+        found: Held,
+        rates: wp.array(dtype=wp.mat33d),  # [env] W [N/m]
+    ):
+        env = wp.tid()
+        point_a = model.end_point[2 * (first + line)]
+        point_b = model.end_point[2 * (first + line) + 1]
+        place_a = place(model, state, env, point_a, arm(model, state, env, point_a))
+        place_b = place(model, state, env, point_b, arm(model, state, env, point_b))
+        own = settings[env, line]
+        plane = upright_plane(model.gravity[env, 0], place_a, place_b, own)
+        chord = size(plane.run, plane.rise)
+        unit = scale(plane.weight, own.axial_stiffness, (chord - own.length) / own.length)
+        if unit == zero or own.enabled == 0:
+            rates[env] = wp.mat33d()
+            return
+        weight = plane.weight / unit
+        give = unit / own.axial_stiffness
+        h = found.horizontal[env, line] / unit
+        along = plane.along
+        rate = wp.vec4d()
+        if found.grounded[env, line] == 1:
+            low = plane.height / own.length
+            high = (plane.height + plane.rise) / own.length
+            x = plane.run / own.length
+            if plane.b_is_lower == 1:
+                along = -along
+                rate = grounded_stiffness(h, x, low, high, weight, give)
+            else:
+                rate = grounded_stiffness(h, x, high, low, weight, give)
+        else:
+            rate = free_stiffness(h, found.low[env, line] / unit, weight, give)
+        up = plane.up
+        in_plane = wp.outer(along, along) + wp.outer(up, up)
+        total = rate[0] * wp.outer(along, along) + rate[1] * wp.outer(up, up)
+        total += rate[2] * (wp.outer(along, up) + wp.outer(up, along))
+        total += rate[3] * (wp.identity(n=3, dtype=wp.float64) - in_plane)
+        rates[env] = -unit / own.length * total
+
+    return measure_stiffness

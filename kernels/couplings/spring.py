@@ -1,0 +1,267 @@
+"""Spring-dampers: a force along the line between two points, from its length and the rate of that.
+
+A factory compiles elastic part and damping into the kernel, once per combination and precision.
+"""
+
+import functools
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import warp as wp
+from warpcontact.kernels.couplings import ends
+from warpcontact.kernels.formula import Formula, coefficient_struct, named_struct
+from warpcontact.kernels.springs import Damper, Spring
+from warpcontact.kernels.types import (
+    COUPLING_ACTIVE,
+    COUPLING_BROKEN,
+    COUPLING_DISABLED,
+    COUPLING_NO_DIRECTION,
+    COUPLING_OUTSIDE,
+    COUPLING_SLACK,
+    ENV_ACTIVE,
+    Work,
+    structs,
+)
+
+
+class SpringParts(NamedTuple):
+    """The formulas of a spring-damper, as classes: what the kernel is compiled from."""
+
+    spring: type[Spring]
+    damper: type[Damper]
+
+
+@functools.cache
+def spring_structs(real: type) -> SimpleNamespace:
+    """Returns the structs of spring-dampers in one precision."""
+    vec3 = structs(real).vec3
+    vec4 = {wp.float32: wp.vec4f, wp.float64: wp.vec4d}[real]
+
+    @wp.struct
+    class Settings:
+        rest_length: real  # [m]
+        break_force: real  # force of either sign beyond which it breaks [N]
+        tension_only: wp.int32  # 0 or 1
+        enabled: wp.int32  # 0 or 1
+
+    @wp.struct
+    class Springs:
+        """What is measured of spring-dampers, and what they remember."""
+
+        length: wp.array2d(dtype=real)  # [env, spring] [m]
+        rate: wp.array2d(dtype=real)  # [env, spring] of the length, > 0 apart [m/s]
+        force: wp.array2d(dtype=real)  # [env, spring] > 0 pulls its ends together [N]
+        status: wp.array2d(dtype=wp.int32)  # [env, spring] COUPLING_*
+        direction: wp.array2d(dtype=vec3)  # [env, spring] from the first end to the second, unit; 0: unknown, W
+        # As of the last accepted step
+        broken: wp.array2d(dtype=wp.int32)  # [env, spring] 0 or 1
+        last_direction: wp.array2d(dtype=vec3)  # [env, spring]
+
+    @wp.struct
+    class Stretch:
+        """What a formula sees of a spring-damper at one instant."""
+
+        length: real  # x ≥ 0 [m]
+        rest_length: real  # x₀ [m]
+        extension: real  # x − x₀ [m]
+        rate: real  # ẋ, > 0 apart [m/s]
+
+    @wp.struct
+    class Row:
+        """Of a table over the distance: from its ``start`` on the value rises linearly."""
+
+        start: real  # [m]
+        value: real
+        slope: real
+        integral: real  # of the table, from its first distance to ``start``
+
+    @wp.struct
+    class Tables:
+        """Rows of all tables of a part, one after another: one before a table, one per interval, one after."""
+
+        rows: wp.array(dtype=vec4)  # start, value, slope, integral
+        first: wp.array(dtype=wp.int32)  # [spring + 1] first of its rows
+
+    return SimpleNamespace(Settings=Settings, Springs=Springs, Stretch=Stretch, Row=Row, Tables=Tables)
+
+
+@functools.cache
+def coefficient_structs(parts: SpringParts, real: type) -> Any:
+    """Returns the struct of arrays [env, spring of the group]: coefficients of both parts, and settings."""
+    elements = [(part, coefficient_struct(formula, real)) for part, formula in parts._asdict().items()]
+    elements.append(("settings", spring_structs(real).Settings))
+    return named_struct("SpringCoefficients", tuple((part, wp.array2d(dtype=dtype)) for part, dtype in elements))
+
+
+@functools.cache
+def _of_formula(formula: type[Formula], real: type) -> tuple[wp.Function, wp.Function]:
+    """Returns the force of a formula, with the row of its table if it has one, and whether it is outside."""
+    t = spring_structs(real)
+    Row, Tables, Stretch = t.Row, t.Tables, t.Stretch
+    Coefficients = coefficient_struct(formula, real)
+    force = formula.force
+
+    if formula.table_field() is None:
+
+        @wp.func
+        def act(p: Coefficients, s: Stretch, tables: Tables, spring: int):
+            return force(p, s)
+
+        @wp.func
+        def outside(length: real, tables: Tables, spring: int):
+            return False
+
+        return act, outside
+
+    @wp.func
+    def act_by_table(p: Coefficients, s: Stretch, tables: Tables, spring: int):
+        low = tables.first[spring]
+        above = tables.first[spring + 1]
+        # The last row that starts at or before the length; all before the table is its first.
+        while above - low > 1:
+            middle = (low + above) // 2
+            if tables.rows[middle][0] <= s.length:
+                low = middle
+            else:
+                above = middle
+        found = tables.rows[low]
+        row = Row()
+        row.start = found[0]
+        row.value = found[1]
+        row.slope = found[2]
+        row.integral = found[3]
+        return force(p, s, row)
+
+    @wp.func
+    def outside_table(length: real, tables: Tables, spring: int):
+        return (
+            length < tables.rows[tables.first[spring]][0] or length > tables.rows[tables.first[spring + 1] - 1][0]
+        )
+
+    return act_by_table, outside_table
+
+
+@functools.cache
+def kernel(parts: SpringParts, real: type) -> wp.Kernel:
+    """Returns the kernel of the forces of spring-dampers; items: those of the group.
+
+    A pure function of model, state and what was remembered: that it breaks, or where it pointed, is noted in
+    ``springs`` and remembered once the step is accepted.
+    """
+    t = structs(real)
+    s = spring_structs(real)
+    Model, State, Ends = t.Model, t.State, t.Ends
+    Springs, Stretch, Tables = s.Springs, s.Stretch, s.Tables
+    Coefficients = coefficient_structs(parts, real)
+    spring_force, spring_outside = _of_formula(parts.spring, real)
+    damper_force, damper_outside = _of_formula(parts.damper, real)
+    end = ends.functions(real)
+    arm, separation, velocity, pull = end.arm, end.separation, end.velocity, end.pull
+    # Below this part of what it is the difference of, a distance is rounding.
+    rounding = wp.constant(real(8.0 * t.epsilon))
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def spring_forces(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        first: wp.int32,  # coupling
+        coefficients: Coefficients,
+        spring_tables: Tables,
+        damper_tables: Tables,
+        springs: Springs,
+        ends: Ends,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            spring = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            end_1 = 2 * (first + spring)
+            point_1 = model.end_point[end_1]
+            point_2 = model.end_point[end_1 + 1]
+            settings = coefficients.settings[env, spring]
+            arm_1 = arm(model, state, env, point_1)
+            arm_2 = arm(model, state, env, point_2)
+            from_1_to_2 = separation(model, state, env, point_1, point_2, arm_1, arm_2)
+            apart = velocity(model, state, env, point_2, arm_2) - velocity(model, state, env, point_1, arm_1)
+
+            stretch = Stretch()
+            stretch.length = wp.length(from_1_to_2)
+            stretch.rest_length = settings.rest_length
+            stretch.extension = stretch.length - settings.rest_length
+            direction = springs.last_direction[env, spring]
+            found = COUPLING_ACTIVE
+            if stretch.length > rounding * (wp.length(arm_1) + wp.length(arm_2)):
+                direction = from_1_to_2 / stretch.length
+            elif wp.length_sq(direction) == real(0.0):
+                found = COUPLING_NO_DIRECTION
+            stretch.rate = wp.dot(direction, apart)
+
+            force = spring_force(coefficients.spring[env, spring], stretch, spring_tables, spring)
+            damping = damper_force(coefficients.damper[env, spring], stretch, damper_tables, spring)
+            total = force + damping
+            if spring_outside(stretch.length, spring_tables, spring):
+                found = wp.max(found, COUPLING_OUTSIDE)
+            if damper_outside(stretch.length, damper_tables, spring):
+                found = wp.max(found, COUPLING_OUTSIDE)
+            # A rope that is not stretched is nowhere: its damping does not act either.
+            if settings.tension_only == 1:
+                if force <= real(0.0):
+                    found = COUPLING_SLACK
+                    total = real(0.0)
+                elif total < real(0.0):
+                    total = real(0.0)
+            if wp.abs(total) > settings.break_force or springs.broken[env, spring] == 1:
+                found = COUPLING_BROKEN
+                total = real(0.0)
+            if settings.enabled == 0:
+                found = COUPLING_DISABLED
+                total = real(0.0)
+
+            springs.length[env, spring] = stretch.length
+            springs.rate[env, spring] = stretch.rate
+            springs.force[env, spring] = total
+            springs.status[env, spring] = found
+            springs.direction[env, spring] = direction
+            pull(ends, env, end_1, arm_1, total * direction)
+            pull(ends, env, end_1 + 1, arm_2, -total * direction)
+
+    return spring_forces
+
+
+@functools.cache
+def remember(real: type) -> wp.Kernel:
+    """Returns the kernel that ends an accepted step of spring-dampers; items: those of the group."""
+    Springs = spring_structs(real).Springs
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def remember_springs(work: Work, status: wp.array(dtype=wp.int32), springs: Springs):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            spring = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            if springs.status[env, spring] == COUPLING_BROKEN:
+                springs.broken[env, spring] = 1
+            springs.last_direction[env, spring] = springs.direction[env, spring]
+
+    return remember_springs
+
+
+@functools.cache
+def forget(real: type) -> wp.Kernel:
+    """Returns the kernel that mends spring-dampers at the start of a run. Launch with dim (env, spring)."""
+    t = structs(real)
+    vec3 = t.vec3
+    Springs = spring_structs(real).Springs
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def forget_springs(mask: wp.array(dtype=wp.bool), springs: Springs):
+        env, spring = wp.tid()
+        if mask[env]:
+            springs.broken[env, spring] = 0
+            springs.last_direction[env, spring] = vec3()
+
+    return forget_springs

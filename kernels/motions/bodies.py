@@ -1,0 +1,172 @@
+"""What the kernels of motions share: bodies in float64, turns about an axis, inertia about an anchor.
+
+A body that is not free is computed in float64 whatever the precision, so that the pose it is given after every
+step lies on its joint to a rounding of the state.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels import frames
+from warpcontact.kernels.types import BALL, HINGE, PLANAR, SLIDER, TRANSLATION, BodyMotion, structs
+
+ONE = wp.constant(wp.float64(1.0))
+ZERO = wp.constant(wp.float64(0.0))
+# Least inverse mass [1/kg], of a body that nothing moves: a law that divides by it gets a number.
+LEAST = wp.constant(wp.float64(1.0e-20))
+
+
+@wp.func
+def turn_about(axis: wp.vec3d, q: wp.quatd, q_initial: wp.quatd):
+    """Sine and cosine of half the angle by which ``q`` is turned about ``axis`` from ``q_initial``."""
+    turn = q * wp.quat_inverse(q_initial)
+    sine = axis[0] * turn[0] + axis[1] * turn[1] + axis[2] * turn[2]
+    size = wp.sqrt(sine * sine + turn[3] * turn[3])
+    if size == ZERO:
+        return ZERO, ONE
+    return sine / size, turn[3] / size
+
+
+@wp.func
+def turned_on(sine: wp.float64, cosine: wp.float64, angle: wp.float64):
+    """The same after another turn by ``angle``."""
+    s = wp.sin(wp.float64(0.5) * angle)
+    c = wp.cos(wp.float64(0.5) * angle)
+    return sine * c + cosine * s, cosine * c - sine * s
+
+
+@wp.func
+def quat_about(axis: wp.vec3d, sine: wp.float64, cosine: wp.float64):
+    """The rotation about ``axis`` with that sine and cosine of half its angle."""
+    return wp.quatd(sine * axis[0], sine * axis[1], sine * axis[2], cosine)
+
+
+@wp.func
+def inertia_about(axis: wp.vec3d, q: wp.quatd, inertia_B: wp.mat33d):
+    """Moment of inertia about an axis through the centre of mass."""
+    axis_B = wp.quat_rotate_inv(q, axis)
+    return wp.dot(axis_B, inertia_B * axis_B)
+
+
+@wp.func
+def inertia_at(inertia_B: wp.mat33d, mass: wp.float64, arm_B: wp.vec3d):
+    """Inertia about the point from which the centre of mass is at ``arm_B``."""
+    steiner = wp.dot(arm_B, arm_B) * wp.identity(n=3, dtype=wp.float64) - wp.outer(arm_B, arm_B)
+    return inertia_B + mass * steiner
+
+
+@wp.func
+def spin_of(inverse_B: wp.mat33d, q: wp.quatd, momentum: wp.vec3d):
+    """Angular velocity in W of a body with angular momentum ``momentum`` in W."""
+    return wp.quat_rotate(q, inverse_B * wp.quat_rotate_inv(q, momentum))
+
+
+@wp.func
+def momentum_of(inertia_B: wp.mat33d, q: wp.quatd, w: wp.vec3d):
+    """Angular momentum in W of a body with angular velocity ``w`` in W."""
+    return wp.quat_rotate(q, inertia_B * wp.quat_rotate_inv(q, w))
+
+
+@wp.func
+def arm_of(motion: BodyMotion, q: wp.quatd):
+    """From the anchor to the centre of mass of a body of orientation ``q`` on a hinge or a ball, W."""
+    if motion.kind == HINGE:
+        sine, cosine = turn_about(motion.axis, q, motion.orientation)
+        return wp.quat_rotate(quat_about(motion.axis, sine, cosine), motion.position - motion.anchor)
+    return wp.quat_rotate(q, wp.quat_rotate_inv(motion.orientation, motion.position - motion.anchor))
+
+
+@functools.cache
+def functions(real: type) -> SimpleNamespace:
+    """Returns the device functions that read and write states and models of precision ``real``."""
+    t = structs(real)
+    vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
+
+    @wp.func
+    def wide(v: vec3):
+        return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
+
+    @wp.func
+    def narrow(v: wp.vec3d):
+        return vec3(real(v[0]), real(v[1]), real(v[2]))
+
+    @wp.func
+    def wide_matrix(m: mat33):
+        return wp.mat33d(
+            wp.float64(m[0, 0]), wp.float64(m[0, 1]), wp.float64(m[0, 2]),
+            wp.float64(m[1, 0]), wp.float64(m[1, 1]), wp.float64(m[1, 2]),
+            wp.float64(m[2, 0]), wp.float64(m[2, 1]), wp.float64(m[2, 2]),
+        )  # fmt: skip
+
+    @wp.func
+    def wide_quat(q: quat):
+        """The rotation, free of what rounding did to its length."""
+        return wp.normalize(wp.quatd(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]), wp.float64(q[3])))
+
+    @wp.func
+    def narrow_quat(q: wp.quatd):
+        return quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))
+
+    @wp.func
+    def put(state: State, env: int, body: int, base: wp.vec3d, way: wp.vec3d):
+        """Puts the centre of mass to ``base + way``: nothing of it is lost."""
+        position = base + way
+        gone = position - base
+        rest = (base - (position - gone)) + (way - gone)
+        rounded = narrow(position)
+        state.body_position[env, body] = rounded
+        state.body_position_remainder[env, body] = narrow((position - wide(rounded)) + rest)
+
+    @wp.func
+    def set_velocity(state: State, env: int, body: int, v: wp.vec3d, w: wp.vec3d):
+        state.body_linear_velocity[env, body] = narrow(v)
+        state.body_angular_velocity[env, body] = narrow(w)
+
+    @wp.func
+    def mobility(model: Model, state: State, env: int, body: int, motion: BodyMotion, arm_W: vec3, n_W: vec3):
+        """Inverse of the mass that a body that is not free opposes to a force along ``n_W`` at ``arm_W`` [1/kg].
+
+        ``arm_W`` is from its centre of mass.
+        """
+        n = wide(n_W)
+        arm = wide(arm_W)
+        axis = motion.axis
+        mass = wp.float64(model.body_mass[env, body])
+        q = wide_quat(state.body_orientation[env, body])
+        result = LEAST
+        if motion.kind == TRANSLATION:
+            result = ONE / mass
+        elif motion.kind == SLIDER:
+            along = wp.dot(axis, n)
+            result = along * along / mass
+        elif motion.kind == PLANAR:
+            across = n - wp.dot(axis, n) * axis
+            lever = wp.dot(axis, wp.cross(arm, n))
+            inertia = inertia_about(axis, q, wide_matrix(model.body_inertia[env, body]))
+            result = wp.dot(across, across) / mass + lever * lever / inertia
+        elif motion.kind == HINGE:
+            centre = arm_of(motion, q)
+            lever = wp.dot(axis, wp.cross(centre + arm, n))
+            across = wp.cross(axis, centre)
+            inertia = inertia_about(axis, q, wide_matrix(model.body_inertia[env, body]))
+            result = lever * lever / (inertia + mass * wp.dot(across, across))
+        elif motion.kind == BALL:
+            centre = arm_of(motion, q)
+            centre_B = wp.quat_rotate_inv(q, centre)
+            inertia_B = inertia_at(wide_matrix(model.body_inertia[env, body]), mass, centre_B)
+            lever_B = wp.quat_rotate_inv(q, wp.cross(centre + arm, n))
+            result = wp.dot(lever_B, wp.inverse(inertia_B) * lever_B)
+        return real(wp.max(result, LEAST))
+
+    return SimpleNamespace(
+        wide=wide,
+        narrow=narrow,
+        wide_matrix=wide_matrix,
+        wide_quat=wide_quat,
+        narrow_quat=narrow_quat,
+        put=put,
+        set_velocity=set_velocity,
+        mobility=mobility,
+        rotated=frames.functions(wp.float64).rotated,
+    )

@@ -1,0 +1,254 @@
+"""Bodies that follow a function of time: kernels for one class of motions.
+
+The pose of a state is that of the function at the time of its environment. Its velocities are the mean over the
+step that led there, as those of a free body are in semi-implicit Euler: what rides on the body has the same.
+"""
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import coefficient_struct
+from warpcontact.kernels.motions import bodies
+from warpcontact.kernels.motions.base import Motion
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_FAILED, BodyMotion, Work, structs
+
+# Differences in time from which a velocity and an acceleration are computed [s]: short against what moves bodies
+# that one can see, long against the rounding of float64.
+INSTANT = wp.constant(wp.float64(1.0e-6))
+MOMENT = wp.constant(wp.float64(2.0e-5))
+
+
+def coefficients_struct(motion: type[Motion]) -> Any:
+    """Returns the struct of the coefficients of ``motion``, in float64 whatever the precision."""
+    return coefficient_struct(motion, wp.float64)
+
+
+@wp.func
+def rotation_vector(q: wp.quatd):
+    """The rotation vector of a unit quaternion, by the shorter way."""
+    v = wp.vec3d(q[0], q[1], q[2])
+    sine = wp.length(v)
+    cosine = q[3]
+    if cosine < wp.float64(0.0):
+        v = -v
+        cosine = -cosine
+    if sine < wp.float64(1.0e-8):
+        # The angle is twice the sine, to a rounding.
+        return wp.float64(2.0) * v
+    return (wp.float64(2.0) * wp.atan2(sine, cosine) / sine) * v
+
+
+@functools.cache
+def _functions(motion: type[Motion]) -> SimpleNamespace:
+    Coefficients = coefficients_struct(motion)
+    rotated = bodies.functions(wp.float64).rotated
+    if motion.sampled:
+        displacement, rotation = motion.displacement, motion.rotation
+    else:
+        displacement, rotation = _of_time(motion.displacement), _of_time(motion.rotation)
+
+    @wp.func
+    def turn_at(p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64):
+        """Rotation from the initial orientation."""
+        return rotated(wp.quat_identity(dtype=wp.float64), rotation(p, t, samples))
+
+    @wp.func
+    def way_at(
+        p: Coefficients, samples: wp.array2d(dtype=wp.float64), t: wp.float64, body: BodyMotion, turn: wp.quatd
+    ):
+        """From the initial centre of mass to that at ``t``, where the body is turned by ``turn``."""
+        arm = body.position - body.anchor
+        return (wp.quat_rotate(turn, arm) - arm) + displacement(p, t, samples)
+
+    @wp.func
+    def mean_velocities(
+        p: Coefficients,
+        samples: wp.array2d(dtype=wp.float64),
+        body: BodyMotion,
+        before: wp.float64,
+        after: wp.float64,
+    ):
+        """Linear and angular, from one time to another."""
+        first = turn_at(p, samples, before)
+        last = turn_at(p, samples, after)
+        way = way_at(p, samples, after, body, last) - way_at(p, samples, before, body, first)
+        lasted = after - before
+        return way / lasted, rotation_vector(last * wp.quat_inverse(first)) / lasted
+
+    @wp.func
+    def accelerations(p: Coefficients, samples: wp.array2d(dtype=wp.float64), body: BodyMotion, t: wp.float64):
+        """Linear and angular, at ``t``."""
+        before = t - MOMENT
+        after = t + MOMENT
+        v_before, w_before = mean_velocities(p, samples, body, before, t)
+        v_after, w_after = mean_velocities(p, samples, body, t, after)
+        lasted = wp.float64(0.5) * (after - before)
+        return (v_after - v_before) / lasted, (w_after - w_before) / lasted
+
+    return SimpleNamespace(
+        turn_at=turn_at, way_at=way_at, mean_velocities=mean_velocities, accelerations=accelerations
+    )
+
+
+def _of_time(function: wp.Function) -> wp.Function:
+    """Returns ``function`` with a third argument, which it does not look at."""
+
+    @wp.func
+    def of_time(p: Any, t: wp.float64, samples: wp.array2d(dtype=wp.float64)):
+        return function(p, t)
+
+    return of_time
+
+
+@functools.cache
+def follow(motion: type[Motion], real: type) -> wp.Kernel:
+    """Returns the kernel that moves the bodies of a class over a step; items: ``members``."""
+    t = structs(real)
+    Model, State = t.Model, t.State
+    Coefficients = coefficients_struct(motion)
+    f, own = bodies.functions(real), _functions(motion)
+    narrow_quat, put, set_velocity = f.narrow_quat, f.put, f.set_velocity
+    turn_at, way_at, mean_velocities = own.turn_at, own.way_at, own.mean_velocities
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def follow_motion(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        time: wp.array(dtype=wp.float64),  # [env], before the step [s]
+        model: Model,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
+        samples: wp.array2d(dtype=wp.float64),
+        state_out: State,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            item = task % work.items
+            body = members[item]
+            if status[env] != ENV_ACTIVE:
+                continue
+            motion = model.body_motion[env, body]
+            p = coefficients[env, item]
+            before = time[env]
+            # The same sum as that of the clock.
+            after = before + wp.float64(step[env, 0])
+            turn = turn_at(p, samples, after)
+            v, w = mean_velocities(p, samples, motion, before, after)
+            put(state_out, env, body, motion.position, way_at(p, samples, after, motion, turn))
+            state_out.body_orientation[env, body] = narrow_quat(turn * motion.orientation)
+            set_velocity(state_out, env, body, v, w)
+            sizes = (
+                wp.length_sq(state_out.body_position[env, body])
+                + wp.length_sq(state_out.body_linear_velocity[env, body])
+                + wp.length_sq(state_out.body_angular_velocity[env, body])
+            )
+            if not wp.isfinite(sizes):
+                status[env] = ENV_FAILED
+
+    return follow_motion
+
+
+@functools.cache
+def start(motion: type[Motion], real: type) -> wp.Kernel:
+    """Returns the kernel that puts the bodies of a class where they start. Launch with dim (env, item)."""
+    t = structs(real)
+    Model, State = t.Model, t.State
+    Coefficients = coefficients_struct(motion)
+    f, own = bodies.functions(real), _functions(motion)
+    narrow_quat, put, set_velocity = f.narrow_quat, f.put, f.set_velocity
+    turn_at, way_at, mean_velocities = own.turn_at, own.way_at, own.mean_velocities
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def start_motion(
+        mask: wp.array(dtype=wp.bool),
+        time: wp.array(dtype=wp.float64),  # [env] [s]
+        model: Model,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
+        samples: wp.array2d(dtype=wp.float64),
+        state: State,
+    ):
+        env, item = wp.tid()
+        if not mask[env]:
+            return
+        body = members[item]
+        motion = model.body_motion[env, body]
+        p = coefficients[env, item]
+        now = time[env]
+        turn = turn_at(p, samples, now)
+        v, w = mean_velocities(p, samples, motion, now - INSTANT, now + INSTANT)
+        put(state, env, body, motion.position, way_at(p, samples, now, motion, turn))
+        state.body_orientation[env, body] = narrow_quat(turn * motion.orientation)
+        set_velocity(state, env, body, v, w)
+
+    return start_motion
+
+
+@functools.cache
+def change_step(motion: type[Motion], real: type) -> wp.Kernel:
+    """Returns the kernel that readies the bodies of a class for steps of another length; items: ``members``.
+
+    Their velocities, the mean over a step, are those of half a step before.
+    """
+    t = structs(real)
+    Model, State = t.Model, t.State
+    Coefficients = coefficients_struct(motion)
+    f = bodies.functions(real)
+    wide, set_velocity = f.wide, f.set_velocity
+    accelerations = _functions(motion).accelerations
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def change_motion(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
+        time: wp.array(dtype=wp.float64),  # [env] [s]
+        model: Model,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
+        samples: wp.array2d(dtype=wp.float64),
+        state: State,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            item = task % work.items
+            body = members[item]
+            if status[env] != ENV_ACTIVE:
+                continue
+            earlier = wp.float64(0.5) * wp.float64(change[env, 0])
+            motion = model.body_motion[env, body]
+            linear, angular = accelerations(coefficients[env, item], samples, motion, time[env])
+            v = wide(state.body_linear_velocity[env, body]) - earlier * linear
+            w = wide(state.body_angular_velocity[env, body]) - earlier * angular
+            set_velocity(state, env, body, v, w)
+
+    return change_motion
+
+
+@functools.cache
+def accelerate(motion: type[Motion], real: type) -> wp.Kernel:
+    """Returns the kernel that measures the accelerations of a class. Launch with dim (env, item)."""
+    Model = structs(real).Model
+    Coefficients = coefficients_struct(motion)
+    accelerations = _functions(motion).accelerations
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def accelerate_motion(
+        time: wp.array(dtype=wp.float64),  # [env] [s]
+        model: Model,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
+        samples: wp.array2d(dtype=wp.float64),
+        linear: wp.array2d(dtype=wp.vec3d),  # [env, body] W [m/s²]
+        angular: wp.array2d(dtype=wp.vec3d),  # [env, body] W [rad/s²]
+    ):
+        env, item = wp.tid()
+        body = members[item]
+        a, alpha = accelerations(coefficients[env, item], samples, model.body_motion[env, body], time[env])
+        linear[env, body] = a
+        angular[env, body] = alpha
+
+    return accelerate_motion

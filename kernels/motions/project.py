@@ -1,0 +1,48 @@
+"""Velocities that a joint does not allow are taken off where a run starts."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.motions import bodies
+from warpcontact.kernels.motions.bodies import arm_of
+from warpcontact.kernels.types import BALL, DRIVEN, FIXED, FREE, HINGE, PLANAR, PRESCRIBED, SLIDER, structs
+
+
+@functools.cache
+def kernel(real: type) -> wp.Kernel:
+    """Returns the kernel that leaves bodies the velocities that their joints allow. Launch with dim (env, body).
+
+    A hinge and a ball keep the angular velocity, and the linear one follows.
+    """
+    t = structs(real)
+    Model, State = t.Model, t.State
+    f = bodies.functions(real)
+    wide, wide_quat, set_velocity = f.wide, f.wide_quat, f.set_velocity
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def project_velocities(mask: wp.array(dtype=wp.bool), model: Model, state: State):
+        env, body = wp.tid()
+        motion = model.body_motion[env, body]
+        kind = motion.kind
+        if not mask[env] or kind == FREE or kind == PRESCRIBED or kind == DRIVEN:  # noqa: SIM109
+            return
+        axis = motion.axis
+        v = wide(state.body_linear_velocity[env, body])
+        w = wide(state.body_angular_velocity[env, body])
+        along = wp.dot(axis, w) * axis
+        if kind == PLANAR:
+            v -= wp.dot(axis, v) * axis
+            w = along
+        elif kind == HINGE or kind == BALL:  # noqa: SIM109
+            if kind == HINGE:
+                w = along
+            v = wp.cross(w, arm_of(motion, wide_quat(state.body_orientation[env, body])))
+        else:
+            w = wp.vec3d()
+            if kind == SLIDER:
+                v = wp.dot(axis, v) * axis
+            elif kind == FIXED:
+                v = wp.vec3d()
+        set_velocity(state, env, body, v, w)
+
+    return project_velocities

@@ -1,0 +1,237 @@
+"""Steps of bodies that are not free: their equations of motion in the freedoms that they have.
+
+The kernels of ``integrate`` leave these bodies out. Velocities advance first, then the pose, which is built anew
+from the joint: nothing drifts. Bodies that follow a function of time are moved by ``driven``.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.motions import bodies
+from warpcontact.kernels.motions.bodies import (
+    arm_of,
+    inertia_about,
+    inertia_at,
+    momentum_of,
+    quat_about,
+    spin_of,
+    turn_about,
+    turned_on,
+)
+from warpcontact.kernels.types import (
+    BALL,
+    ENV_ACTIVE,
+    ENV_FAILED,
+    HINGE,
+    PLANAR,
+    PRESCRIBED,
+    SLIDER,
+    TRANSLATION,
+    Work,
+    structs,
+)
+
+
+@functools.cache
+def semi_implicit_euler(real: type) -> wp.Kernel:
+    """Returns the semi-implicit Euler kernel of constrained bodies; items: ``members``.
+
+    A body on a ball joint advances its angular momentum about the anchor as a free body does about its centre of
+    mass. A pose that a user wrote off the joint is put onto it.
+    """
+    t = structs(real)
+    Model, State, Wrenches = t.Model, t.State, t.Wrenches
+    f = bodies.functions(real)
+    wide, wide_matrix, wide_quat, narrow_quat = f.wide, f.wide_matrix, f.wide_quat, f.narrow_quat
+    put, set_velocity, rotated = f.put, f.set_velocity, f.rotated
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def step_constrained(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        model: Model,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        state_in: State,
+        wrenches: Wrenches,
+        state_out: State,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            body = members[task % work.items]
+            if status[env] != ENV_ACTIVE:
+                continue
+            motion = model.body_motion[env, body]
+            kind = motion.kind
+            axis = motion.axis
+            dt = wp.float64(step[env, 0])
+            mass = wp.float64(model.body_mass[env, body])
+            force = wide(wrenches.force[env, body]) + mass * wide(model.gravity[env, 0])
+            torque = wide(wrenches.torque[env, body])
+            inertia_B = wide_matrix(model.body_inertia[env, body])
+            q = wide_quat(state_in.body_orientation[env, body])
+            v = wide(state_in.body_linear_velocity[env, body])
+            w = wide(state_in.body_angular_velocity[env, body])
+
+            # What stays as it is: the pose, to the bit.
+            base = wide(state_in.body_position[env, body])
+            way = wide(state_in.body_position_remainder[env, body])
+            orientation = state_in.body_orientation[env, body]
+            linear = wp.vec3d()
+            angular = wp.vec3d()
+            if kind == PRESCRIBED:
+                linear = v
+                angular = w
+                way += dt * v
+                if wp.dot(w, w) > wp.float64(0.0):
+                    orientation = narrow_quat(rotated(q, dt * w))
+            elif kind == TRANSLATION:
+                linear = v + (dt / mass) * force
+                way += dt * linear
+            elif kind == SLIDER:
+                off = (base - motion.position) + way
+                linear = wp.dot(axis, v + (dt / mass) * force) * axis
+                way += dt * linear - (off - wp.dot(axis, off) * axis)
+            elif kind == PLANAR:
+                off = (base - motion.position) + way
+                linear = v + (dt / mass) * force
+                linear -= wp.dot(axis, linear) * axis
+                way += dt * linear - wp.dot(axis, off) * axis
+                rate = wp.dot(axis, w) + dt * wp.dot(axis, torque) / inertia_about(axis, q, inertia_B)
+                sine, cosine = turn_about(axis, q, motion.orientation)
+                sine, cosine = turned_on(sine, cosine, dt * rate)
+                orientation = narrow_quat(quat_about(axis, sine, cosine) * motion.orientation)
+                angular = rate * axis
+            elif kind == HINGE:
+                start = motion.position - motion.anchor
+                sine, cosine = turn_about(axis, q, motion.orientation)
+                arm = wp.quat_rotate(quat_about(axis, sine, cosine), start)
+                across = wp.cross(axis, arm)
+                inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(across, across)
+                rate = wp.dot(axis, w) + dt * wp.dot(axis, torque + wp.cross(arm, force)) / inertia
+                sine, cosine = turned_on(sine, cosine, dt * rate)
+                turn = quat_about(axis, sine, cosine)
+                orientation = narrow_quat(turn * motion.orientation)
+                base = motion.anchor
+                way = wp.quat_rotate(turn, start)
+                angular = rate * axis
+                linear = wp.cross(angular, way)
+            elif kind == BALL:
+                start_B = wp.quat_rotate_inv(motion.orientation, motion.position - motion.anchor)
+                arm = wp.quat_rotate(q, start_B)
+                whole_B = inertia_at(inertia_B, mass, start_B)
+                inverse_B = wp.inverse(whole_B)
+                momentum = momentum_of(whole_B, q, w) + dt * (torque + wp.cross(arm, force))
+                q_middle = rotated(q, wp.float64(0.5) * dt * spin_of(inverse_B, q, momentum))
+                orientation = narrow_quat(rotated(q, dt * spin_of(inverse_B, q_middle, momentum)))
+                q_next = wide_quat(orientation)
+                base = motion.anchor
+                way = wp.quat_rotate(q_next, start_B)
+                angular = spin_of(inverse_B, q_next, momentum)
+                linear = wp.cross(angular, way)
+
+            put(state_out, env, body, base, way)
+            state_out.body_orientation[env, body] = orientation
+            set_velocity(state_out, env, body, linear, angular)
+            sizes = (
+                wp.length_sq(state_out.body_position[env, body])
+                + wp.length_sq(state_out.body_linear_velocity[env, body])
+                + wp.length_sq(state_out.body_angular_velocity[env, body])
+            )
+            # A force that is not finite shows even where the body does not yield to it.
+            loads = wp.length_sq(wrenches.force[env, body]) + wp.length_sq(wrenches.torque[env, body])
+            if not wp.isfinite(sizes) or wp.isnan(loads):
+                status[env] = ENV_FAILED
+
+    return step_constrained
+
+
+@functools.cache
+def change_step(real: type) -> wp.Kernel:
+    """Returns the kernel that readies constrained bodies for steps of another length; items: ``members``.
+
+    As ``integrate.change_step`` does, in the freedoms that they have.
+    """
+    t = structs(real)
+    Model, State, Wrenches = t.Model, t.State, t.Wrenches
+    f = bodies.functions(real)
+    wide, set_velocity = f.wide, f.set_velocity
+    accelerations_of = accelerations(real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def change_constrained(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        change: wp.array2d(dtype=real),  # [env, 0] length of the next step less that of the last [s]
+        model: Model,
+        members: wp.array(dtype=wp.int32),  # [item] body
+        wrenches: Wrenches,  # of this instant
+        state: State,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            body = members[task % work.items]
+            if status[env] != ENV_ACTIVE:
+                continue
+            earlier = wp.float64(0.5) * wp.float64(change[env, 0])
+            force = wrenches.force[env, body]
+            torque = wrenches.torque[env, body]
+            linear, angular, arm = accelerations_of(model, state, env, body, force, torque)
+            w = wide(state.body_angular_velocity[env, body]) - earlier * angular
+            v = wide(state.body_linear_velocity[env, body]) - earlier * linear
+            kind = model.body_motion[env, body].kind
+            if kind == HINGE or kind == BALL:  # noqa: SIM109
+                v = wp.cross(w, arm)
+            set_velocity(state, env, body, v, w)
+
+    return change_constrained
+
+
+@functools.cache
+def accelerations(real: type) -> wp.Function:
+    """Returns the device function of the accelerations of constrained bodies."""
+    t = structs(real)
+    vec3, Model, State = t.vec3, t.Model, t.State
+    f = bodies.functions(real)
+    wide, wide_matrix, wide_quat = f.wide, f.wide_matrix, f.wide_quat
+
+    @wp.func
+    def accelerations_of(model: Model, state: State, env: int, body: int, force_W: vec3, torque_W: vec3):
+        """Of the centre of mass and angular, and the arm to it from the anchor of a hinge or a ball; W.
+
+        Under a wrench about the centre of mass, and gravity.
+        """
+        motion = model.body_motion[env, body]
+        kind = motion.kind
+        axis = motion.axis
+        mass = wp.float64(model.body_mass[env, body])
+        force = wide(force_W) + mass * wide(model.gravity[env, 0])
+        torque = wide(torque_W)
+        inertia_B = wide_matrix(model.body_inertia[env, body])
+        q = wide_quat(state.body_orientation[env, body])
+        w = wide(state.body_angular_velocity[env, body])
+        linear = wp.vec3d()
+        angular = wp.vec3d()
+        arm = wp.vec3d()
+        if kind == TRANSLATION:
+            linear = force / mass
+        elif kind == SLIDER:
+            linear = (wp.dot(axis, force) / mass) * axis
+        elif kind == PLANAR:
+            linear = (force - wp.dot(axis, force) * axis) / mass
+            angular = (wp.dot(axis, torque) / inertia_about(axis, q, inertia_B)) * axis
+        elif kind == HINGE:
+            arm = arm_of(motion, q)
+            across = wp.cross(axis, arm)
+            inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(across, across)
+            angular = (wp.dot(axis, torque + wp.cross(arm, force)) / inertia) * axis
+            linear = wp.cross(angular, arm) + wp.cross(w, wp.cross(w, arm))
+        elif kind == BALL:
+            arm = arm_of(motion, q)
+            whole_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
+            moment = torque + wp.cross(arm, force) - wp.cross(w, momentum_of(whole_B, q, w))
+            angular = spin_of(wp.inverse(whole_B), q, moment)
+            linear = wp.cross(angular, arm) + wp.cross(w, wp.cross(w, arm))
+        return linear, angular, arm
+
+    return accelerations_of

@@ -1,0 +1,71 @@
+"""While steps are captured in one thread, what others do with Warp waits; and the other way round."""
+
+import threading
+
+import pytest
+from scenes import dropped_sphere
+
+import warpcontact as wc
+from warpcontact.captures import beside_captures, capturing
+
+# Long enough for anything here that does not wait [s].
+LONG = 0.5
+
+
+@pytest.fixture(scope="module")
+def sim():
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=2)
+    made = wc.Simulation(model, dt=1e-3, graphs=False)
+    made.run(2e-3, ["touch.gap"])  # compiles
+    return made
+
+
+def aside(work):
+    """Starts ``work`` in a thread of its own."""
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    return thread
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        lambda sim: sim.step(),
+        lambda sim: sim.reset(),
+        lambda sim: sim.model.reading("touch.gap"),
+        lambda sim: sim.run(1e-3),
+        lambda sim: sim.model.__setitem__("ball.mass", 2.0),
+        lambda sim: sim.model.scene.build(2, "cpu"),
+        lambda sim: wc.Simulation(sim.model, dt=1e-3),
+    ],
+    ids=["steps", "resets", "readings", "recordings", "parameters", "builds", "simulations"],
+)
+def test_what_uses_warp_waits_for_a_capture(work, sim):
+    with capturing():
+        thread = aside(lambda: work(sim))
+        thread.join(LONG)
+        waits = thread.is_alive()
+    thread.join()
+    assert waits
+
+
+def test_a_capture_waits_for_what_uses_warp(sim):
+    captured = wc.Simulation(sim.model, dt=1e-3)
+    with beside_captures():
+        thread = aside(captured.step)
+        thread.join(LONG)
+        waits = thread.is_alive()
+    thread.join()
+    assert waits
+
+
+def test_replays_wait_for_nobody(sim):
+    captured = wc.Simulation(sim.model, dt=1e-3)
+    captured.step(8)
+    with capturing():
+        thread = aside(lambda: captured.step(16))
+        thread.join(60.0)
+        assert not thread.is_alive()
+    with beside_captures():
+        captured.step(8)
+    assert captured.steps >= 32

@@ -1,0 +1,314 @@
+"""What a motion may be, per environment and device, and how models, steps, files and warnings deal with it."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scenes import dropped_sphere, square
+from warpcontact.kernels import integrate
+from warpcontact.kernels.motions import step as constrained
+from warpcontact.kernels.types import ENV_FROZEN
+
+import warpcontact as wc
+
+HINGE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 1))
+HINGE_ABOVE = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 5))
+POSE = {"mass": 1.0, "inertia": (0.1, 0.1, 0.1), "position": (0.5, 0, 1)}
+
+
+def add(motion=HINGE, scene=None, **options):
+    scene = wc.Scene() if scene is None else scene
+    scene.add_body(**(POSE | {"name": "arm"} | options), motion=motion)
+    return scene
+
+
+BAD = [
+    (lambda: add("Hinge"), TypeError, "arm.motion must be an instance of a class of wc.motions, got 'Hinge'"),
+    (lambda: add(wc.motions.Hinge), TypeError, "arm.motion must be an instance of a class of wc.motions"),
+    (
+        lambda: wc.motions.Hinge(axis=(0, 0, 0), anchor=(0, 0, 0)),
+        ValueError,
+        r"Hinge.axis must be a direction, got \[0.0, 0.0, 0.0\]",
+    ),
+    (
+        lambda: wc.motions.Slider(axis=(0, 1)),
+        ValueError,
+        r"Slider.axis must be 3 numbers, got shape \(2,\); .* model\['<body>.motion.axis'\]",
+    ),
+    (lambda: wc.motions.Ball(anchor=(0, 0, np.nan)), ValueError, r"Ball.anchor\[2\] must be finite, got nan m"),
+    (
+        lambda: wc.motions.Harmonic(direction=(0, 0, 1), frequency=1),
+        ValueError,
+        "exactly one of amplitude and angle",
+    ),
+    (
+        lambda: wc.motions.Table(times=(0, 0), displacements=((0, 0, 0),) * 2),
+        ValueError,
+        "Table.times must be at least two increasing times",
+    ),
+    (
+        lambda: wc.motions.Table(times=(0, 1), displacements=((0, 0, 0),)),
+        ValueError,
+        "Table.displacements must have one row for each of 2 times, got 1",
+    ),
+    (
+        lambda: wc.motions.Table(times=(0, 1)),
+        ValueError,
+        "Table takes displacements or rotations or both, got none",
+    ),
+    (
+        lambda: add(angular_velocity=(1, 1, 0)),
+        ValueError,
+        r"arm.angular_velocity must be along the axis of its motion Hinge, got \[1.0, 1.0, 0.0\]",
+    ),
+    (
+        lambda: add(angular_velocity=(0, 2, 0), linear_velocity=(0, 0, 1)),
+        ValueError,
+        r"arm.linear_velocity must be left out or \(0, 0, -1\) with this angular velocity and its motion Hinge",
+    ),
+    (
+        lambda: add(wc.motions.Slider(axis=(1, 0, 0)), linear_velocity=(0, 0, 1)),
+        ValueError,
+        "arm.linear_velocity must be along the axis of its motion Slider",
+    ),
+    (
+        lambda: add(wc.motions.Planar(normal=(1, 0, 0)), linear_velocity=(1, 0, 1)),
+        ValueError,
+        "arm.linear_velocity must be in the plane of its motion Planar",
+    ),
+    (
+        lambda: add(wc.motions.Translation(), angular_velocity=(0, 0, 1)),
+        ValueError,
+        "arm.angular_velocity must be zero with its motion Translation",
+    ),
+    (
+        lambda: add(wc.motions.Fixed(), linear_velocity=(0, 0, 1)),
+        ValueError,
+        "arm.linear_velocity must be zero with its motion Fixed",
+    ),
+    (
+        lambda: add(wc.motions.Harmonic(direction=(0, 0, 1), amplitude=1, frequency=1), linear_velocity=(0, 0, 1)),
+        ValueError,
+        "arm.linear_velocity must be zero: it follows from its motion Harmonic",
+    ),
+    (wc.Motion, TypeError, r"Motion.displacement must be a wp.func of \(coefficients, time\)"),
+]
+
+
+@pytest.mark.parametrize(("make", "error", "message"), BAD, ids=[message[:40] for _, _, message in BAD])
+def test_a_motion_that_cannot_be_is_refused(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
+
+
+def test_a_model_of_free_bodies_runs_the_same_kernels_and_has_nothing_of_motions(device):
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device)
+    assert not model.moves
+    assert not model.drives
+    assert model.arrays.constrained is None
+    assert not [name for name in model if ".motion." in name]
+    assert not [name for name in model.reading_names if "reaction" in name]
+    made = constrained.semi_implicit_euler.cache_info().currsize
+    one = wc.Simulation(model, dt=1e-3)
+    one.step()
+    assert constrained.semi_implicit_euler.cache_info().currsize == made
+    assert one.integrator.kernel(model.types.real, model.moves) is integrate.semi_implicit_euler(
+        model.types.real, False
+    )
+
+
+def test_a_free_body_moves_to_the_bit_as_it_does_beside_one_on_a_hinge(device):
+    alone, beside = wc.Scene(), wc.Scene()
+    for scene in (alone, beside):
+        scene.add_body(1.0, (0.1, 0.3, 0.2), angular_velocity=(1, 2, 3), name="stone")
+    add(scene=beside)
+    positions = []
+    for scene in (alone, beside):
+        model = scene.build(device=device)
+        wc.Simulation(model, dt=1e-3).step(50)
+        positions.append((model.reading("stone.position"), model.reading("stone.orientation")))
+    for one, other in zip(*positions, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def mixed():
+    """An arm that strikes a plate, on a shaker."""
+    scene = add()
+    arm = scene.bodies[0]
+    shaker = scene.add_body(
+        1.0,
+        (1, 1, 1),
+        position=(0, 0, 0.4),
+        motion=wc.motions.Harmonic(direction=(0, 0, 1), amplitude=0.05, frequency=2.0),
+        name="shaker",
+    )
+    plate = scene.add_surface(square(), shaker, name="plate")
+    tip = scene.add_point(arm, (0.2, 0, 0))
+    law = wc.laws.KelvinVoigt(stiffness=1e4, restitution=0.6)
+    scene.add_contact(
+        tip, plate, wc.Template(law=law, friction=wc.frictions.Tanh(mu=0.2)), radius=0.05, name="touch"
+    )
+    return scene
+
+
+VALUES = {
+    "arm.motion.anchor": [(0, 0, 1), (0, 0, 1.1), (0.1, 0, 1), (0, 0.2, 0.9)],
+    "arm.motion.axis": [(0, 1, 0), (0, 2, 0), (0.1, 1, 0), (0, -1, 0)],
+    "shaker.motion.frequency": [1.0, 1.7, 3.1, 4.3],
+}
+NAMES = ("arm.position", "arm.orientation", "arm.angular_velocity", "shaker.position", "touch.normal_force")
+
+
+@pytest.fixture(scope="module")
+def run(device):
+    """Runs the scene, each environment with values of its own; returns the model and what came of it."""
+
+    def go(split=1, steps=700, **options):
+        model = mixed().build(envs=4, device=[device] * split)
+        for name, values in VALUES.items():
+            model[name] = values
+        sim = wc.Simulation(model, dt=1e-3, **options)
+        sim.step(steps)
+        return model, [model.reading(name) for name in NAMES]
+
+    return go
+
+
+def test_environments_of_their_own_are_the_same_alone_and_split_and_launched_and_captured(run, device):
+    model, expected = run()
+    # All arms have struck the plate, and two press on it.
+    assert (model.reading("touch.normal_force") > 0.0).any()
+    for name in ("arm.position", "shaker.position"):
+        assert len(np.unique(model.reading(name).round(6), axis=0)) == 4, name
+    for options in ({"split": 2}, {"graphs": False}, {"distance_cache": False}):
+        for name, one, other in zip(NAMES, expected, run(**options)[1], strict=True):
+            np.testing.assert_array_equal(one, other, err_msg=f"{name} {options}")
+    alone = mixed().build(envs=1, device=device)
+    for name, values in VALUES.items():
+        alone[name] = values[2]
+    wc.Simulation(alone, dt=1e-3).step(700)
+    for name, several in zip(NAMES, expected, strict=True):
+        np.testing.assert_array_equal(alone.reading(name)[0], several[2], err_msg=name)
+
+
+def test_an_environment_is_reset_to_where_its_motion_begins_and_a_frozen_one_stays(run):
+    model, _ = run(steps=0)
+    begin = [model.reading(name) for name in NAMES]
+    sim = wc.Simulation(model, dt=1e-3)
+    sim.step(300)
+    status = model.arrays.status.numpy()
+    status[1] = ENV_FROZEN
+    model.arrays.status.assign(status)
+    held = [model.reading(name)[1] for name in NAMES[:-1]]
+    sim.step(100)
+    for name, value in zip(NAMES, held, strict=False):
+        np.testing.assert_array_equal(model.reading(name)[1], value, err_msg=name)
+    sim.reset([True, True, False, True])
+    assert model.arrays.time.numpy()[[0, 1, 3]].tolist() == [0, 0, 0]
+    for name, value in zip(NAMES, begin, strict=True):
+        np.testing.assert_array_equal(model.reading(name)[[0, 1, 3]], value[[0, 1, 3]], err_msg=name)
+    # An environment goes by its own clock.
+    t = model.arrays.time.numpy()[2]
+    height = 0.4 + 0.05 * np.sin(2 * np.pi * 3.1 * t)
+    np.testing.assert_allclose(model.reading("shaker.position")[2, 2], height, rtol=1e-12)
+
+
+def test_velocities_set_in_a_model_are_projected_onto_the_motion(device):
+    model = add().build(envs=2, device=device, precision="float64")
+    model["arm.angular_velocity"] = [(3, 2, 1), (0, 4, 0)]
+    model["arm.linear_velocity"] = (7, 8, 9)
+    np.testing.assert_allclose(model.reading("arm.angular_velocity"), [(0, 2, 0), (0, 4, 0)])
+    np.testing.assert_allclose(model.reading("arm.linear_velocity"), [(0, 0, -1), (0, 0, -2)])
+    model["arm.motion.axis"] = (0, 0, 5)
+    np.testing.assert_allclose(model.reading("arm.angular_velocity"), [(0, 0, 1), (0, 0, 0)])
+    np.testing.assert_array_equal(model["arm.motion.axis"], [(0, 0, 1)] * 2)
+
+
+@pytest.mark.parametrize("parts", [1, 8])
+def test_an_arm_that_crosses_a_plate_within_a_step_is_caught_and_thrown_back(parts, device):
+    """Steps in parts begin from velocities of another time, on the joint as well."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    hinge = wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 0))
+    arm = scene.add_body(
+        1.0, (0.1,) * 3, position=(0.5, 0, 0.2), angular_velocity=(0, 10, 0), motion=hinge, name="arm"
+    )
+    lift = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=1e-3, frequency=1.0)
+    carrier = scene.add_body(1.0, (1, 1, 1), motion=lift, name="lift")
+    plate = scene.add_surface(square(), carrier, name="plate")
+    template = wc.Template(law=wc.laws.Hooke(stiffness=2e4))
+    scene.add_contact(scene.add_point(arm, (0, 0, 0)), plate, template, swept=True, name="touch")
+    model = scene.build(device=device, precision="float64")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        wc.Simulation(model, dt=2e-3, crossing_steps=parts).step(60)
+    assert model.reading("touch.crossings")[0] == 1
+    place, rate = model.reading("arm.position")[0], model.reading("arm.angular_velocity")[0]
+    assert place[2] > 0.0
+    np.testing.assert_allclose(model.reading("arm.linear_velocity")[0], np.cross(rate, place), atol=1e-13)
+    # Elastic: the plate, which rises at 2π mm/s, adds twice that over an arm of 0.5 m. Some 10 steps of contact.
+    np.testing.assert_allclose(rate[1], -10.0 - 2 * 2 * np.pi * 1e-3 / 0.5, atol=0.04)
+    t = model.arrays.time.numpy()[0]
+    np.testing.assert_allclose(model.reading("lift.position")[0, 2], 1e-3 * np.sin(2 * np.pi * t), rtol=1e-10)
+
+
+def test_a_step_in_parts_changes_no_pendulum_beside_it(device):
+    """Its velocities are those of half a step before; shorter steps begin from later ones."""
+    scene = wc.Scene(gravity=(0, 0, -9.81))
+    scene.add_body(1.0, (0.1,) * 3, position=(0.5, 0, 5.0), motion=HINGE_ABOVE, name="arm")
+    harmonic = wc.motions.Harmonic(direction=(1, 0, 0), amplitude=0.1, frequency=2.0)
+    scene.add_body(1.0, (0.1,) * 3, motion=harmonic, name="lift")
+    stone = scene.add_body(1.0, (0.1,) * 3, position=(0, 0, 0.51), linear_velocity=(0, 0, -10), name="stone")
+    ground = scene.add_surface(square(), name="ground")
+    template = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
+    scene.add_contact(scene.add_point(stone, (0, 0, 0)), ground, template, swept=True, name="touch")
+    model = scene.build(device=device, precision="float64")
+    dt, angles = 5e-3, []
+    for parts in (1, 8):
+        model.reset()
+        wc.Simulation(model, dt, crossing_steps=parts).step(11)
+        assert model.reading("touch.crossings")[0] == 1
+        angles.append(model.reading("arm.angle")[0])
+        t = 11 * dt
+        mean = 0.1 * (np.sin(4 * np.pi * t) - np.sin(4 * np.pi * (t - dt))) / dt
+        # To dt²/24 of its third derivative.
+        np.testing.assert_allclose(model.reading("lift.linear_velocity")[0, 0], mean, atol=4e-4)
+    # One step at a rate that is dt/2 too early would be off by dt²/2 α = 1.8e-4 rad, this by its third order.
+    np.testing.assert_allclose(angles[0], angles[1], atol=2e-5)
+
+
+def test_the_advice_knows_what_a_door_yields(device):
+    """A door is heavier at its hinge: I/d² decides how long a contact takes, not its mass."""
+
+    def shortest(motion):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        door = scene.add_body(1.0, (0.1, 0.1, 0.1), position=(0.5, 0, 0), motion=motion)
+        wall = scene.add_surface(square(5.0), position=(0, 0, -0.5))
+        tip = scene.add_point(door, (-0.4, 0, 0))
+        scene.add_contact(tip, wall, wc.Template(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
+        with pytest.warns(wc.ContactWarning, match="a contact takes (.*) s in") as caught:
+            wc.Simulation(scene.build(device=device), dt=0.02).step()
+        return float(str(caught[0].message).partition("takes ")[2].partition(" s")[0])
+
+    free = shortest(wc.motions.Free())
+    hinged = shortest(wc.motions.Hinge(axis=(0, 1, 0), anchor=(0, 0, 0)))
+    inertia = 0.1 + 0.5**2
+    # π √(m*/K), said in two digits: m* = 1 kg, and I/d² = 35 kg.
+    np.testing.assert_allclose(free, np.pi * np.sqrt(1.0 / 1e4), rtol=0.02)
+    np.testing.assert_allclose(hinged, np.pi * np.sqrt(inertia / 0.1**2 / 1e4), rtol=0.03)
+
+
+def test_a_body_that_no_force_moves_is_kinematic_in_usd(device, tmp_path):
+    from pxr import Usd, UsdPhysics
+
+    scene = add()
+    add(wc.motions.Fixed(), scene, name="post")
+    add(wc.motions.Prescribed(), scene, name="belt")
+    model = scene.build(device=device)
+    wc.export_usd(wc.Simulation(model, dt=1e-3).run(2e-3), tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    kinematic = {
+        prim.GetName(): UsdPhysics.RigidBodyAPI(prim).GetKinematicEnabledAttr().Get()
+        for prim in stage.TraverseAll()
+        if prim.HasAPI(UsdPhysics.RigidBodyAPI) and prim.GetName() in ("arm", "post", "belt")
+    }
+    assert kinematic == {"arm": False, "post": True, "belt": True}

@@ -1,0 +1,1 @@
+"""Couplings: force elements between two points of bodies or of the world."""

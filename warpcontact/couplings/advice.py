@@ -1,0 +1,121 @@
+"""Warnings about couplings that run and give nonsense: steps too long for a spring, a damper or a taut line."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.couplings.elements import Catenary, Coupling, SpringDamper
+from warpcontact.frames import placed
+from warpcontact.mobility import mobility_along
+
+if TYPE_CHECKING:
+    from warpcontact.elements import Points
+    from warpcontact.environments import Environments
+
+# Steps per period from which on a spring swings as in closed form, to about a hundredth.
+ENOUGH_STEPS = 20.0
+# What a damper may take of a velocity in a step: from twice this on it turns it round, ever faster.
+MOST_DAMPED = 1.0
+
+
+def coupling_advice(model: "Environments", dt: float) -> list[str]:
+    """Returns what to say about the start of a model, a sentence or two per coupling.
+
+    Estimates from stiffness and damping at the initial length and at rest, and from the masses that both bodies
+    oppose to a force along the line between the points; nothing is said of formulas that do not tell them.
+    """
+    sentences = []
+    for coupling in model.scene.couplings:
+        if isinstance(coupling, SpringDamper):
+            sentences += _about_spring(model, coupling, dt)
+        elif isinstance(coupling, Catenary):
+            sentences += _about_line(model, coupling, dt)
+    return sentences
+
+
+def _about_spring(model: "Environments", coupling: SpringDamper, dt: float) -> list[str]:
+    length, mobility = _along(model, coupling)
+    rest = model[f"{coupling.name}.rest_length"]
+    sentences = []
+    stiffness, damping = (_slope(model, coupling, part, rest, length) for part in ("spring", "damper"))
+    if stiffness is not None:
+        turning = np.sqrt(stiffness * mobility)
+        worst = int(np.argmax(turning))
+        if turning[worst] * dt * ENOUGH_STEPS > 2.0 * np.pi:
+            period = 2.0 * np.pi / turning[worst]
+            sentences.append(
+                f"{coupling.name}: dt = {dt:g} s is too long: a period takes {period:.2g} s in environment "
+                f"{model.first_env + worst}, {period / dt:.1f} steps; take dt ≤ {period / ENOUGH_STEPS:.2g} s for "
+                f"{ENOUGH_STEPS:g}"
+            )
+    if damping is not None:
+        rate = damping * mobility
+        worst = int(np.argmax(rate))
+        if rate[worst] * dt > MOST_DAMPED:
+            sentences.append(
+                f"{coupling.name}: dt = {dt:g} s is too long for its damping, which takes {rate[worst] * dt:.2g} "
+                f"times a velocity in a step in environment {model.first_env + worst}; take dt ≤ "
+                f"{0.1 * MOST_DAMPED / rate[worst]:.2g} s"
+            )
+    return sentences
+
+
+def _about_line(model: "Environments", line: Catenary, dt: float) -> list[str]:
+    length, stiffness = (model[f"{line.name}.{key}"] for key in ("length", "axial_stiffness"))
+    turning = np.sqrt(stiffness / length * _along(model, line)[1])
+    worst = int(np.argmax(turning))
+    if turning[worst] * dt <= 2.0:
+        return []
+    period = 2.0 * np.pi / turning[worst]
+    return [
+        f"{line.name}: dt = {dt:g} s is too long where the line is taut: a period takes {period:.2g} s then in "
+        f"environment {model.first_env + worst}, {period / dt:.1f} steps; take dt ≤ {period / ENOUGH_STEPS:.2g} s "
+        f"for {ENOUGH_STEPS:g}"
+    ]
+
+
+def _along(model: "Environments", coupling: Coupling) -> tuple[Array, Array]:
+    """Returns the distance of the ends at the start [m], and the mobility along the line between them [1/kg]."""
+    points = (coupling.point_a, coupling.point_b)
+    (place_a, arm_a), (place_b, arm_b) = (_place_and_arm(model, point) for point in points)
+    apart = place_b - place_a
+    length = np.linalg.norm(apart, axis=1)
+    direction = np.where(length[:, None] > 0.0, apart / np.where(length > 0.0, length, 1.0)[:, None], (0, 0, 1.0))
+    mobility = _mobility(model, points[0], arm_a, direction) + _mobility(model, points[1], arm_b, direction)
+    return length, mobility
+
+
+def _slope(model: "Environments", coupling: SpringDamper, part: str, rest: Array, length: Array) -> Array | None:
+    """Returns the greater slope of a part at rest and at the initial length, (envs,); ``None``: unknown."""
+    formula = coupling.formulas[part]
+    plain = coupling.plain_spring if part == "spring" else coupling.plain_damper
+    prefix = coupling.name if plain else f"{coupling.name}.{part}"
+    values = {name: model[f"{prefix}.{name}"] for name in formula.parameters()}
+    values["rest_length"] = rest
+    slopes = [formula.slope(values, lengths) for lengths in (rest, length)]
+    if any(slope is None for slope in slopes):
+        return None
+    return np.maximum(np.maximum(*np.broadcast_arrays(*slopes)), 0.0)
+
+
+def _place_and_arm(model: "Environments", point: "Points") -> tuple[Array, Array]:
+    """Returns where a point is at the start, and from its body's centre of mass, (envs, 3), world [m]."""
+    place = model[f"{point.name}.position"][:, None]
+    if point.surface is not None:
+        scale, position, orientation = (
+            model[f"{point.surface.name}.{key}"] for key in ("scale", "position", "orientation")
+        )
+        place = placed(scale[:, None, None] * place, position, orientation)
+    if point.body is None:
+        return place[:, 0], np.zeros((model.envs, 3))
+    centre, turn = (model[f"{point.body.name}.{key}"] for key in ("position", "orientation"))
+    arm = placed(place, np.zeros_like(centre), turn)[:, 0]
+    return centre + arm, arm
+
+
+def _mobility(model: "Environments", point: "Points", arm: Array, direction: Array) -> Array:
+    """Returns the inverse of the mass that a point opposes to a force along ``direction``, (envs,) [1/kg]."""
+    if point.body is None:
+        return np.zeros(model.envs)
+    return mobility_along(model, point.body, arm, direction)

@@ -1,0 +1,141 @@
+"""Catenaries on a device."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact import checks
+from warpcontact import elements as limits_of
+from warpcontact.arrays import per_env
+from warpcontact.captures import beside_captures
+from warpcontact.couplings import elements
+from warpcontact.couplings.coupling_set import CouplingSet
+from warpcontact.couplings.elements import Catenary
+from warpcontact.kernels.couplings import catenary, line_measures
+from warpcontact.parameters import Field, pack
+from warpcontact.status import LineStatus
+
+if TYPE_CHECKING:
+    from warpcontact.arrays import Layout
+    from warpcontact.model import Model
+    from warpcontact.parameters import Parameters
+    from warpcontact.schedule import Span
+
+_RANGES = {
+    "length": elements.LINE_LENGTH,
+    "mass_per_length": elements.MASS_PER_LENGTH,
+    "axial_stiffness": elements.AXIAL_STIFFNESS,
+    "floor": elements.FLOOR,
+    "enabled": limits_of.ENABLED,
+}
+
+
+class CatenarySet(CouplingSet):
+    """The catenaries of a scene with a floor, or those without."""
+
+    couplings: list[Catenary]
+    quantities = {  # noqa: RUF012  a constant of the class
+        "tension_a": ("tension_a", "N", "tension at end a"),
+        "tension_b": ("tension_b", "N", "tension at end b"),
+        "horizontal_tension": ("horizontal_tension", "N", "horizontal part of the tension, the same throughout"),
+        "dip": ("dip", "m", "depth of the lowest point of the line below end a"),
+        "stretched_length": ("stretched_length", "m", "length of the line as it is stretched"),
+        "grounded_length": ("grounded_length", "m", "unstretched length of what rests on the floor"),
+        "iterations": ("iterations", "-", "evaluations of the span of the line"),
+        "status": ("status", "-", "state of the line"),
+        "failures": ("failures", "-", "steps in which no solution was found, since reset"),
+    }
+
+    codes = LineStatus
+
+    @staticmethod
+    def key(coupling: Catenary) -> bool:
+        """Returns whether there is a floor."""
+        return coupling.floor is not None
+
+    @property
+    def floored(self) -> bool:
+        """Whether there is a floor."""
+        return self.key(self.couplings[0])
+
+    @property
+    def results(self) -> Any:
+        """What was measured last."""
+        return self._lines
+
+    def _make(self, layout: "Layout", parameters: "Parameters") -> None:
+        shape = per_env(self.count)
+        self._lines = layout.struct("couplings", catenary.line_structs(self.types.real).Lines, shape)
+        self._held, self._found = (layout.struct("couplings", catenary.Held, shape) for _ in range(2))
+        self._owner = _Owner()
+        ranges = {key: allowed for key, allowed in _RANGES.items() if self.floored or key != "floor"}
+        fields = {key: Field(np.array([getattr(one, key) for one in self.couplings])) for key in ranges}
+        struct = catenary.Settings
+        upload = parameters.upload(
+            self._owner,
+            "settings",
+            struct,
+            lambda: pack(struct, {key: field.values for key, field in fields.items()}),
+        )
+        for item, one in enumerate(self.couplings):
+            for key, allowed in ranges.items():
+                parameters.add(
+                    f"{one.name}.{key}",
+                    fields[key],
+                    slice(item, item + 1),
+                    allowed,
+                    [upload],
+                    convert=checks.switches if key == "enabled" else None,
+                )
+
+    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
+        """Returns the launch of the forces of its lines."""
+        a, kernel = span.model.arrays, catenary.kernel(self.types.real, self.floored)
+        inputs = [
+            *(status, a.model, state, self.first, self._owner.settings),
+            *(self._held, self._found, self._lines, a.ends),
+        ]
+        return span.prepare(kernel, self.count, inputs)
+
+    def accept_stages(self, span: "Span") -> list[wp.Launch]:
+        """Returns the launch that remembers where the next search starts, and what failed."""
+        a, kernel = span.model.arrays, catenary.remember(self.types.real)
+        return span.prepare(kernel, self.count, [a.status, self._found, self._held, self._lines])
+
+    def restart(self, chosen: wp.array, envs: int) -> None:
+        """Starts its lines anew."""
+        kernel, inputs = catenary.forget(self.types.real), [chosen, self._held, self._lines]
+        wp.launch(kernel, dim=(envs, self.count), inputs=inputs, device=chosen.device)
+
+    @beside_captures()
+    def shape(self, model: "Model", item: int, count: int) -> NDArray[np.float64]:
+        """Returns where points of a line were when it was computed last, (envs, count, 3), world [m]."""
+        points = wp.zeros((model.envs, count), dtype=wp.vec3d, device=model.device)
+        kernel = line_measures.shapes(self.types.real, self.floored)
+        self._measure(model, kernel, item, points)
+        return points.numpy()
+
+    @beside_captures()
+    def stiffness(self, model: "Model", item: int) -> NDArray[np.float64]:
+        """Returns the derivatives of the force on end b by its place likewise, (envs, 3, 3), world [N/m]."""
+        rates = wp.zeros(model.envs, dtype=wp.mat33d, device=model.device)
+        kernel = line_measures.stiffness(self.types.real, self.floored)
+        self._measure(model, kernel, item, rates)
+        return rates.numpy()
+
+    def _measure(self, model: "Model", kernel: wp.Kernel, item: int, target: wp.array) -> None:
+        a = model.arrays
+        inputs = [a.model, a.state, self.first, item, self._owner.settings, self._found]
+        wp.launch(kernel, dim=target.shape, inputs=inputs, outputs=[target], device=model.device)
+
+    def failures(self, item: int) -> NDArray[np.int32]:
+        """Returns in how many steps since reset no solution of a line was found, (envs,)."""
+        return self._lines.failures.numpy()[:, item]
+
+
+class _Owner:
+    """Where the array of the settings is."""
+
+    settings: Any = None

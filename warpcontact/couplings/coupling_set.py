@@ -1,0 +1,122 @@
+"""Couplings of equal code side by side on a device: what the step, resets and readings need of them."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import IntEnum
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import warp as wp
+
+from warpcontact.couplings.elements import Coupling
+from warpcontact.readings import Reading
+from warpcontact.status import CouplingStatus
+
+if TYPE_CHECKING:
+    from warpcontact.arrays import Layout
+    from warpcontact.parameters import Parameters
+    from warpcontact.schedule import Span
+
+_ENDS = (("a", 0), ("b", 1))
+
+
+class CouplingSet(ABC):
+    """Couplings that are computed by the same code, made of their elements.
+
+    Args:
+        couplings: The couplings, of one key.
+        first: Number of the first among all; the ends of number i are 2 i and 2 i + 1.
+        layout: Where to declare arrays.
+        parameters: Where to add parameters.
+        types: Structs of the precision.
+    """
+
+    #: What the readings of all kinds tell, and of this kind alone: quantity → (array, unit, meaning).
+    quantities: ClassVar[Mapping[str, tuple[str, str, str]]]
+    #: What the numbers of the quantity ``status`` stand for.
+    codes: ClassVar[type[IntEnum]] = CouplingStatus
+
+    def __init__(
+        self,
+        couplings: Sequence[Any],
+        first: int,
+        layout: "Layout",
+        parameters: "Parameters",
+        types: SimpleNamespace,
+    ) -> None:
+        self.couplings = couplings
+        self.first = first
+        self.types = types
+        self._make(layout, parameters)
+
+    @staticmethod
+    def key(coupling: Any) -> Any:
+        """Returns what couplings of this kind must agree in to be computed by the same code."""
+        return None
+
+    @property
+    def count(self) -> int:
+        """Number of its couplings."""
+        return len(self.couplings)
+
+    @abstractmethod
+    def _make(self, layout: "Layout", parameters: "Parameters") -> None:
+        """Declares its arrays and adds its parameters."""
+
+    @property
+    @abstractmethod
+    def results(self) -> Any:
+        """The struct of arrays [env, coupling of the set] that its readings are in."""
+
+    @abstractmethod
+    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
+        """Returns the launches that compute the forces at its ends in ``state``; they change no history.
+
+        ``status`` [env] says which environments are active.
+        """
+
+    def accept_stages(self, span: "Span") -> list[wp.Launch]:
+        """Returns the launches that remember what an accepted step led to."""
+        return []
+
+    def restart(self, chosen: wp.array, envs: int) -> None:  # noqa: B027  nothing, if nothing is remembered
+        """Empties what the environments of the mask ``chosen`` [env] remember."""
+
+    def compile(self, device: wp.Device) -> None:  # noqa: B027  only a user's formula can be wrong
+        """Compiles its kernels, so that a mistake in a user's formula shows at once.
+
+        Raises:
+            TypeError: If one does not compile.
+        """
+
+    def readings(self) -> Iterator[Reading]:
+        """Iterates over what can be measured."""
+        for item, coupling in enumerate(self.couplings):
+            for end, place in _ENDS:
+                meaning = f"force on what end {end} is fixed to, world"
+                array = _column_of_ends(2 * (self.first + item) + place)
+                yield Reading(f"{coupling.name}.force_{end}", "N", meaning, array, needs=("contacts",))
+            for quantity, (attribute, unit, meaning) in self.quantities.items():
+                array = self._column(attribute, item)
+                name, codes = f"{coupling.name}.{quantity}", self.codes if quantity == "status" else None
+                yield Reading(name, unit, meaning, array, needs=("contacts",), codes=codes)
+
+    def _column(self, attribute: str, item: int) -> Callable[[SimpleNamespace], wp.array]:
+        return lambda _: getattr(self.results, attribute)[:, item]
+
+
+def _column_of_ends(number: int) -> Callable[[SimpleNamespace], wp.array]:
+    return lambda arrays: arrays.ends.force[:, number]
+
+
+def ends_by_body(couplings: Sequence[Coupling], bodies: int) -> tuple[list[int], list[int]]:
+    """Returns where the ends of each body start in a list (bodies + 1), and the list; ends as numbered there."""
+    lists: list[list[int]] = [[] for _ in range(bodies)]
+    for number, coupling in enumerate(couplings):
+        for place, body in enumerate(coupling.bodies):
+            if body is not None:
+                lists[body.index].append(2 * number + place)
+    starts = [0]
+    for own in lists:
+        starts.append(starts[-1] + len(own))
+    return starts, [end for own in lists for end in own]

@@ -1,0 +1,178 @@
+"""Spring-dampers on a device."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact import checks
+from warpcontact import elements as limits_of
+from warpcontact.arrays import per_env
+from warpcontact.couplings import elements
+from warpcontact.couplings.coupling_set import CouplingSet
+from warpcontact.couplings.elements import SpringDamper
+from warpcontact.formula_errors import explained
+from warpcontact.kernels.couplings import spring
+from warpcontact.kernels.couplings.spring import SpringParts
+from warpcontact.kernels.formula import coefficient_struct
+from warpcontact.kernels.springs import Undamped, tables
+from warpcontact.parameters import Field, Upload, pack
+
+if TYPE_CHECKING:
+    from warpcontact.arrays import Layout
+    from warpcontact.parameters import Parameters
+    from warpcontact.schedule import Span
+
+
+class SpringSet(CouplingSet):
+    """Spring-dampers that share the code of their elastic part and damping."""
+
+    couplings: list[SpringDamper]
+    quantities: ClassVar[Mapping[str, tuple[str, str, str]]] = {
+        "length": ("length", "m", "distance of its ends"),
+        "rate": ("rate", "m/s", "rate of the length, positive apart"),
+        "force": ("force", "N", "force, positive where it pulls its ends together"),
+        "status": ("status", "-", "state of the coupling"),
+    }
+
+    @staticmethod
+    def key(coupling: SpringDamper) -> SpringParts:
+        """Returns the classes of elastic part and damping."""
+        return SpringParts(type(coupling.spring), type(coupling.damper))
+
+    @property
+    def parts(self) -> SpringParts:
+        """The classes of elastic part and damping."""
+        return self.key(self.couplings[0])
+
+    @property
+    def results(self) -> Any:
+        """What was measured last."""
+        return self._springs
+
+    def _make(self, layout: "Layout", parameters: "Parameters") -> None:
+        t = spring.spring_structs(self.types.real)
+        self._springs = layout.struct("couplings", t.Springs, per_env(self.count))
+        self._coefficients = spring.coefficient_structs(self.parts, self.types.real)()
+        rest = Field(np.array([one.rest_length for one in self.couplings]))
+        self._add_settings(parameters, rest)
+        self._tables = []
+        for part in self.parts._fields:
+            self._tables.append(self._add_tables(layout, part))
+            upload = self._add_formula(parameters, part, rest)
+            for one in self.couplings:
+                parameters.by_name[f"{one.name}.rest_length"].uploads.append(upload)
+        self.kernel = spring.kernel(self.parts, self.types.real)
+
+    def _add_settings(self, parameters: "Parameters", rest: Field) -> None:
+        ranges = {
+            "rest_length": elements.LENGTH,
+            "break_force": elements.BREAK_FORCE,
+            "tension_only": limits_of.ENABLED,
+            "enabled": limits_of.ENABLED,
+        }
+        fields = {
+            key: rest if key == "rest_length" else Field(np.array([getattr(one, key) for one in self.couplings]))
+            for key in ranges
+        }
+        struct = spring.spring_structs(self.types.real).Settings
+        upload = parameters.upload(
+            self._coefficients,
+            "settings",
+            struct,
+            lambda: pack(struct, {key: field.values for key, field in fields.items()}),
+        )
+        for item, one in enumerate(self.couplings):
+            for key, allowed in ranges.items():
+                switch = key in ("tension_only", "enabled")
+                parameters.add(
+                    f"{one.name}.{key}",
+                    fields[key],
+                    slice(item, item + 1),
+                    allowed,
+                    [upload],
+                    convert=checks.switches if switch else None,
+                )
+
+    def _add_tables(self, layout: "Layout", part: str) -> Any:
+        owner = spring.spring_structs(self.types.real).Tables()
+        rows, first = [np.zeros((0, 4))], [0]
+        for one in self.couplings:
+            formula = getattr(one, part)
+            if (field := formula.table_field()) is not None:
+                rows.append(tables.rows_of(getattr(formula, field.name)))
+            first.append(sum(map(len, rows)))
+        vec4 = {wp.float32: wp.vec4f, wp.float64: wp.vec4d}[self.types.real]
+        layout.content("couplings", owner, "rows", np.concatenate(rows), vec4)
+        layout.content("couplings", owner, "first", first, wp.int32)
+        return owner
+
+    def _add_formula(self, parameters: "Parameters", part: str, rest: Field) -> Upload:
+        """Adds the parameters of one part, and the array of its coefficients."""
+        real = self.types.real
+        formulas = [getattr(one, part) for one in self.couplings]
+        struct = coefficient_struct(type(formulas[0]), real)
+        fields = [
+            {name: Field(np.array([float(value)])) for name, value in formula.parameters().items()}
+            for formula in formulas
+        ]
+
+        def content() -> NDArray[Any]:
+            names = formulas[0].device_names()
+            if not names:
+                return pack(struct, {"unused": np.zeros((1, len(formulas)))})
+            columns: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+            for item, (formula, own) in enumerate(zip(formulas, fields, strict=True)):
+                values = {name: field.values for name, field in own.items()}
+                values["rest_length"] = rest.values[:, item : item + 1]
+                computed = formula.coefficients(
+                    dict(zip(values, np.broadcast_arrays(*values.values()), strict=True))
+                )
+                for name in names:
+                    columns[name].append(computed[name])
+            envs = max(len(column) for own in columns.values() for column in own)
+            return pack(
+                struct,
+                {
+                    name: np.concatenate([np.broadcast_to(column, (envs, 1)) for column in own], axis=1)
+                    for name, own in columns.items()
+                },
+            )
+
+        upload = parameters.upload(self._coefficients, part, struct, content)
+        for one, formula, own in zip(self.couplings, formulas, fields, strict=True):
+            plain = one.plain_spring if part == "spring" else one.plain_damper
+            for name, field in own.items():
+                label = f"{one.name}.{name}" if plain else f"{one.name}.{part}.{name}"
+                parameters.add(label, field, slice(0, 1), formula.limits(name), [upload])
+        return upload
+
+    def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
+        """Returns the launch of the forces of its springs."""
+        a = span.model.arrays
+        inputs = [status, a.model, state, self.first, self._coefficients, *self._tables, self._springs, a.ends]
+        return span.prepare(self.kernel, self.count, inputs)
+
+    def accept_stages(self, span: "Span") -> list[wp.Launch]:
+        """Returns the launch that remembers what broke, and where its springs point."""
+        a, kernel = span.model.arrays, spring.remember(self.types.real)
+        return span.prepare(kernel, self.count, [a.status, self._springs])
+
+    def restart(self, chosen: wp.array, envs: int) -> None:
+        """Mends its springs."""
+        kernel, device = spring.forget(self.types.real), chosen.device
+        wp.launch(kernel, dim=(envs, self.count), inputs=[chosen, self._springs], device=device)
+
+    def compile(self, device: wp.Device) -> None:
+        """Compiles the force kernel.
+
+        Raises:
+            TypeError: If a formula does not compile.
+        """
+        stretch = spring.spring_structs(self.types.real).Stretch
+        present = {part: formula for part, formula in self.parts._asdict().items() if formula is not Undamped}
+        said = "\nConstants take the precision of the simulation when written as type(s.length)(1.5)."
+        with explained(present, self.types.real, lambda _: ("s", stretch), said, "\nThe force is a number."):
+            self.kernel.module.load(device, block_dim=None if device.is_cuda else 1)

@@ -1,0 +1,121 @@
+"""What bodies oppose to forces, for estimates before the first step: as they stand initially."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.elements import Body
+from warpcontact.frames import placed
+from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
+
+if TYPE_CHECKING:
+    from warpcontact.environments import Environments
+    from warpcontact.scene import Contact
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """The most that a body yields, (envs, 1) each; nothing if it follows a motion that no force changes.
+
+    Attributes:
+        push: To a force at the worst place and in the worst direction [1/kg]. Of a body that is free, or moves in
+            a plane, without its rotation, which ``turn`` is for.
+        turn: To a couple about the worst axis [1/(kg·m²)].
+        turns_by_push: Whether a force turns it by ``turn`` times its lever as well.
+    """
+
+    push: Array
+    turn: Array
+    turns_by_push: bool
+
+
+def mobility_of(model: "Environments", contact: "Contact", body: Body) -> Mobility:
+    """Returns what ``body``, one of the two of ``contact``, yields."""
+    mass = model[f"{body.name}.mass"][:, None]
+    inertia = model[f"{body.name}.inertia"]
+    nothing = np.zeros_like(mass)
+    kind = body.motion.kind
+    if kind == FREE:
+        least = np.diagonal(inertia, axis1=1, axis2=2).min(axis=1)[:, None]
+        return Mobility(1.0 / mass, 1.0 / least, True)
+    if kind in (TRANSLATION, SLIDER):
+        return Mobility(1.0 / mass, nothing, False)
+    orientation = model[f"{body.name}.orientation"]
+    axes = placed(np.broadcast_to(np.eye(3), (len(mass), 3, 3)), np.zeros((len(mass), 3)), orientation)
+    inertia = np.swapaxes(axes, 1, 2) @ inertia @ axes  # rows of ``axes`` are those of the body, in the world
+    if kind == PLANAR:
+        normal = model[f"{body.name}.motion.normal"]
+        return Mobility(1.0 / mass, 1.0 / _along(normal, inertia), True)
+    if kind not in (HINGE, BALL):
+        return Mobility(nothing, nothing, False)
+    anchor, centre = model[f"{body.name}.motion.anchor"], model[f"{body.name}.position"]
+    # From the anchor, (envs, places, 3).
+    levers = placed(_places(contact, body)[None], centre - anchor, orientation)
+    arm = centre - anchor
+    steiner = (arm**2).sum(axis=1)[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :]
+    inertia = inertia + mass[..., None] * steiner
+    if kind == HINGE:
+        axis = model[f"{body.name}.motion.axis"]
+        turn = 1.0 / _along(axis, inertia)
+        reach = np.linalg.norm(np.cross(axis[:, None], levers), axis=2).max(axis=1)[:, None]
+        return Mobility(turn * reach**2, turn, False)
+    inverse = np.linalg.inv(inertia)
+    turn = np.linalg.eigvalsh(inverse)[:, -1:]
+    # Columns of ``crossed`` are lever × e: n' crossed' inverse crossed n is what the place yields along n.
+    crossed = np.swapaxes(np.cross(levers[:, :, None], np.eye(3)), 2, 3)
+    yields = np.swapaxes(crossed, 2, 3) @ inverse[:, None] @ crossed
+    return Mobility(np.linalg.eigvalsh(yields)[..., -1].max(axis=1)[:, None], turn, False)
+
+
+def mobility_along(model: "Environments", body: Body, arm: Array, direction: Array) -> Array:
+    """Returns the inverse of the mass that ``body`` opposes to a force, (envs,) [1/kg].
+
+    Args:
+        model: The model.
+        body: The body.
+        arm: Where the force acts, from the centre of mass, (envs, 3), world [m].
+        direction: Its direction, unit vectors (envs, 3), world.
+    """
+    kind = body.motion.kind
+    mass, inertia, orientation = (model[f"{body.name}.{key}"] for key in ("mass", "inertia", "orientation"))
+    axes = placed(np.broadcast_to(np.eye(3), (len(mass), 3, 3)), np.zeros((len(mass), 3)), orientation)
+    inertia = np.swapaxes(axes, 1, 2) @ inertia @ axes
+    if kind == FREE:
+        lever = np.cross(arm, direction)
+        return 1.0 / mass + (lever * np.linalg.solve(inertia, lever[..., None])[..., 0]).sum(axis=1)
+    if kind == TRANSLATION:
+        return 1.0 / mass
+    if kind == SLIDER:
+        return (model[f"{body.name}.motion.axis"] * direction).sum(axis=1) ** 2 / mass
+    if kind == PLANAR:
+        normal = model[f"{body.name}.motion.normal"]
+        lever = (normal * np.cross(arm, direction)).sum(axis=1)
+        return (1.0 - (normal * direction).sum(axis=1) ** 2) / mass + lever**2 / _along(normal, inertia)[:, 0]
+    if kind not in (HINGE, BALL):
+        return np.zeros_like(mass)
+    centre = model[f"{body.name}.position"] - model[f"{body.name}.motion.anchor"]
+    steiner = (centre**2).sum(axis=1)[:, None, None] * np.eye(3) - centre[:, :, None] * centre[:, None, :]
+    inertia = inertia + mass[:, None, None] * steiner
+    lever = np.cross(centre + arm, direction)
+    if kind == HINGE:
+        axis = model[f"{body.name}.motion.axis"]
+        return (axis * lever).sum(axis=1) ** 2 / _along(axis, inertia)[:, 0]
+    return (lever * np.linalg.solve(inertia, lever[..., None])[..., 0]).sum(axis=1)
+
+
+def _along(axis: Array, inertia: Array) -> Array:
+    """Returns the moments of inertia (envs, 1) about unit vectors (envs, 3)."""
+    return np.einsum("ei,eij,ej->e", axis, inertia, axis)[:, None]
+
+
+def _places(contact: "Contact", body: Body) -> Array:
+    """Returns where ``contact`` may act on ``body``, in its frame and as in the scene, (n, 3) [m]."""
+    if body is contact.points.body:
+        return contact.points.places
+    surface = contact.surface
+    corners = np.array(
+        [np.where(corner, *mesh.bounds) for mesh in surface.meshes for corner in np.ndindex(2, 2, 2)]
+    )
+    return placed(surface.scale * corners, surface.position, surface.orientation)

@@ -1,0 +1,129 @@
+"""Couplings as curves: springs as coils, catenaries as they hang, all else as a line between its ends."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.couplings.elements import Catenary, Coupling, SpringDamper
+from warpcontact.frames import placed
+from warpcontact.kernels.types import COUPLING_BROKEN
+from warpcontact.scene import Points, Scene
+from warpcontact.usd.curves import define_curves, write_curves
+from warpcontact.usd.geometry import WORLD_COLOR
+from warpcontact.usd.replay import Replay
+
+# A coil: turns, points of each, the part of its length that is coiled, and its radius in greatest lengths.
+TURNS = 8
+PER_TURN = 12
+COILED = 0.8
+COIL_RADIUS = 0.05
+# Points of a catenary, evenly along its length.
+LINE_POINTS = 48
+
+
+class CouplingCurve:
+    """The shape of a coupling over time.
+
+    Attributes:
+        coupling: The coupling.
+        points: Its points, (time, env, n, 3), world [m].
+        shown: Whether it is there, (time, env): a broken one is not.
+    """
+
+    def __init__(self, replay: Replay, coupling: Coupling) -> None:
+        self.coupling = coupling
+        ends = [_places(replay, point) for point in (coupling.point_a, coupling.point_b)]
+        if isinstance(coupling, Catenary):
+            self.points = hanging(replay, coupling, *ends)
+        elif _is_coiled(coupling):
+            self.points = coil(*ends)
+        else:
+            self.points = np.stack(ends, axis=2)
+        status = replay.series(f"{coupling.name}.status")
+        everywhere = np.ones(self.points.shape[:2], dtype=bool)
+        may_break = isinstance(coupling, SpringDamper) and status is not None
+        self.shown = status != COUPLING_BROKEN if may_break else everywhere
+
+    def declare(self, stage: Any, path: str, width: float) -> None:
+        """Writes what the curve has in common in all environments."""
+        color = WORLD_COLOR if self.coupling.color is None else self.coupling.color
+        define_curves(
+            stage, path, [self.points.shape[2]], width, color, "From one end of the coupling to the other."
+        )
+
+    def write(self, prim: Any, replay: Replay, row: int, width: float) -> None:
+        """Writes the curve of environment number ``row`` of the export."""
+        write_curves(prim, replay, self.points[:, row], self.shown[:, row].tolist(), width)
+
+
+def coil(start: Array, end: Array) -> Array:
+    """Returns a coil between two places, (…, n, 3), from these (…, 3), all of the radius of the longest."""
+    along = end - start
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    axis = np.where(length > 0.0, along / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 1.0))
+    # The coordinate axis that all of them are farthest from, so that a coil does not jump from frame to frame.
+    aside = np.eye(3)[int(np.argmin(np.abs(axis).reshape(-1, 3).max(axis=0)))]
+    across = np.cross(axis, aside)
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1.0e-9)
+    beside = np.cross(axis, across)
+    part = np.linspace(0.0, 1.0, TURNS * PER_TURN + 1)
+    angle = 2.0 * math.pi * TURNS * part
+    lead = 0.5 * (1.0 - COILED)
+    radius = COIL_RADIUS * float(length.max())
+    rows = [start]
+    for s, a in zip(lead + COILED * part, angle, strict=True):
+        rows.append(start + s * along + radius * (math.cos(a) * across + math.sin(a) * beside))
+    return np.stack([*rows, end], axis=-2)
+
+
+def hanging(replay: Replay, line: Catenary, start: Array, end: Array) -> Array:
+    """Returns a catenary between two places over time, (time, env, LINE_POINTS, 3), world [m].
+
+    Args:
+        replay: What is exported, with the parameters of the line as far as they were recorded.
+        line: The catenary.
+        start: Where its first end is, (time, env, 3), world [m].
+        end: Where its second end is, likewise.
+    """
+    scene = Scene()
+    marks = [scene.add_body(1.0, (1.0, 1.0, 1.0), name=name) for name in ("a", "b")]
+    ends = [scene.add_point(mark, (0.0, 0.0, 0.0)) for mark in marks]
+    floor = None if line.floor is None else float(line.floor)
+    scene.add_catenary(
+        *ends,
+        length=float(line.length),
+        mass_per_length=float(line.mass_per_length),
+        axial_stiffness=float(line.axial_stiffness),
+        floor=floor,
+        name="line",
+    )
+    # Each record of each environment is an environment of its own.
+    model = scene.build(start.shape[0] * start.shape[1], "cpu", "float64")
+    gravity = _over(replay, "scene.gravity", replay.scene.gravity)
+    values = {"a.position": start, "b.position": end, "scene.gravity": gravity}
+    for key in ("length", "mass_per_length", "axial_stiffness", *(() if floor is None else ("floor",))):
+        values[f"line.{key}"] = _over(replay, f"{line.name}.{key}", getattr(line, key))
+    for name, value in values.items():
+        model[name] = value.reshape(-1, *value.shape[2:])
+    return model.line_shape("line", LINE_POINTS).reshape(*start.shape[:2], LINE_POINTS, 3)
+
+
+def _over(replay: Replay, name: str, default: Array) -> Array:
+    """Returns a parameter in every record, (time, env, …)."""
+    values = replay.setting(name, default)
+    return np.broadcast_to(values, (len(replay.codes), *values.shape))
+
+
+def _is_coiled(coupling: Coupling) -> bool:
+    return isinstance(coupling, SpringDamper) and not bool(coupling.tension_only)
+
+
+def _places(replay: Replay, point: Points) -> Array:
+    """Returns where a point is, (time, env, 3), world [m]."""
+    local = replay.places(point)[:, 0]
+    if point.body is None:
+        return np.broadcast_to(local, (len(replay.codes), *local.shape))
+    position, orientation = replay.pose(point.body)
+    return placed(np.broadcast_to(local, position.shape)[..., None, :], position, orientation)[..., 0, :]
