@@ -93,10 +93,7 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
         "rebound": float(np.abs(after / rebound - 1.0).max()),
         "passed": int(report.passed.sum()),
     }
-    print(
-        f"largest errors: of the distance {result['distance']:.2%} of the way, of the speed "
-        f"{result['rebound']:.2%}"
-    )
+    print(f"largest error of the distance {result['distance']:.2%} of the way, of speed {result['rebound']:.2%}")
     if options.usd:
         print("animation:", wc.export_usd(recording, options.usd, spacing=(40.0, 20.0)))
     return result

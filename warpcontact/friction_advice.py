@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 # Environments that are looked at, so that a warning does not take longer than the run.
 LOOKED_AT = 4096
-# Impact speed that estimates assume of bodies that start slower [m/s].
-USUAL_SPEED = 1.0
 # Bodies that yield less than this to a force cannot be moved by it [1/kg].
 LEAST_MOBILITY = 1.0e-20
+# Impact speed that estimates assume of bodies that start slower [m/s].
+USUAL_SPEED = 1.0
 
 
 def friction_advice(model: "Environments", contact: "Contact", dt: float) -> list[str]:
