@@ -224,3 +224,46 @@ def test_faces_look_where_their_surface_is_turned(device):
     np.testing.assert_allclose(forces[0], K1 * 0.02 * 0.01, rtol=1e-12)
     np.testing.assert_allclose(forces[1], -K1 * 0.02 * np.cos(np.radians(30.0)) * min(gap[1], 0.0), rtol=1e-12)
     assert forces[2] == 0.0
+
+
+def test_couplings_and_contacts_side_by_side_say_what_each_says_alone(device):
+    """Three couplings of two codes, and an ordinary contact that shares the code of one of them."""
+    kinds = {
+        "slick": {"facing": "all"},
+        "bare": {},
+        "rough": {"friction": FRICTION, "sides": "average"},
+        "pins": None,
+    }
+
+    def built(names):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        plane = scene.add_surface(wc.meshes.grid((1.0, 1.0), (8, 8)), name="plane")
+        for number, name in enumerate(kinds):
+            place = (0.1 * number, 0.0, 0.112 + 0.001 * number)
+            body = scene.add_body(
+                1.0, [0.1] * 3, place, (0.01, 0, 0, np.sqrt(1 - 1e-4)), (0.2, 0, -0.5), name=f"b_{name}"
+            )
+            hull = scene.add_surface(divided_box(8), body, name=f"of_{name}")
+            if name not in names:
+                continue
+            if kinds[name] is None:
+                law = wc.Template(law=wc.laws.ContactRange(k1=K1))
+                scene.add_surface_contact(hull, plane, law, samples="centroids", radius=0.03, name=name)
+            else:
+                made = wc.ContactRange(k1=K1 * (1 + number), k2=K2, effective_range=RANGE + 0.001 * number)
+                scene.add_contact_coupling(hull, plane, made, **kinds[name], name=name)
+        return scene.build(envs=2, device=device, precision="float64")
+
+    def seen(model, name):
+        wc.Simulation(model, dt=1e-5).step(5)
+        keys = ("force", "torque", "effective_area", "minimum_distance")
+        own = [model.reading(f"{name}.{key}") for key in keys] if kinds[name] is not None else []
+        return [*own, model.reading(f"b_{name}.force"), model.reading(f"b_{name}.position")]
+
+    together = built(kinds)
+    for name in kinds:
+        together.reset()
+        apart = seen(built([name]), name)
+        assert np.abs(apart[-2]).max() > 100.0
+        for one, other in zip(seen(together, name), apart, strict=True):
+            np.testing.assert_array_equal(one, other)
