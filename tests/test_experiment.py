@@ -266,3 +266,38 @@ def test_rolling_and_torsion_are_parts_of_a_template(device, tmp_path):
     np.testing.assert_allclose(couple.sel(axis="z"), -0.4 * 0.002 * force, rtol=1e-5)
     again = wc.Experiment.from_toml(run.files["experiment"])
     assert again.settings == study.settings
+
+
+def test_an_experiment_that_names_no_readings_records_one_of_each_element(device):
+    experiment = wc.Experiment.from_dict(
+        {
+            "duration": 0.1,
+            "dt": 1e-3,
+            "body": [
+                {
+                    "name": "arm",
+                    "mass": 1.0,
+                    "inertia": [1.0, 1.0, 1.0],
+                    "position": [1.0, 0.0, 0.0],
+                    "motion": {"type": "Hinge", "axis": [0, 1, 0], "anchor": [0, 0, 0]},
+                }
+            ],
+            "point": [
+                {"name": "hook", "position": [1.0, 0.0, 2.0]},
+                {"name": "eye", "body": "arm", "position": [0.0, 0.0, 0.0]},
+            ],
+            "spring_damper": [{"name": "spring", "point_a": "hook", "point_b": "eye", "stiffness": 10.0}],
+            "catenary": [
+                {
+                    "name": "line",
+                    "point_a": "hook",
+                    "point_b": "eye",
+                    "length": 3.0,
+                    "mass_per_length": 0.1,
+                    "axial_stiffness": 1e4,
+                }
+            ],
+        }
+    )
+    wanted = ["spring.force", "line.tension_b", "arm.angle", "scene.kinetic_energy"]
+    assert default_readings(experiment.model(device=device)) == wanted

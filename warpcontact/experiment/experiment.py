@@ -307,6 +307,11 @@ def default_interval(settings: Settings) -> float:
 
 
 def default_readings(model: Environments) -> list[str]:
-    """Returns the readings of an experiment that names none: gap and force of single points, and the energy."""
-    single = [contact.name for contact in model.scene.contacts if contact.points.single]
-    return [f"{name}.{key}" for name in single for key in ("gap", "normal_force")] + ["scene.kinetic_energy"]
+    """Returns the readings of an experiment that names none: one or two of each element, and the energy."""
+    scene = model.scene
+    single = [contact.name for contact in scene.contacts if contact.points.single]
+    wanted = [f"{name}.{key}" for name in single for key in ("gap", "normal_force")]
+    wanted += [f"{coupling.name}.{key}" for coupling in scene.couplings for key in ("force", "tension_b")]
+    wanted += [f"{coupling.name}.force" for coupling in scene.contact_couplings]
+    wanted += [f"{body.name}.{key}" for body in scene.bodies for key in ("angle", "displacement")]
+    return [name for name in wanted if name in model.reading_names] + ["scene.kinetic_energy"]
