@@ -126,7 +126,7 @@ def test_a_friction_of_ones_own_works_and_is_copied_along(tmp_path):
         ),
         (
             {"range": {"from_impact": IMPACT | {"closest": 0.03}}},
-            "contact_coupling[0].range.from_impact.closest must be less than effective_range, got 0.03 m",
+            "contact_coupling[0].range.from_impact.closest must be less than effective_range = 0.02 m, got 0.03 m",
         ),
         (
             {"range": {"from_impact": IMPACT | {"weight": 1}}},
