@@ -308,7 +308,10 @@ class Couplings:
                 )
         if point_a.body is point_b.body:
             where = f"body {point_a.body.name!r}" if point_a.body else "the world"
-            raise ValueError(f"{name}: point_a and point_b are both fixed to {where}; one must move")
+            raise ValueError(
+                f"{name}: point_a and point_b are both fixed to {where}; they must be on two bodies, or on one "
+                "and the world"
+            )
 
 
 def place_of(point: Points) -> Array:
