@@ -56,9 +56,10 @@ ROWS = -1
 def table(unit: str, meaning: str) -> Any:
     """Declares a table of a spring or damper: values over the distance, linear in between and held outside.
 
-    Instances take it as pairs (distance [m], value), at least two, with increasing distances. The device function
-    gets the row that the distance is in as its last argument, with ``start`` [m], ``value`` there, ``slope`` and
-    ``integral``, the area below the table from its first distance to ``start``. A formula has one at most.
+    Instances take it as pairs (distance [m], value), at least two, with increasing distances from 0 on. The
+    device function gets the row that the distance is in as its last argument, with ``start`` [m], ``value``
+    there, ``slope`` and ``integral``, the area below the table from its first distance to ``start``. A formula
+    has one at most.
 
     Args:
         unit: SI unit of the values.
@@ -69,13 +70,18 @@ def table(unit: str, meaning: str) -> Any:
 
 
 def check_table(name: str, values: np.ndarray) -> None:
-    """Raises ``ValueError`` unless the distances of a table (n, 2) increase."""
+    """Raises ``ValueError`` unless the distances of a table (n, 2) increase from 0 or more."""
     if len(values) < 2:
         raise ValueError(f"{name} must have two rows at least, got {len(values)}")
     down = np.flatnonzero(np.diff(values[:, 0]) <= 0.0)
     if len(down):
         before, after = values[down[0] : down[0] + 2, 0]
         raise ValueError(f"{name} must have increasing distances, got {before:g} before {after:g}")
+    if values[0, 0] < 0.0:
+        raise ValueError(
+            f"{name} must have distances of at least 0 m, got {values[0, 0]:g} m; they are those of the points, "
+            "not extensions"
+        )
 
 
 @dataclasses.dataclass(frozen=True)

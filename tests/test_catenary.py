@@ -244,6 +244,21 @@ def test_an_end_below_the_floor_is_flagged_and_held_as_on_it(device):
     np.testing.assert_allclose(model.reading("line.force_a"), [(0, 0, 0), (0, 0, 0), (1e4, 0, 0)], atol=1e-8)
 
 
+def test_an_end_far_below_the_floor_is_told(device):
+    """A depth given as a height: both ends are below. An anchor may be buried by a hundredth of the length."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        wc.Simulation(hung((90.0, 0, 49.0), 2, device, floor=0.5), dt=1e-3).step()
+    model = hung((90.0, 0, 49.0), 2, device, floor=0.5)
+    model["line.floor"] = [0.5, 52.0]
+    with pytest.warns(wc.ContactWarning) as told:
+        wc.Simulation(model, dt=1e-3).step()
+    assert [str(one.message).partition(" in environment 1, and is")[0] for one in told] == [
+        "line: its point_a 'anchor' lies 52 m below its floor",
+        "line: its point_b 'point' lies 3 m below its floor",
+    ]
+
+
 def pendulum(device, precision="float64"):
     """A heavy body that swings on a line."""
     scene = wc.Scene()

@@ -240,6 +240,7 @@ def test_bad_impacts_are_refused(changes, message):
             {"friction": wc.frictions.Mindlin(mu_static=0.3, mu_dynamic=0.3, shear_modulus=1e9)},
             "keep.friction, Mindlin, is one of spheres",
         ),
+        ({"enabled": "no"}, "keep.enabled must be True or False, got 'no'"),
         ({"color": (2, 0, 0)}, "keep.color[0] must be at least 0 and at most 1, got 2"),
         ({"name": "hull"}, "name 'hull' of a coupling is taken"),
     ],

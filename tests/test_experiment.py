@@ -226,6 +226,23 @@ def test_readings_and_interval_have_defaults():
     assert default_readings(experiment.model(device="cpu")) == list(experiment.settings.record.readings)
 
 
+def test_readings_of_couplings_are_recorded_by_default():
+    ends = [{"name": "hook", "position": [0, 0, 3]}, {"name": "centre", "body": "ball", "position": [0, 0, 0]}]
+    between = {"point_a": "hook", "point_b": "centre"}
+    experiment = wc.Experiment(
+        content(
+            point=ends,
+            contact=[],
+            spring_damper=[between | {"name": "spring", "stiffness": 10.0}],
+            bushing=[between | {"name": "pad"}],
+            catenary=[between | {"name": "line", "length": 4, "mass_per_length": 1, "axial_stiffness": 1e5}],
+            record={},
+        )
+    )
+    names = ("spring.length", "spring.force", "pad.displacement", "pad.force", "line.tension_a", "line.tension_b")
+    assert experiment.settings.record.readings == (*names, "scene.kinetic_energy")
+
+
 def test_box_slides_down_the_slope_as_fast_as_the_closed_form_says(device, tmp_path):
     experiment = wc.Experiment.from_toml(EXAMPLE.parent / "box_on_slope.toml")
     assert experiment.settings.envs == 11
@@ -299,5 +316,12 @@ def test_an_experiment_that_names_no_readings_records_one_of_each_element(device
             ],
         }
     )
-    wanted = ["spring.force", "line.tension_b", "arm.angle", "scene.kinetic_energy"]
-    assert default_readings(experiment.model(device=device)) == wanted
+    wanted = [
+        "spring.length",
+        "spring.force",
+        "line.tension_a",
+        "line.tension_b",
+        "arm.angle",
+        "scene.kinetic_energy",
+    ]
+    assert default_readings(experiment.model(device=device)) == [*told, "scene.kinetic_energy"]

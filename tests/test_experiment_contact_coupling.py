@@ -5,6 +5,7 @@ import pytest
 from test_experiment_errors import problems_of
 
 import warpcontact as wc
+from warpcontact.experiment import picture
 
 IMPACT = {"mass": 50, "area": 0.06, "speed": 1.5, "effective_range": 0.02, "closest": 0.005, "damping_ratio": 0.05}
 COUPLING = {
@@ -58,6 +59,12 @@ def test_a_coupling_is_that_of_the_python_interface(tmp_path):
         np.testing.assert_array_equal(run.recording[name].values, recording[name].values)
     assert coupling.report(model).in_range.all()
     assert np.abs(recording["keep.force"].values).max() > 1000.0
+    # The picture shows its force, of which no reading is one number.
+    without = run.recording.drop_vars(LINES)
+    without.scene = run.recording.scene
+    values, label = picture._chosen_readings(without)[1]
+    assert label == "size of keep.force [N]"
+    np.testing.assert_allclose(values, np.linalg.norm(recording["keep.force"], axis=-1))
     # The written experiment says the same.
     assert wc.Experiment.from_toml(run.files["experiment"]).settings == experiment.settings
 
@@ -126,7 +133,7 @@ def test_a_friction_of_ones_own_works_and_is_copied_along(tmp_path):
         ),
         (
             {"range": {"from_impact": IMPACT | {"closest": 0.03}}},
-            "contact_coupling[0].range.from_impact.closest must be less than effective_range, got 0.03 m",
+            "contact_coupling[0].range.from_impact.closest must be less than effective_range = 0.02 m, got 0.03 m",
         ),
         (
             {"range": {"from_impact": IMPACT | {"weight": 1}}},

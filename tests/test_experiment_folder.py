@@ -126,6 +126,27 @@ def test_picture_shows_what_differs_from_the_side_that_tells(tmp_path):
     assert picture._color_values(recording, list(varied))[1] == "environment"
 
 
+def test_picture_shows_some_of_a_line_on_what_does_not_move(tmp_path):
+    from warpcontact.experiment import picture
+
+    buoy = content()["body"][0] | {"motion": {"type": "Fixed"}}
+    ends = [
+        {"name": "anchor", "position": [-80, 0, -50]},
+        {"name": "fairlead", "body": "ball", "position": [0, 0, 0]},
+    ]
+    line = {"name": "line", "point_a": "anchor", "point_b": "fairlead", "length": 100}
+    line |= {"mass_per_length": 20, "axial_stiffness": 1e6}
+    changes = {"surface": [], "contact": [], "body": [buoy], "point": ends, "catenary": [line], "dt": 0.01}
+    changes["record"] = {"readings": ["line.force_b", "line.tension_b"]}
+    recording = wc.Experiment(content(**changes)).run(tmp_path, device="cpu").recording
+    plane, lower, upper = picture._extent(recording)
+    assert plane == [0, 2]
+    shapes = picture._coupling_shapes(recording)
+    low, high = picture._window(recording.scene, [], shapes, lower, upper, plane)
+    np.testing.assert_allclose(high - low, 0.25 * 80.0)
+    np.testing.assert_allclose(0.5 * (low + high), [0.0, 0.105], atol=1e-6)
+
+
 @pytest.mark.parametrize("shape", ["grid", "sinusoidal_terrain", "icosphere"])
 def test_section_lies_on_the_surface(shape):
     from matplotlib.figure import Figure
@@ -198,7 +219,7 @@ def test_picture_says_nothing_of_active_faces_where_all_are(tmp_path, monkeypatc
     surfaces = [content()["surface"][0] | {"active_faces": [0, 1]}, hidden]
     _, figure = drawn(tmp_path, monkeypatch, surface=surfaces)
     assert said(figure) == []
-    assert "surfaces as in" not in figure.axes[0].get_title()
+    assert "surfaces as in" not in figure.axes[0].get_title("left")
 
 
 @pytest.mark.parametrize(
@@ -223,7 +244,7 @@ def test_picture_shows_the_mesh_that_the_first_environment_has(variation, differ
     # Faces of the box are as wide as it is, those of the grid half as much.
     assert all(np.ptp(path.vertices[:, 0]) == 8.0 for path in figure.axes[0].collections[0].get_paths())
     assert said(figure) == []
-    assert ("surfaces as in environment 0" in figure.axes[0].get_title()) is differ
+    assert ("surfaces as in environment 0" in figure.axes[0].get_title("left")) is differ
     # What is the same everywhere is no colour of tracks.
     expected = "ground.mesh" if differ else "ball.mass [kg]"
     assert picture._color_values(recording, list(varied))[1] == expected

@@ -101,8 +101,20 @@ def test_both_sides_of_a_contact_may_not_be_fixed_together():
 def test_elements_of_another_scene_are_refused():
     scene, other = scene_with(), scene_with()
     point = other.add_point(other.bodies[0], (0, 0, 0))
-    with pytest.raises(ValueError, match="must come from add_point or add_points of this scene"):
+    with pytest.raises(ValueError, match=r"from add_point or add_points of this scene, got Points 'point'$"):
         scene.add_contact(point, scene.add_surface(square()), HOOKE)
+    own = scene.add_point(scene.bodies[0], (0, 0, 0))
+    with pytest.raises(ValueError, match=r"from add_surface of this scene, got 'ground'$"):
+        scene.add_contact(own, "ground", HOOKE)
+
+
+@pytest.mark.parametrize("key", ["enabled", "visible", "swept"])
+def test_what_is_neither_true_nor_false_is_refused(key):
+    scene = scene_with()
+    point, surface = scene.add_point(scene.bodies[0], (0, 0, 0)), scene.add_surface(square())
+    with pytest.raises(ValueError, match=f"touch.{key} must be True or False, got 'no'"):
+        scene.add_contact(point, surface, HOOKE, name="touch", **{key: "no"})
+    assert scene.add_contact(point, surface, HOOKE, name="touch", **{key: np.bool_(False)}).name == "touch"
 
 
 def test_names_are_made_up_when_not_given():
@@ -153,6 +165,10 @@ def test_unknown_names_suggest_the_nearest():
         model["ball.masss"] = 1.0
     with pytest.raises(KeyError, match=r"no reading 'touch.gapp'; did you mean 'touch.gap'\?"):
         model.reading("touch.gapp")
+    with pytest.raises(
+        KeyError, match=r"no parameter 'ball.zzzzzzzzzzzzzzzzzz'; there are: (ball\.\w+, )+ball\.\w+\"$"
+    ):
+        model["ball.zzzzzzzzzzzzzzzzzz"] = 1.0
     with pytest.raises(KeyError, match=r"'touch\.gap' is a reading, not a parameter; use model\.reading"):
         model["touch.gap"] = 0.5
     law = wc.laws.HuntCrossley(stiffness=1e3, restitution=0.5)

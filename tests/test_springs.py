@@ -406,6 +406,22 @@ BAD = [
         r"ForceTable\.table\[0, 1\] must be finite, got nan",
     ),
     (
+        lambda s, a, b: wc.springs.ForceTable(table=[(-0.1, -5.0), (0.1, 5.0)]),
+        r"ForceTable\.table must have distances of at least 0 m, got -0\.1 m; they are those of the points",
+    ),
+    (
+        lambda s, a, b: s.add_spring_damper(a, b, stiffness=1.0, tension_only="no", name="x"),
+        r"x\.tension_only must be True or False, got 'no'",
+    ),
+    (
+        lambda s, a, b: s.add_bushing(a, b, enabled=2, name="x"),
+        r"x\.enabled must be True or False, got 2",
+    ),
+    (
+        lambda s, a, b: s.add_spring_damper(s.bodies[0], b, stiffness=1.0, name="x"),
+        r"x\.point_a must come from add_point of this scene, got Body 'one'$",
+    ),
+    (
         lambda s, a, b: wc.springs.ForceTable(table=[1.0, 2.0]),
         r"ForceTable\.table must be a list of 2 numbers each, got shape \(2,\)",
     ),

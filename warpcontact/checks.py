@@ -89,6 +89,13 @@ def switches(name: str, value: Array) -> Array:
     return value
 
 
+def switch(name: str, value: Any) -> bool:
+    """Returns ``value`` as a ``bool`` if it is true, false, 0 or 1, or raises ``ValueError``."""
+    if not isinstance(value, bool | int | float | np.bool_ | np.number) or value not in (0, 1):
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
+
+
 def whole_numbers(name: str, value: Array) -> Array:
     """Returns ``value`` if it is whole throughout, or raises ``ValueError``."""
     _refuse(name, value, value != np.round(value), "a whole number")
@@ -145,6 +152,12 @@ def new_name(kind: str, value: str | None, taken: Mapping[str, Any]) -> str:
     if value in taken or value == "scene":
         raise ValueError(f"name {value!r} of a {kind} is taken; every name in a scene is used once")
     return value
+
+
+def element(value: Any) -> str:
+    """Returns in a few words what was given in place of an element of a scene."""
+    name = getattr(value, "name", None)
+    return f"{type(value).__name__} {name!r}" if isinstance(name, str) else repr(value)
 
 
 def color(name: str, value: ArrayLike | None) -> Array | None:

@@ -77,7 +77,9 @@ def add_contact_coupling(
     number = check_quadrature(f"{name}.quadrature", quadrature)
     for label, surface in (("surface_a", surface_a), ("surface_b", surface_b)):
         if not isinstance(surface, Surface) or surface not in scene.surfaces:
-            raise ValueError(f"{name}.{label} must come from add_surface of this scene, got {surface!r}")
+            raise ValueError(
+                f"{name}.{label} must come from add_surface of this scene, got {checks.element(surface)}"
+            )
     if surface_a.body is None:
         raise ValueError(
             f"{name}.surface_a must be on a body, got {surface_a.name!r} on the world; what is fixed is surface_b"
@@ -128,6 +130,8 @@ _WORDS = {"search": ("whole", "active"), "rim": ("off", "outer")}
 
 def _named(name: str, key: str, value: Any) -> Any:
     """Returns an option, checked under the name of the coupling where its contacts have names of their own."""
+    if key in ("enabled", "visible"):
+        return checks.switch(f"{name}.{key}", value)
     return checks.choice(f"{name}.{key}", value, _WORDS[key]) if key in _WORDS else value
 
 

@@ -346,5 +346,7 @@ def _look_up(kind: str, name: str, table: dict[str, Any]) -> Any:
         return table[name]
     except KeyError:
         close = difflib.get_close_matches(name, table, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(table) or 'none'}"
+        # Of an element that there is, its own names tell more than those of the whole scene.
+        own = [one for one in table if one.startswith(f"{name.partition('.')[0]}.")]
+        hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(own or table) or 'none'}"
         raise KeyError(f"no {kind} {name!r}; {hint}") from None

@@ -182,7 +182,7 @@ class Scene(Couplings):
             scale=checks.numbers(f"{name}.scale", scale, (), SCALE),
             active=tuple(active),
             color=checks.color(f"{name}.color", color),
-            visible=bool(visible),
+            visible=checks.switch(f"{name}.visible", visible),
         )
         self.surfaces.append(surface)
         self._elements[name] = surface
@@ -312,7 +312,10 @@ class Scene(Couplings):
         """
         name = checks.new_name("contact", name, self._elements)
         if not isinstance(points, Points) or self._elements.get(points.name) is not points:
-            raise ValueError(f"points of {name!r} must come from add_point or add_points of this scene")
+            raise ValueError(
+                f"points of {name!r} must come from add_point or add_points of this scene, got "
+                f"{checks.element(points)}"
+            )
         surface = self._surface(f"surface of {name!r}", surface)
         if points.body is surface.body:
             where = f"body {points.body.name!r}" if points.body else "the world"
@@ -337,13 +340,13 @@ class Scene(Couplings):
             if torsion_radius is None
             else checks.numbers(f"{name}.torsion_radius", torsion_radius, (), TORSION_RADIUS),
             share=checks.numbers(f"{name}.share", share, (), SHARE),
-            enabled=np.array(float(bool(enabled))),
+            enabled=np.array(float(checks.switch(f"{name}.enabled", enabled))),
             search=checks.choice(f"{name}.search", search, ("whole", "active")),
             entry=checks.choice(f"{name}.entry", entry, ("literal", "latched")),
-            swept=bool(swept),
+            swept=checks.switch(f"{name}.swept", swept),
             rim=checks.choice(f"{name}.rim", rim, ("off", "outer")),
             color=checks.color(f"{name}.color", color),
-            visible=bool(visible),
+            visible=checks.switch(f"{name}.visible", visible),
         )
         if search == "active" and not all(active.any() for active in surface.active):
             raise ValueError(f"{name}: search='active' needs at least one active face on {surface.name!r}")
@@ -435,7 +438,7 @@ class Scene(Couplings):
 
     def _surface(self, label: str, surface: Surface) -> Surface:
         if not isinstance(surface, Surface) or self._elements.get(surface.name) is not surface:
-            raise ValueError(f"{label} must come from add_surface of this scene")
+            raise ValueError(f"{label} must come from add_surface of this scene, got {checks.element(surface)}")
         return surface
 
     def _body(self, name: str, body: Body | None) -> Body | None:

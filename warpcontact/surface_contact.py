@@ -50,7 +50,9 @@ def _add(
     checks.choice(f"{name}.sides", sides, SIDES)
     for label, surface in (("surface_a", surface_a), ("surface_b", surface_b)):
         if not isinstance(surface, Surface) or surface not in scene.surfaces:
-            raise ValueError(f"{name}.{label} must come from add_surface of this scene, got {surface!r}")
+            raise ValueError(
+                f"{name}.{label} must come from add_surface of this scene, got {checks.element(surface)}"
+            )
     pair = _pair(name, samples, sides)
     runs = [(surface_a, surface_b, pair[0], name)]
     if sides == "average":

@@ -106,13 +106,13 @@ class Couplings:
             spring=cast(Spring, spring),
             damper=Undamped() if damper is None else damper,
             rest_length=checks.numbers(f"{name}.rest_length", rest_length, (), LENGTH),
-            tension_only=np.array(float(bool(tension_only))),
+            tension_only=np.array(float(checks.switch(f"{name}.tension_only", tension_only))),
             break_force=checks.numbers(f"{name}.break_force", break_force, (), BREAK_FORCE),
             plain_spring=stiffness is not None,
             plain_damper=damping is not None,
-            enabled=np.array(float(bool(enabled))),
+            enabled=np.array(float(checks.switch(f"{name}.enabled", enabled))),
             color=checks.color(f"{name}.color", color),
-            visible=bool(visible),
+            visible=checks.switch(f"{name}.visible", visible),
         )
         return self._add_coupling(coupling)
 
@@ -166,9 +166,9 @@ class Couplings:
             orientation=checks.unit_quaternions(
                 f"{name}.orientation", checks.numbers(f"{name}.orientation", orientation, (4,))
             ),
-            enabled=np.array(float(bool(enabled))),
+            enabled=np.array(float(checks.switch(f"{name}.enabled", enabled))),
             color=checks.color(f"{name}.color", color),
-            visible=bool(visible),
+            visible=checks.switch(f"{name}.visible", visible),
         )
         return self._add_coupling(coupling)
 
@@ -217,9 +217,9 @@ class Couplings:
             mass_per_length=checks.numbers(f"{name}.mass_per_length", mass_per_length, (), MASS_PER_LENGTH),
             axial_stiffness=checks.numbers(f"{name}.axial_stiffness", axial_stiffness, (), AXIAL_STIFFNESS),
             floor=None if floor is None else checks.numbers(f"{name}.floor", floor, (), FLOOR),
-            enabled=np.array(float(bool(enabled))),
+            enabled=np.array(float(checks.switch(f"{name}.enabled", enabled))),
             color=checks.color(f"{name}.color", color),
-            visible=bool(visible),
+            visible=checks.switch(f"{name}.visible", visible),
         )
         return self._add_coupling(coupling)
 
@@ -298,7 +298,9 @@ class Couplings:
         """Raises ``ValueError`` if these are not two points of this scene, on different bodies."""
         for key, point in (("point_a", point_a), ("point_b", point_b)):
             if not isinstance(point, Points) or self._elements.get(point.name) is not point:
-                raise ValueError(f"{name}.{key} must come from add_point of this scene, got {point!r}")
+                raise ValueError(
+                    f"{name}.{key} must come from add_point of this scene, got {checks.element(point)}"
+                )
             if not point.single:
                 raise ValueError(
                     f"{name}.{key} must be one point, from add_point, got the {len(point.positions)} points of "
@@ -306,7 +308,10 @@ class Couplings:
                 )
         if point_a.body is point_b.body:
             where = f"body {point_a.body.name!r}" if point_a.body else "the world"
-            raise ValueError(f"{name}: point_a and point_b are both fixed to {where}; one must move")
+            raise ValueError(
+                f"{name}: point_a and point_b are both fixed to {where}; they must be on two bodies, or on one "
+                "and the world"
+            )
 
 
 def place_of(point: Points) -> Array:

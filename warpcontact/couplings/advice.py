@@ -1,4 +1,4 @@
-"""Warnings about couplings that run and give nonsense: steps too long for a spring, a damper or a taut line."""
+"""Warnings about couplings that run and give nonsense: too long steps, and lines that end below their floor."""
 
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 ENOUGH_STEPS = 20.0
 # What a damper may take of a velocity in a step: from twice this on it turns it round, ever faster.
 MOST_DAMPED = 1.0
+# Part of the length of a line by which an end may lie below its floor: an anchor may be buried a little.
+BURIED = 0.01
 
 
 def coupling_advice(model: "Environments", dt: float) -> list[str]:
@@ -30,7 +32,7 @@ def coupling_advice(model: "Environments", dt: float) -> list[str]:
         if isinstance(coupling, SpringDamper):
             sentences += _about_spring(model, coupling, dt)
         elif isinstance(coupling, Catenary):
-            sentences += _about_line(model, coupling, dt)
+            sentences += _about_line(model, coupling, dt) + _about_floor(model, coupling)
     return sentences
 
 
@@ -73,6 +75,27 @@ def _about_line(model: "Environments", line: Catenary, dt: float) -> list[str]:
         f"environment {model.first_env + worst}, {period / dt:.1f} steps; take dt ≤ {period / ENOUGH_STEPS:.2g} s "
         f"for {ENOUGH_STEPS:g}"
     ]
+
+
+def _about_floor(model: "Environments", line: Catenary) -> list[str]:
+    if line.floor is None:
+        return []
+    gravity = model["scene.gravity"]
+    size = np.linalg.norm(gravity, axis=1)
+    upright = -gravity / np.where(size > 0.0, size, 1.0)[:, None]
+    floor, length = (model[f"{line.name}.{key}"] for key in ("floor", "length"))
+    sentences = []
+    for key, point in (("point_a", line.point_a), ("point_b", line.point_b)):
+        height = (_place_and_arm(model, point)[0] * upright).sum(axis=1)
+        depth = np.where(size > 0.0, floor - height, 0.0)  # without gravity nothing is below anything
+        worst = int(np.argmax(depth / length))
+        if depth[worst] > BURIED * length[worst]:
+            sentences.append(
+                f"{line.name}: its {key} {point.name!r} lies {depth[worst]:.3g} m below its floor in environment "
+                f"{model.first_env + worst}, and is taken to be on it; floor = {floor[worst]:g} m is a height "
+                "above the origin, negative below it"
+            )
+    return sentences
 
 
 def _along(model: "Environments", coupling: Coupling) -> tuple[Array, Array]:

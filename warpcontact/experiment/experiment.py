@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact.build import draw_up
+from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
 from warpcontact.draft import Draft
 from warpcontact.environments import Environments
 from warpcontact.experiment import result
@@ -25,6 +26,13 @@ from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import whole_steps
 from warpcontact.split_model import SplitModel
+
+# Readings that tell most of a coupling.
+_TOLD: dict[type, tuple[str, str]] = {
+    SpringDamper: ("length", "force"),
+    Bushing: ("displacement", "force"),
+    Catenary: ("tension_a", "tension_b"),
+}
 
 # Frames of a recording for which nothing else is asked.
 FRAMES = 100
@@ -307,11 +315,11 @@ def default_interval(settings: Settings) -> float:
 
 
 def default_readings(model: Environments) -> list[str]:
-    """Returns the readings of an experiment that names none: one or two of each element, and the energy."""
+    """Returns the readings of an experiment that names none: what tells most of each element, and the energy."""
     scene = model.scene
-    single = [contact.name for contact in scene.contacts if contact.points.single]
-    wanted = [f"{name}.{key}" for name in single for key in ("gap", "normal_force")]
-    wanted += [f"{coupling.name}.{key}" for coupling in scene.couplings for key in ("force", "tension_b")]
-    wanted += [f"{coupling.name}.force" for coupling in scene.contact_couplings]
-    wanted += [f"{body.name}.{key}" for body in scene.bodies for key in ("angle", "displacement")]
-    return [name for name in wanted if name in model.reading_names] + ["scene.kinetic_energy"]
+    told = [(contact.name, ("gap", "normal_force")) for contact in scene.contacts if contact.points.single]
+    told += [(coupling.name, _TOLD[type(coupling)]) for coupling in scene.couplings]
+    told += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
+    joints = [f"{body.name}.{key}" for body in scene.bodies for key in ("angle", "displacement")]
+    wanted = [f"{name}.{key}" for name, keys in told for key in keys]
+    return wanted + [name for name in joints if name in model.reading_names] + ["scene.kinetic_energy"]

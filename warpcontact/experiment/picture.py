@@ -36,6 +36,8 @@ LOGARITHMIC = 30.0
 FLAT = 0.02
 # Where what is shown is wider than this times its height, it gets the whole width.
 WIDE = 1.8
+# What is shown is at least this part of the couplings: lines may be far longer than the tracks.
+ENOUGH_OF_COUPLINGS = 0.25
 # The shorter side is at least this part of the longer.
 NARROWEST = 0.3
 
@@ -52,7 +54,8 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
     envs, times = recording.sizes["env"], recording["time"].values
     plane, lower, upper = _extent(recording)
     grounds = grounds_of(recording)
-    window = _window(recording.scene, grounds, lower, upper, plane)
+    shapes = _coupling_shapes(recording)
+    window = _window(recording.scene, grounds, shapes, lower, upper, plane)
     width, height = window[1] - window[0]
     wide = bool(width > WIDE * height)
     size = (13.0, 4.0 + 10.8 * height / width) if wide else (13.0, 6.8)
@@ -66,7 +69,7 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
         grid = figure.add_gridspec(2, 2, width_ratios=(float(np.clip(width / height, 0.6, 1.15)), 1.0))
         places = grid[:, 0], grid[0, 1], grid[1, 1]
     above, first, second = (figure.add_subplot(place) for place in places)
-    _draw_tracks(figure, above, recording, grounds, varied, plane, window, wide)
+    _draw_tracks(figure, above, recording, grounds, shapes, varied, plane, window, wide)
     for axes, (values, label) in zip((first, second), _chosen_readings(recording), strict=True):
         _draw_quantiles(axes, times, values, label)
         axes.set_xlabel("time [s]")
@@ -94,7 +97,7 @@ def _extent(recording: Recording) -> tuple[list[int], NDArray[Any], NDArray[Any]
             highs.append(points.max(axis=0))
             ends.append([_ends(points[:, plane]) for plane in planes])
     extent = np.max(highs, axis=0) - np.min(lows, axis=0)
-    chosen = 0 if extent[1] < FLAT * extent.max() else 1
+    chosen = 0 if extent[1] <= FLAT * extent.max() else 1
     lower = np.min([each[chosen][0] for each in ends], axis=0)
     upper = np.max([each[chosen][1] for each in ends], axis=0)
     return planes[chosen], lower, upper
@@ -114,6 +117,7 @@ def _draw_tracks(
     axes: Any,
     recording: Recording,
     grounds: list[Ground],
+    shapes: list[NDArray[Any]],
     varied: list[str],
     plane: list[int],
     window: tuple[NDArray[Any], NDArray[Any]],
@@ -130,7 +134,6 @@ def _draw_tracks(
             draw_from_above(axes, ground, lower, upper)
         else:
             draw_section(axes, ground, float(np.mean([track[..., 1].mean() for track in tracks])))
-    shapes = _coupling_shapes(recording)
     for shape in shapes:
         axes.plot(*shape[:, plane].T, color=COUPLING_COLOR, lw=0.8, zorder=1.5)
     if not all(ground.active.all() for ground in grounds):
@@ -154,14 +157,15 @@ def _draw_tracks(
     first = [] if all(ground.shared for ground in grounds) else ["surfaces"]
     first += ["couplings"] if shapes else []
     as_first = f"; {' and '.join(first)} as in environment 0" if first else ""
-    axes.set_title(f"tracks {view}, {which}; dots: the end{as_first}", fontsize="medium")
+    # From the left, where it may be wider than what it is of.
+    axes.set_title(f"tracks {view}, {which}; dots: the end{as_first}", fontsize="medium", loc="left")
     if envs > 1:
         # Beside the tracks if they are wide, otherwise below.
         bar: dict[str, Any] = (
             {"location": "right", "aspect": 25} if wide else {"location": "bottom", "shrink": 0.7, "aspect": 40}
         )
-        if not isinstance(norm, LogNorm) and (values == np.round(values)).all():
-            bar["ticks"] = MaxNLocator(integer=True)
+        if not isinstance(norm, LogNorm):
+            bar["ticks"] = MaxNLocator(4, integer=bool((values == np.round(values)).all()))
         figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, label=label, pad=0.01, **bar)
 
 
@@ -179,13 +183,24 @@ def _coupling_shapes(recording: Recording) -> list[NDArray[Any]]:
 
 
 def _window(
-    scene: Scene, grounds: list[Ground], lower: NDArray[Any], upper: NDArray[Any], plane: list[int]
+    scene: Scene,
+    grounds: list[Ground],
+    shapes: list[NDArray[Any]],
+    lower: NDArray[Any],
+    upper: NDArray[Any],
+    plane: list[int],
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Returns the lower left and upper right corner of what is shown: the tracks with some room around them."""
     radius = max((float(contact.radius) for contact in scene.contacts), default=0.0)
     spans = [np.ptp(ground.corners[..., plane].reshape(-1, 2), axis=0).max() for ground in grounds]
-    # A drop straight down still needs some ground to be seen on.
-    least = max(10.0 * radius, 0.05 * max(spans, default=0.0), 1.0e-3)
+    lengths = [np.ptp(shape[:, plane], axis=0).max() for shape in shapes]
+    # A drop straight down still needs some ground to be seen on, and what hangs on a line some of it.
+    least = max(
+        10.0 * radius,
+        0.05 * max(spans, default=0.0),
+        ENOUGH_OF_COUPLINGS * max(lengths, default=0.0),
+        1.0e-3,
+    )
     half = 0.5 * np.maximum(1.12 * (upper - lower), least)
     half = np.maximum(half, NARROWEST * half.max())
     centre = 0.5 * (lower + upper)
@@ -239,6 +254,12 @@ def _chosen_readings(recording: Recording) -> list[tuple[NDArray[Any], str]]:
         if name in recording and "axis" not in recording[name].dims:
             found.append(_per_environment(name, recording[name].isel(env=sample), smallest=False))
             break
+    if len(found) < 2:
+        found += [
+            (np.linalg.norm(recording[name].isel(env=sample), axis=-1), f"size of {_label(name, recording[name])}")
+            for name in (f"{c}.force" for c in (*(keep.name for keep in scene.contact_couplings), *couplings))
+            if name in recording and "axis" in recording[name].dims
+        ][:1]
     if len(found) < 2:
         position = recording[f"{bodies[0]}.position"].isel(env=sample).values
         way = np.linalg.norm(position - position[0], axis=-1)

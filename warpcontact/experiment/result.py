@@ -63,11 +63,12 @@ class Run:
         s = self.summary
         rate = f"{s['env_steps_per_second']:.3g} environment steps per second"
         batches = f" in {s['batches']} batches" if s.get("batches", 1) > 1 else ""
+        width = max(11, *map(len, self.files))
         lines = [
             f"{s['name']}: {s['envs']} environments × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s",
             f"{s['wall_time']:.1f} s on {s['device']}{batches}, {rate}",
             str(self.health),
-            *(f"  {kind:<11} {path}" for kind, path in sorted(self.files.items())),
+            *(f"  {kind:<{width}} {path}" for kind, path in sorted(self.files.items())),
         ]
         return "\n".join(lines)
 

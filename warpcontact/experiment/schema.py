@@ -186,7 +186,9 @@ class ImpactSettings(Section):
     @model_validator(mode="after")
     def _stops_within(self) -> "ImpactSettings":
         if self.closest >= self.effective_range:
-            raise ValueError(f".closest must be less than effective_range, got {self.closest:g} m")
+            raise ValueError(
+                f".closest must be less than effective_range = {self.effective_range:g} m, got {self.closest:g} m"
+            )
         return self
 
 
