@@ -106,10 +106,10 @@ def _of_time(function: wp.Function) -> wp.Function:
 def follow(motion: type[Motion], real: type) -> wp.Kernel:
     """Returns the kernel that moves the bodies of a class over a step; items: ``members``."""
     t = structs(real)
-    Model, State = t.Model, t.State
+    Model, State, Wrenches = t.Model, t.State, t.Wrenches
     Coefficients = coefficients_struct(motion)
     f, own = bodies.functions(real), _functions(motion)
-    narrow_quat, put, set_velocity = f.narrow_quat, f.put, f.set_velocity
+    narrow_quat, put, set_velocity, has_failed = f.narrow_quat, f.put, f.set_velocity, f.has_failed
     turn_at, way_at, mean_velocities = own.turn_at, own.way_at, own.mean_velocities
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -122,6 +122,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
         members: wp.array(dtype=wp.int32),  # [item] body
         coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
         samples: wp.array2d(dtype=wp.float64),
+        wrenches: Wrenches,
         state_out: State,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
@@ -140,12 +141,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
             put(state_out, env, body, motion.position, way_at(p, samples, after, motion, turn))
             state_out.body_orientation[env, body] = narrow_quat(turn * motion.orientation)
             set_velocity(state_out, env, body, v, w)
-            sizes = (
-                wp.length_sq(state_out.body_position[env, body])
-                + wp.length_sq(state_out.body_linear_velocity[env, body])
-                + wp.length_sq(state_out.body_angular_velocity[env, body])
-            )
-            if not wp.isfinite(sizes):
+            if has_failed(wrenches, state_out, env, body):
                 status[env] = ENV_FAILED
 
     return follow_motion
