@@ -82,14 +82,8 @@ def functions(real: type) -> SimpleNamespace:
     """Returns the device functions that read and write states and models of precision ``real``."""
     t = structs(real)
     vec3, quat, mat33, Model, State, Wrenches = t.vec3, t.quat, t.mat33, t.Model, t.State, t.Wrenches
-
-    @wp.func
-    def wide(v: vec3):
-        return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
-
-    @wp.func
-    def narrow(v: wp.vec3d):
-        return vec3(real(v[0]), real(v[1]), real(v[2]))
+    frame = frames.functions(real)
+    wide, narrow = frame.wide, frame.narrow
 
     @wp.func
     def wide_matrix(m: mat33):

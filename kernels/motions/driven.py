@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
+from warpcontact.kernels import frames
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.base import Motion
@@ -25,25 +26,11 @@ def coefficients_struct(motion: type[Motion]) -> Any:
     return coefficient_struct(motion, wp.float64)
 
 
-@wp.func
-def rotation_vector(q: wp.quatd):
-    """The rotation vector of a unit quaternion, by the shorter way."""
-    v = wp.vec3d(q[0], q[1], q[2])
-    sine = wp.length(v)
-    cosine = q[3]
-    if cosine < wp.float64(0.0):
-        v = -v
-        cosine = -cosine
-    if sine < wp.float64(1.0e-8):
-        # The angle is twice the sine, to a rounding.
-        return wp.float64(2.0) * v
-    return (wp.float64(2.0) * wp.atan2(sine, cosine) / sine) * v
-
-
 @functools.cache
 def _functions(motion: type[Motion]) -> SimpleNamespace:
     Coefficients = coefficients_struct(motion)
-    rotated = bodies.functions(wp.float64).rotated
+    frame = frames.functions(wp.float64)
+    rotated, rotation_vector = frame.rotated, frame.rotation_vector
     if motion.sampled:
         displacement, rotation = motion.displacement, motion.rotation
     else:
