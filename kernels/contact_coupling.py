@@ -5,7 +5,6 @@ import functools
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.formula import Formula, coefficient_struct
-from warpcontact.kernels.measures import wide_of
 from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, structs
 
 
@@ -112,8 +111,8 @@ def measure(real: type) -> wp.Kernel:
     """Returns the kernel that sums the forces of each coupling. Launch with dim (env, coupling)."""
     t = structs(real)
     Model, State, Contacts = t.Model, t.State, t.Contacts
-    apart = frames.functions(real).apart
-    wide = wide_of(real)
+    frame = frames.functions(real)
+    apart, wide = frame.apart, frame.wide
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_couplings(model: Model, state: State, contacts: Contacts, sets: Sets, measured: ContactCouplings):

@@ -185,6 +185,9 @@ class Formula:
     part: ClassVar[str] = "law"
     #: Whether it may have a ``table``.
     may_have_table: ClassVar[bool] = False
+    #: Whether it may have parameters that are vectors, of shape (3,), or tables of its own, with ``ROWS``.
+    may_have_vectors: ClassVar[bool] = False
+    may_have_rows: ClassVar[bool] = False
     #: Names of its device functions, and what each of them returns, in words.
     functions: ClassVar[Mapping[str, str]] = {"force": "the force"}
     #: The device function of laws and frictions.
@@ -218,6 +221,7 @@ class Formula:
                     f"{cls.__name__}.{field.name} must be declared with wc.parameter: "
                     f"{field.name}: float = wc.parameter(unit, meaning, default=…)"
                 )
+            cls._check_shape(field.name, field.metadata)
         tables = [field.name for field in dataclasses.fields(cls) if "table" in field.metadata]
         if len(tables) > int(cls.may_have_table):
             most = "one table at most" if cls.may_have_table else "no table"
@@ -225,6 +229,18 @@ class Formula:
         for name in (*cls.functions, "advance"):
             if isinstance(vars(cls).get(name), wp.Function):
                 cls._check_function(name)
+
+    @classmethod
+    def _check_shape(cls, name: str, metadata: Mapping[str, Any]) -> None:
+        """Raises ``TypeError`` if a device function could not be given a parameter of its shape."""
+        shape = metadata["shape"]
+        has_row = "table" in metadata or cls.may_have_rows
+        if shape == () or (shape == (3,) and cls.may_have_vectors) or (ROWS in shape and has_row):
+            return
+        allowed = "() or (3,)" if cls.may_have_vectors else "()"
+        raise TypeError(
+            f"{cls.__name__}.{name}: a parameter of a {cls.part} must have shape {allowed}, got {shape}"
+        )
 
     @classmethod
     def table_field(cls) -> dataclasses.Field | None:
@@ -329,6 +345,11 @@ class Formula:
     def device_names(cls) -> tuple[str, ...]:
         """Returns the names of the coefficients that ``force`` sees."""
         return cls.device or cls.varying()
+
+    @classmethod
+    def derives(cls) -> bool:
+        """Whether its device coefficients are computed, and not its parameters as they are."""
+        return inspect.getattr_static(cls, "coefficients") is not vars(Formula)["coefficients"]
 
     @classmethod
     def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

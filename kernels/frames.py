@@ -1,4 +1,4 @@
-"""Poses and velocities of what is fixed to a body or to the world, and rotation by an exponential map."""
+"""Poses and velocities of what is fixed to a body or to the world, rotation vectors, and vectors in float64."""
 
 import functools
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
-    one = wp.constant(real(1.0))
+    one, two = wp.constant(real(1.0)), wp.constant(real(2.0))
 
     @wp.func
     def apart(model: Model, state: State, env: int, point: int, surface: int):
@@ -98,6 +98,30 @@ def functions(real: type) -> SimpleNamespace:
         axis = real(0.5) * sinc * angle_W
         return wp.normalize(quat(axis[0], axis[1], axis[2], cosine) * q)
 
+    @wp.func
+    def rotation_vector(q: quat):
+        """Axis times angle of a rotation, the shorter way round: what ``rotated`` takes."""
+        v = vec3(q[0], q[1], q[2])
+        cosine = q[3]
+        if cosine < real(0.0):
+            v = -v
+            cosine = -cosine
+        sine = wp.length(v)
+        if sine < real(1.0e-4):
+            # asin(s)/s to a rounding.
+            return (two + sine * sine / real(3.0)) * v
+        return (two * wp.atan2(sine, cosine) / sine) * v
+
+    @wp.func
+    def wide(v: vec3):
+        """A vector in float64."""
+        return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
+
+    @wp.func
+    def narrow(v: wp.vec3d):
+        """A vector of float64, rounded."""
+        return vec3(real(v[0]), real(v[1]), real(v[2]))
+
     return SimpleNamespace(
         apart=apart,
         turned=turned,
@@ -107,4 +131,7 @@ def functions(real: type) -> SimpleNamespace:
         velocity_at=velocity_at,
         copy_body=copy_body,
         rotated=rotated,
+        rotation_vector=rotation_vector,
+        wide=wide,
+        narrow=narrow,
     )

@@ -3,6 +3,7 @@
 import functools
 
 import warp as wp
+from warpcontact.kernels import frames
 from warpcontact.kernels.types import structs
 
 
@@ -25,24 +26,11 @@ class Points:
 
 
 @functools.cache
-def wide_of(real: type) -> wp.Function:
-    """Returns the device function that takes a vector to float64."""
-    t = structs(real)
-    vec3 = t.vec3
-
-    @wp.func
-    def wide(v: vec3):
-        return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
-
-    return wide
-
-
-@functools.cache
 def bodies(real: type) -> wp.Kernel:
     """Returns the kernel that measures each body. Launch with dim (env, body)."""
     t = structs(real)
     Model, State = t.Model, t.State
-    wide = wide_of(real)
+    wide = frames.functions(real).wide
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_bodies(model: Model, state: State, measured: Bodies):
@@ -68,7 +56,7 @@ def points(real: type) -> wp.Kernel:
     """Returns the kernel that places the point of each contact. Launch with dim (env, contact)."""
     t = structs(real)
     Model, State, Contacts = t.Model, t.State, t.Contacts
-    wide = wide_of(real)
+    wide = frames.functions(real).wide
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_points(model: Model, state: State, contacts: Contacts, measured: Points):

@@ -242,7 +242,7 @@ def structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class Reached:
-        """How close contact couplings came; advances once per accepted step, in ``coupling.py``."""
+        """How close contact couplings came; advances once per accepted step, in ``contact_coupling.py``."""
 
         effective_area: wp.array2d(dtype=real)  # [env, coupling] largest area in range so far [m²]
         minimum_distance: wp.array2d(dtype=real)  # [env, coupling] smallest in range so far [m]; NaN: none

@@ -89,7 +89,29 @@ def free_scene():
     return scene
 
 
-SCENES = {"ball": ball_scene, "busy": busy_scene, "nothing to touch": free_scene}
+def coupled_scene():
+    """Couplings of every kind, and bodies that joints hold and functions of time move."""
+    scene = ball_scene()
+    ball = scene.bodies[0]
+    swing = wc.motions.Table(times=(0.0, 1.0, 2.0), displacements=((0, 0, 0), (0, 0, 1), (0, 0, 0)))
+    shake = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=0.1, frequency=1.0)
+    others = [
+        scene.add_body(1.0, (1, 1, 1), position=(i, 2, 2), motion=motion, name=f"body_{i}")
+        for i, motion in enumerate((swing, shake, wc.motions.Slider(axis=(0, 0, 1))))
+    ]
+    at, swung, shaken, slid = (scene.add_point(body, (0, 0, 0)) for body in (ball, *others))
+    table = wc.springs.StiffnessTable(table=((0.0, 10.0), (1.0, 20.0), (3.0, 5.0)))
+    scene.add_spring_damper(at, swung, spring=table, damping=1.0, rest_length=1.0)
+    scene.add_spring_damper(at, slid, stiffness=10.0, name="spring")
+    scene.add_bushing(at, shaken, stiffness=(1, 1, 1))
+    for floor in (None, 0.0):
+        scene.add_catenary(at, shaken, length=5.0, mass_per_length=1.0, axial_stiffness=1e5, floor=floor)
+    skin = scene.add_surface(wc.meshes.icosphere(0.1), ball, name="skin")
+    scene.add_contact_coupling(skin, scene.surfaces[0], wc.ContactRange(k1=1e5, effective_range=0.02), name="keep")
+    return scene
+
+
+SCENES = {"ball": ball_scene, "busy": busy_scene, "nothing to touch": free_scene, "coupled": coupled_scene}
 
 
 def of_arrays(memory, model):
@@ -125,22 +147,29 @@ def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
     mass = np.linspace(1, 2, envs)
     model["ball.mass"] = mass
     model["ball.position"] = np.zeros((envs, 3))
-    varied = ["ball.mass", "ball.position"]
+    varied, needs = ["ball.mass", "ball.position"], {"bodies"}
     if name != "nothing to touch":
         model["touch.law.stiffness"] = 1e5 * mass
         model["ground.scale"] = mass
         model["centre.position"] = 0.01 * np.ones((envs, 3))
         varied += ["touch.law.stiffness", "ground.scale", "centre.position"]
         model.reading("touch.point")
+        needs.add("points")
+    if name == "coupled":
+        model["spring.rest_length"] = mass
+        model["body_1.motion.amplitude"] = mass
+        varied += ["spring.rest_length", "body_1.motion.amplitude"]
+        for reading in ("body_0.reaction_force", "body_2.displacement", "keep.force"):
+            model.reading(reading)
+        needs |= {"reactions", "coordinates", "contact_couplings"}
     model.reading("scene.kinetic_energy")
     gc.collect()
     assert of_arrays(sim.memory(), model) == counted.used
     planned = draw_up(scene, device, precision).memory(envs, varied)
     actual = model.memory()
     assert planned.of("parameters") == actual.of("parameters")
-    measured = model.measures_needs(model.device, {"bodies", "points"}, envs)
-    if name != "nothing to touch":
-        assert actual.of("measures") == sum(need.size for need in measured)
+    measured = model.measures_needs(model.device, needs, envs)
+    assert actual.of("measures") == sum(need.size for need in measured)
 
 
 def test_a_split_model_takes_what_its_parts_take(device, counted):

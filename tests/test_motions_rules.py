@@ -1,9 +1,11 @@
 """What a motion may be, per environment and device, and how models, steps, files and warnings deal with it."""
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 from scenes import dropped_sphere, square
 from scipy.spatial.transform import Rotation
 from warpcontact.kernels import integrate
@@ -367,3 +369,47 @@ def test_a_place_yields_most_along_some_direction(motion, device):
     # Of 20 000 directions the nearest to the worst is some 0.01 rad off.
     np.testing.assert_allclose(mobility_of(model, contact, arm).push[0, 0], most, rtol=1e-3)
     assert mobility_of(model, contact, arm).push[0, 0] >= most * (1.0 - 1e-12)
+
+
+class Root(wc.Spring):
+    """f = k √(x − x₀): no number where it is shorter than at rest."""
+
+    stiffness: float = wc.parameter("N/√m", "stiffness k")
+
+    @wp.func
+    def force(p: Any, s: Any):
+        return p.stiffness * wp.sqrt(s.extension)
+
+
+HELD = {
+    "free": None,
+    "fixed": wc.motions.Fixed(),
+    "translation": wc.motions.Translation(),
+    "planar": wc.motions.Planar(normal=(0, 1, 0)),
+    "hinge": HINGE,
+    "slider": wc.motions.Slider(axis=(1, 0, 0)),
+    "ball": wc.motions.Ball(anchor=(0, 0, 1)),
+    "prescribed": wc.motions.Prescribed(),
+    "driven": wc.motions.Harmonic(direction=(0, 0, 1), amplitude=0.1, frequency=1.0),
+}
+
+
+def test_a_load_that_is_no_number_freezes_its_environment_alone_however_the_body_moves(device):
+    """Also where the body does not yield to it: each environment has another body under it."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    for name, motion in HELD.items():
+        body = scene.add_body(**POSE, motion=motion, name=name)
+        ends = scene.add_point(body, (0, 0, 0)), scene.add_point(None, (0.5, 1, 1))
+        scene.add_spring_damper(*ends, spring=Root(stiffness=1.0), rest_length=0.5, name=f"{name}_spring")
+    model = scene.build(envs=len(HELD) + 1, device=device)
+    expected = scene.build(device=device)
+    wc.Simulation(expected, dt=1e-3).step(10)
+    for number, name in enumerate(HELD):
+        model[f"{name}_spring.rest_length"] = np.where(np.arange(len(HELD) + 1) == number, 3.0, 0.5)
+    start = {name: model.reading(f"{name}.position") for name in HELD}
+    wc.Simulation(model, dt=1e-3).step(10)
+    assert model.health().frozen.tolist() == list(range(len(HELD)))
+    for name in HELD:
+        place = model.reading(f"{name}.position")
+        np.testing.assert_array_equal(place[:-1], start[name][:-1], err_msg=name)
+        np.testing.assert_array_equal(place[-1], expected.reading(f"{name}.position")[0], err_msg=name)

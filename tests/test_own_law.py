@@ -45,6 +45,25 @@ def test_a_parameter_without_a_unit_is_refused():
             k: float = 3.0
 
 
+@pytest.mark.parametrize(
+    ("base", "shape", "message"),
+    [
+        (wc.Law, (3,), r"a parameter of a law must have shape \(\), got \(3,\)"),
+        (wc.Friction, (3,), r"a parameter of a friction must have shape \(\), got \(3,\)"),
+        (wc.Spring, (-1, 2), r"a parameter of a spring must have shape \(\), got \(-1, 2\)"),
+        (wc.Motion, (2,), r"a parameter of a motion must have shape \(\) or \(3,\), got \(2,\)"),
+    ],
+    ids=["law", "friction", "spring", "motion"],
+)
+def test_a_parameter_that_a_device_function_cannot_see_is_refused(base, shape, message):
+    with pytest.raises(TypeError, match=rf"Wide\.sizes: {message}"):
+
+        class Wide(base):
+            """Of several numbers."""
+
+            sizes: tuple[float, ...] = wc.parameter("m", "sizes", shape=shape)
+
+
 def test_a_class_that_is_no_law_is_refused():
     class Empty(wc.Law):
         """Has no force."""

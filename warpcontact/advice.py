@@ -7,10 +7,10 @@ import numpy as np
 from warpcontact.checks import Array
 from warpcontact.contact_coupling_advice import contact_coupling_advice
 from warpcontact.couplings.advice import coupling_advice
-from warpcontact.friction_advice import LEAST_MOBILITY, LOOKED_AT, USUAL_SPEED, friction_advice
+from warpcontact.friction_advice import LOOKED_AT, USUAL_SPEED, friction_advice
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
 from warpcontact.kernels.types import CONTACT
-from warpcontact.mobility import mobility_of
+from warpcontact.mobility import LEAST_MOBILITY, mobility_of
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments

@@ -7,9 +7,9 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.contact_range import ExpectedImpact
-from warpcontact.friction_advice import LEAST_MOBILITY, LOOKED_AT, USUAL_SPEED, steepness_under
+from warpcontact.friction_advice import LOOKED_AT, USUAL_SPEED, steepness_under
 from warpcontact.kernels.frictions import Frictionless
-from warpcontact.mobility import mobility_of
+from warpcontact.mobility import LEAST_MOBILITY, mobility_of
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling

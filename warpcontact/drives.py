@@ -96,7 +96,7 @@ def add_motions(scene: Scene, arrays: SimpleNamespace, layout: Layout, parameter
     for motion in classes:
         members = [body for body in bodies if type(body.motion) is motion]
         fields = {body: _fields_of(body, axis, anchor) for body in members}
-        sends = [upload]
+        sends = []
         if motion.kind == DRIVEN:
             drive, send = _drive(motion, fields, layout, parameters)
             drives.append(drive)
@@ -109,7 +109,7 @@ def add_motions(scene: Scene, arrays: SimpleNamespace, layout: Layout, parameter
                     field,
                     items,
                     allowed,
-                    list(sends),
+                    [*sends, upload] if field in (axis, anchor) else list(sends),
                     tail=allowed["shape"],
                     convert=unit_vectors if allowed["direction"] else None,
                 )

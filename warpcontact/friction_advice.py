@@ -8,7 +8,7 @@ import warp as wp
 from warpcontact.checks import Array
 from warpcontact.kernels import steepness
 from warpcontact.kernels.frictions import Frictionless
-from warpcontact.mobility import mobility_of
+from warpcontact.mobility import LEAST_MOBILITY, mobility_of
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 # Environments that are looked at, so that a warning does not take longer than the run.
 LOOKED_AT = 4096
-# Bodies that yield less than this to a force cannot be moved by it [1/kg].
-LEAST_MOBILITY = 1.0e-20
 # Impact speed that estimates assume of bodies that start slower [m/s].
 USUAL_SPEED = 1.0
 

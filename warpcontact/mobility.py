@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from warpcontact.scene import Contact
 
 
+# Bodies that yield less than this to a force cannot be moved by it [1/kg].
+LEAST_MOBILITY = 1.0e-20
+
+
 @dataclass(frozen=True)
 class Mobility:
     """The most that a body yields, (envs, 1) each; nothing if it follows a motion that no force changes.
@@ -34,83 +38,90 @@ class Mobility:
 def mobility_of(model: "Environments", contact: "Contact", body: Body) -> Mobility:
     """Returns what ``body``, one of the two of ``contact``, yields."""
     mass = model[f"{body.name}.mass"][:, None]
-    inertia = model[f"{body.name}.inertia"]
     nothing = np.zeros_like(mass)
     kind = body.motion.kind
     if kind == FREE:
-        least = np.diagonal(inertia, axis1=1, axis2=2).min(axis=1)[:, None]
+        least = np.diagonal(model[f"{body.name}.inertia"], axis1=1, axis2=2).min(axis=1)[:, None]
         return Mobility(1.0 / mass, 1.0 / least, True)
     if kind in (TRANSLATION, SLIDER):
         return Mobility(1.0 / mass, nothing, False)
-    inertia = _inertia_in_world(model, body)
     if kind == PLANAR:
         normal = model[f"{body.name}.motion.normal"]
-        return Mobility(1.0 / mass, 1.0 / _along(normal, inertia), True)
+        return Mobility(1.0 / mass, 1.0 / _along(normal, _inertia(model, body))[:, None], True)
     if kind not in (HINGE, BALL):
         return Mobility(nothing, nothing, False)
-    # From the anchor, (envs, 3) and (envs, places, 3).
-    arm = model[f"{body.name}.position"] - model[f"{body.name}.motion.anchor"]
+    arm, inertia = _about_anchor(model, body)
+    # From the anchor, (envs, places, 3).
     levers = placed(_places(contact, body)[None], arm, model[f"{body.name}.orientation"])
-    inertia = inertia + mass[..., None] * _steiner(arm)
     if kind == HINGE:
         axis = model[f"{body.name}.motion.axis"]
-        turn = 1.0 / _along(axis, inertia)
+        turn = 1.0 / _along(axis, inertia)[:, None]
         reach = np.linalg.norm(np.cross(axis[:, None], levers), axis=2).max(axis=1)[:, None]
         return Mobility(turn * reach**2, turn, False)
     inverse = np.linalg.inv(inertia)
-    greatest: Array = np.asarray(np.linalg.eigvalsh(inverse)[:, -1:], dtype=np.float64)
+    worst = np.asarray(np.linalg.eigvalsh(inverse)[:, -1:], dtype=np.float64)
     # Columns of ``crossed`` are lever × e: n' crossed' inverse crossed n is what the place yields along n.
     crossed = np.swapaxes(np.cross(levers[:, :, None], np.eye(3)), 2, 3)
     yields = np.swapaxes(crossed, 2, 3) @ inverse[:, None] @ crossed
-    return Mobility(np.linalg.eigvalsh(yields)[..., -1].max(axis=1)[:, None], greatest, False)
+    return Mobility(np.linalg.eigvalsh(yields)[..., -1].max(axis=1)[:, None], worst, False)
 
 
 def mobility_along(model: "Environments", body: Body, arm: Array, direction: Array) -> Array:
-    """Returns the inverse of the mass that ``body`` opposes to a force at one place, (envs,) [1/kg].
+    """Returns the inverse of the mass that ``body`` opposes to a force, (envs,) [1/kg].
 
     Args:
         model: The model.
         body: The body.
-        arm: From its centre of mass to the place, (envs, 3), world [m].
-        direction: Of the force, unit vectors (envs, 3), world.
+        arm: Where the force acts, from the centre of mass, (envs, 3), world [m].
+        direction: Its direction, unit vectors (envs, 3), world.
     """
-    mass, kind = model[f"{body.name}.mass"], body.motion.kind
+    kind = body.motion.kind
+    mass = model[f"{body.name}.mass"]
+    if kind == FREE:
+        return 1.0 / mass + _turned_by(np.cross(arm, direction), _inertia(model, body))
     if kind == TRANSLATION:
         return 1.0 / mass
     if kind == SLIDER:
-        return np.asarray((model[f"{body.name}.motion.axis"] * direction).sum(axis=1) ** 2 / mass)
-    if kind not in (FREE, PLANAR, HINGE, BALL):
-        return np.zeros_like(mass)
-    inertia, push = _inertia_in_world(model, body), 1.0 / mass
-    if kind in (HINGE, BALL):
-        centre = model[f"{body.name}.position"] - model[f"{body.name}.motion.anchor"]
-        inertia = inertia + mass[:, None, None] * _steiner(centre)
-        arm, push = centre + arm, np.zeros_like(mass)
-    lever = np.cross(arm, direction)
-    if kind in (FREE, BALL):
-        return push + np.einsum("ei,ei->e", lever, np.linalg.solve(inertia, lever[..., None])[..., 0])
-    axis = model[f"{body.name}.motion.{'axis' if kind == HINGE else 'normal'}"]
+        return (model[f"{body.name}.motion.axis"] * direction).sum(axis=1) ** 2 / mass
     if kind == PLANAR:
-        push = push * (1.0 - (axis * direction).sum(axis=1) ** 2)
-    return np.asarray(push + (axis * lever).sum(axis=1) ** 2 / _along(axis, inertia)[:, 0])
+        normal = model[f"{body.name}.motion.normal"]
+        lever = (normal * np.cross(arm, direction)).sum(axis=1)
+        return (1.0 - (normal * direction).sum(axis=1) ** 2) / mass + lever**2 / _along(
+            normal, _inertia(model, body)
+        )
+    if kind not in (HINGE, BALL):
+        return np.zeros_like(mass)
+    centre, inertia = _about_anchor(model, body)
+    lever = np.cross(centre + arm, direction)
+    if kind == HINGE:
+        axis = model[f"{body.name}.motion.axis"]
+        return (axis * lever).sum(axis=1) ** 2 / _along(axis, inertia)
+    return _turned_by(lever, inertia)
 
 
-def _inertia_in_world(model: "Environments", body: Body) -> Array:
-    """Returns the inertia about the centre of mass in world axes, (envs, 3, 3) [kg·m²]."""
+def _inertia(model: "Environments", body: Body) -> Array:
+    """Returns the inertia about the centre of mass, (envs, 3, 3), world axes [kg·m²]."""
     inertia, orientation = model[f"{body.name}.inertia"], model[f"{body.name}.orientation"]
-    # Their rows are the axes of the body.
-    axes = placed(np.broadcast_to(np.eye(3), inertia.shape), np.zeros((len(inertia), 3)), orientation)
-    return np.asarray(np.swapaxes(axes, 1, 2) @ inertia @ axes)
+    # Its rows are the axes of the body, in the world.
+    axes = placed(np.broadcast_to(np.eye(3), inertia.shape), np.zeros(3), orientation)
+    return np.swapaxes(axes, 1, 2) @ inertia @ axes
 
 
-def _steiner(arm: Array) -> Array:
-    """Returns the inertia about a point of a mass of 1 kg at ``arm`` (envs, 3) from it."""
-    return np.asarray((arm**2).sum(axis=1)[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :])
+def _about_anchor(model: "Environments", body: Body) -> tuple[Array, Array]:
+    """Returns the way from the anchor of a hinge or a ball to the centre of mass, and the inertia about it."""
+    arm = model[f"{body.name}.position"] - model[f"{body.name}.motion.anchor"]
+    steiner = (arm**2).sum(axis=1)[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None, :]
+    return arm, _inertia(model, body) + model[f"{body.name}.mass"][:, None, None] * steiner
 
 
 def _along(axis: Array, inertia: Array) -> Array:
-    """Returns the moments of inertia (envs, 1) about unit vectors (envs, 3)."""
-    return np.asarray(np.einsum("ei,eij,ej->e", axis, inertia, axis)[:, None])
+    """Returns the moments of inertia (envs,) about unit vectors (envs, 3)."""
+    return np.einsum("ei,eij,ej->e", axis, inertia, axis)
+
+
+def _turned_by(lever: Array, inertia: Array) -> Array:
+    """Returns what a force moves its place along itself by turning a body, (envs,) [1/kg]."""
+    return (lever * np.linalg.solve(inertia, lever[..., None])[..., 0]).sum(axis=1)
 
 
 def _places(contact: "Contact", body: Body) -> Array:

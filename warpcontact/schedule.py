@@ -2,9 +2,8 @@
 
 Each stage reads what earlier ones wrote:
 
-    travel → closest point → couplings → contact force (one launch per law) → wrenches → integrate, motions → sweep
-    → finish
-    → history
+    travel → closest point → couplings → contact force (one launch per law) → wrenches → integrate, motions
+    → sweep → finish → history
 """
 
 from dataclasses import dataclass
@@ -215,7 +214,7 @@ def motion_stages(
         launches += span.prepare(
             driven.follow(drive.motion, real),
             drive.count,
-            [a.status, dt, a.time, a.model, *drive.inputs, state_out],
+            [a.status, dt, a.time, a.model, *drive.inputs, a.wrenches, state_out],
         )
     return launches
 

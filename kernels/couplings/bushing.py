@@ -44,32 +44,18 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     s = bushing_structs(real)
-    vec3, quat, Model, State, Ends = t.vec3, t.quat, t.Model, t.State, t.Ends
+    vec3, Model, State, Ends = t.vec3, t.Model, t.State, t.Ends
     Settings, Bushings = s.Settings, s.Bushings
     end = ends.functions(real)
     arm, separation, velocity = end.arm, end.separation, end.velocity
-    orientation_to_world = frames.functions(real).orientation_to_world
-    two = wp.constant(real(2.0))
+    frame = frames.functions(real)
+    orientation_to_world, rotation_vector = frame.orientation_to_world, frame.rotation_vector
 
     @wp.func
     def spin(state: State, env: int, body: int):
         if body < 0:
             return vec3()
         return state.body_angular_velocity[env, body]
-
-    @wp.func
-    def rotation_vector(q: quat):
-        """Axis times angle of a rotation, the shorter way round."""
-        v = vec3(q[0], q[1], q[2])
-        w = q[3]
-        if w < real(0.0):
-            v = -v
-            w = -w
-        sine = wp.length(v)
-        if sine < real(1.0e-4):
-            # asin(s)/s to a rounding.
-            return (two + sine * sine / real(3.0)) * v
-        return (two * wp.atan2(sine, w) / sine) * v
 
     @wp.kernel(module="unique", enable_backward=False)
     def bushing_forces(

@@ -8,6 +8,7 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
+from warpcontact.kernels import frames
 from warpcontact.kernels.couplings import ends
 from warpcontact.kernels.couplings.elastic_line import mean_tension, scale, size, solve
 from warpcontact.kernels.couplings.grounded_line import lift, solve_grounded
@@ -75,6 +76,7 @@ def placement(real: type, floored: bool) -> SimpleNamespace:
     """Returns the device functions that place a line; ``floored``: whether there is a floor."""
     t = structs(real)
     vec3, Model, State = t.vec3, t.Model, t.State
+    wide = frames.functions(real).wide
 
     @wp.struct
     class Plane:
@@ -89,10 +91,6 @@ def placement(real: type, floored: bool) -> SimpleNamespace:
         weight: wp.float64  # of the line [N]
         b_is_lower: wp.int32  # 0 or 1
         sunk: wp.int32  # 1: an end lies below the floor
-
-    @wp.func
-    def wide(v: vec3):
-        return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
 
     @wp.func
     def place(model: Model, state: State, env: int, point: int, arm_W: vec3):
@@ -149,16 +147,13 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
     starts. The new one goes to ``found``.
     """
     t = structs(real)
-    vec2, vec3, Model, State, Ends = wp.vec2d, t.vec3, t.Model, t.State, t.Ends
+    vec2, Model, State, Ends = wp.vec2d, t.Model, t.State, t.Ends
     Lines = line_structs(real).Lines
     placing = placement(real, floored)
     place, upright_plane = placing.place, placing.upright_plane
     end = ends.functions(real)
     arm, pull = end.arm, end.pull
-
-    @wp.func
-    def narrow(v: wp.vec3d):
-        return vec3(real(v[0]), real(v[1]), real(v[2]))
+    narrow = frames.functions(real).narrow
 
     @wp.kernel(module="unique", enable_backward=False)
     def line_forces(

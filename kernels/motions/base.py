@@ -41,6 +41,8 @@ class Motion(Formula):
 
     whole: ClassVar[str] = "body"
     part: ClassVar[str] = "motion"
+    may_have_vectors: ClassVar[bool] = True
+    may_have_rows: ClassVar[bool] = True
     functions: ClassVar = {"displacement": "a wp.vec3d [m]", "rotation": "a rotation vector, wp.vec3d [rad]"}
     displacement: ClassVar[wp.Function] = still
     rotation: ClassVar[wp.Function] = still

@@ -81,15 +81,9 @@ def arm_of(motion: BodyMotion, q: wp.quatd):
 def functions(real: type) -> SimpleNamespace:
     """Returns the device functions that read and write states and models of precision ``real``."""
     t = structs(real)
-    vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
-
-    @wp.func
-    def wide(v: vec3):
-        return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
-
-    @wp.func
-    def narrow(v: wp.vec3d):
-        return vec3(real(v[0]), real(v[1]), real(v[2]))
+    vec3, quat, mat33, Model, State, Wrenches = t.vec3, t.quat, t.mat33, t.Model, t.State, t.Wrenches
+    frame = frames.functions(real)
+    wide, narrow = frame.wide, frame.narrow
 
     @wp.func
     def wide_matrix(m: mat33):
@@ -122,6 +116,17 @@ def functions(real: type) -> SimpleNamespace:
     def set_velocity(state: State, env: int, body: int, v: wp.vec3d, w: wp.vec3d):
         state.body_linear_velocity[env, body] = narrow(v)
         state.body_angular_velocity[env, body] = narrow(w)
+
+    @wp.func
+    def has_failed(wrenches: Wrenches, state: State, env: int, body: int):
+        """Whether a body got where no number says, or is under a load that is none, even if it does not yield."""
+        sizes = (
+            wp.length_sq(state.body_position[env, body])
+            + wp.length_sq(state.body_linear_velocity[env, body])
+            + wp.length_sq(state.body_angular_velocity[env, body])
+        )
+        loads = wp.length_sq(wrenches.force[env, body]) + wp.length_sq(wrenches.torque[env, body])
+        return not wp.isfinite(sizes) or wp.isnan(loads)
 
     @wp.func
     def mobility(model: Model, state: State, env: int, body: int, motion: BodyMotion, arm_W: vec3, n_W: vec3):
@@ -167,6 +172,7 @@ def functions(real: type) -> SimpleNamespace:
         narrow_quat=narrow_quat,
         put=put,
         set_velocity=set_velocity,
+        has_failed=has_failed,
         mobility=mobility,
         rotated=frames.functions(wp.float64).rotated,
     )

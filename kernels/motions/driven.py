@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
+from warpcontact.kernels import frames
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.base import Motion
@@ -25,25 +26,11 @@ def coefficients_struct(motion: type[Motion]) -> Any:
     return coefficient_struct(motion, wp.float64)
 
 
-@wp.func
-def rotation_vector(q: wp.quatd):
-    """The rotation vector of a unit quaternion, by the shorter way."""
-    v = wp.vec3d(q[0], q[1], q[2])
-    sine = wp.length(v)
-    cosine = q[3]
-    if cosine < wp.float64(0.0):
-        v = -v
-        cosine = -cosine
-    if sine < wp.float64(1.0e-8):
-        # The angle is twice the sine, to a rounding.
-        return wp.float64(2.0) * v
-    return (wp.float64(2.0) * wp.atan2(sine, cosine) / sine) * v
-
-
 @functools.cache
 def _functions(motion: type[Motion]) -> SimpleNamespace:
     Coefficients = coefficients_struct(motion)
-    rotated = bodies.functions(wp.float64).rotated
+    frame = frames.functions(wp.float64)
+    rotated, rotation_vector = frame.rotated, frame.rotation_vector
     if motion.sampled:
         displacement, rotation = motion.displacement, motion.rotation
     else:
@@ -106,10 +93,10 @@ def _of_time(function: wp.Function) -> wp.Function:
 def follow(motion: type[Motion], real: type) -> wp.Kernel:
     """Returns the kernel that moves the bodies of a class over a step; items: ``members``."""
     t = structs(real)
-    Model, State = t.Model, t.State
+    Model, State, Wrenches = t.Model, t.State, t.Wrenches
     Coefficients = coefficients_struct(motion)
     f, own = bodies.functions(real), _functions(motion)
-    narrow_quat, put, set_velocity = f.narrow_quat, f.put, f.set_velocity
+    narrow_quat, put, set_velocity, has_failed = f.narrow_quat, f.put, f.set_velocity, f.has_failed
     turn_at, way_at, mean_velocities = own.turn_at, own.way_at, own.mean_velocities
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -122,6 +109,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
         members: wp.array(dtype=wp.int32),  # [item] body
         coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
         samples: wp.array2d(dtype=wp.float64),
+        wrenches: Wrenches,
         state_out: State,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
@@ -140,12 +128,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
             put(state_out, env, body, motion.position, way_at(p, samples, after, motion, turn))
             state_out.body_orientation[env, body] = narrow_quat(turn * motion.orientation)
             set_velocity(state_out, env, body, v, w)
-            sizes = (
-                wp.length_sq(state_out.body_position[env, body])
-                + wp.length_sq(state_out.body_linear_velocity[env, body])
-                + wp.length_sq(state_out.body_angular_velocity[env, body])
-            )
-            if not wp.isfinite(sizes):
+            if has_failed(wrenches, state_out, env, body):
                 status[env] = ENV_FAILED
 
     return follow_motion

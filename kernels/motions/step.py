@@ -43,7 +43,7 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     f = bodies.functions(real)
     wide, wide_matrix, wide_quat, narrow_quat = f.wide, f.wide_matrix, f.wide_quat, f.narrow_quat
-    put, set_velocity, rotated = f.put, f.set_velocity, f.rotated
+    put, set_velocity, has_failed, rotated = f.put, f.set_velocity, f.has_failed, f.rotated
 
     @wp.kernel(module="unique", enable_backward=False)
     def step_constrained(
@@ -133,14 +133,7 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
             put(state_out, env, body, base, way)
             state_out.body_orientation[env, body] = orientation
             set_velocity(state_out, env, body, linear, angular)
-            sizes = (
-                wp.length_sq(state_out.body_position[env, body])
-                + wp.length_sq(state_out.body_linear_velocity[env, body])
-                + wp.length_sq(state_out.body_angular_velocity[env, body])
-            )
-            # A force that is not finite shows even where the body does not yield to it.
-            loads = wp.length_sq(wrenches.force[env, body]) + wp.length_sq(wrenches.torque[env, body])
-            if not wp.isfinite(sizes) or wp.isnan(loads):
+            if has_failed(wrenches, state_out, env, body):
                 status[env] = ENV_FAILED
 
     return step_constrained

@@ -1,6 +1,7 @@
 """Bushings on a device."""
 
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -15,7 +16,6 @@ from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import Bushing
 from warpcontact.frames import inverse, product
 from warpcontact.kernels.couplings import bushing
-from warpcontact.parameters import Field, pack
 
 if TYPE_CHECKING:
     from warpcontact.arrays import Layout
@@ -28,6 +28,8 @@ _RANGES = {
     "damping": elements.DAMPING,
     "turn_stiffness": elements.TURN_STIFFNESS,
     "turn_damping": elements.TURN_DAMPING,
+    "orientation": checks.FINITE,
+    "enabled": limits_of.ENABLED,
 }
 
 
@@ -51,55 +53,23 @@ class BushingSet(CouplingSet):
     def _make(self, layout: "Layout", parameters: "Parameters") -> None:
         t = bushing.bushing_structs(self.types.real)
         self._bushings = layout.struct("couplings", t.Bushings, per_env(self.count))
-        self._owner = _Owner()
-        fields = {key: Field(np.array([getattr(one, key) for one in self.couplings])) for key in _RANGES}
-        enabled = Field(np.array([one.enabled for one in self.couplings]))
-        orientation = Field(np.array([one.orientation for one in self.couplings]))
+        self._owner = SimpleNamespace(settings=None)
         # From the frame of the first body to that of the second at rest, which is how they stand in the scene.
         rest = np.array(
             [product(inverse(_orientation(one.bodies[1])), _orientation(one.bodies[0])) for one in self.couplings]
         )
 
-        def content() -> Any:
-            return pack(
-                t.Settings,
-                {
-                    **{key: field.values for key, field in fields.items()},
-                    "orientation_1": orientation.values,
-                    "orientation_2": product(rest, orientation.values),
-                    "enabled": enabled.values,
-                },
-            )
+        def computed(values: dict[str, Array]) -> dict[str, Array]:
+            first = values.pop("orientation")
+            return {**values, "orientation_1": first, "orientation_2": product(rest, first)}
 
-        upload = parameters.upload(self._owner, "settings", t.Settings, content)
-        for item, one in enumerate(self.couplings):
-            own = slice(item, item + 1)
-            for key, allowed in _RANGES.items():
-                parameters.add(f"{one.name}.{key}", fields[key], own, allowed, [upload], tail=(3,))
-            parameters.add(
-                f"{one.name}.orientation",
-                orientation,
-                own,
-                checks.FINITE,
-                [upload],
-                tail=(4,),
-                convert=checks.unit_quaternions,
-            )
-            parameters.add(
-                f"{one.name}.enabled", enabled, own, limits_of.ENABLED, [upload], convert=checks.switches
-            )
+        self._add_settings(parameters, self._owner, t.Settings, _RANGES, computed)
 
     def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch of the forces of its bushings."""
         a, kernel = span.model.arrays, bushing.kernel(self.types.real)
         inputs = [status, a.model, state, self.first, self._owner.settings, self._bushings, a.ends]
         return span.prepare(kernel, self.count, inputs)
-
-
-class _Owner:
-    """Where the array of the settings is."""
-
-    settings: Any = None
 
 
 def _orientation(body: "Body | None") -> Array:

@@ -1,12 +1,13 @@
 """Catenaries on a device."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact import checks
 from warpcontact import elements as limits_of
 from warpcontact.arrays import per_env
 from warpcontact.captures import beside_captures
@@ -14,7 +15,6 @@ from warpcontact.couplings import elements
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import Catenary
 from warpcontact.kernels.couplings import catenary, line_measures
-from warpcontact.parameters import Field, pack
 from warpcontact.status import LineStatus
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class CatenarySet(CouplingSet):
     """The catenaries of a scene with a floor, or those without."""
 
     couplings: list[Catenary]
-    quantities = {  # noqa: RUF012  a constant of the class
+    quantities: ClassVar[Mapping[str, tuple[str, str, str]]] = {
         "tension_a": ("tension_a", "N", "tension at end a"),
         "tension_b": ("tension_b", "N", "tension at end b"),
         "horizontal_tension": ("horizontal_tension", "N", "horizontal part of the tension, the same throughout"),
@@ -47,7 +47,6 @@ class CatenarySet(CouplingSet):
         "status": ("status", "-", "state of the line"),
         "failures": ("failures", "-", "steps in which no solution was found, since reset"),
     }
-
     codes = LineStatus
 
     @staticmethod
@@ -69,26 +68,9 @@ class CatenarySet(CouplingSet):
         shape = per_env(self.count)
         self._lines = layout.struct("couplings", catenary.line_structs(self.types.real).Lines, shape)
         self._held, self._found = (layout.struct("couplings", catenary.Held, shape) for _ in range(2))
-        self._owner = _Owner()
+        self._owner = SimpleNamespace(settings=None)
         ranges = {key: allowed for key, allowed in _RANGES.items() if self.floored or key != "floor"}
-        fields = {key: Field(np.array([getattr(one, key) for one in self.couplings])) for key in ranges}
-        struct = catenary.Settings
-        upload = parameters.upload(
-            self._owner,
-            "settings",
-            struct,
-            lambda: pack(struct, {key: field.values for key, field in fields.items()}),
-        )
-        for item, one in enumerate(self.couplings):
-            for key, allowed in ranges.items():
-                parameters.add(
-                    f"{one.name}.{key}",
-                    fields[key],
-                    slice(item, item + 1),
-                    allowed,
-                    [upload],
-                    convert=checks.switches if key == "enabled" else None,
-                )
+        self._add_settings(parameters, self._owner, catenary.Settings, ranges)
 
     def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch of the forces of its lines."""
@@ -133,9 +115,3 @@ class CatenarySet(CouplingSet):
     def failures(self, item: int) -> NDArray[np.int32]:
         """Returns in how many steps since reset no solution of a line was found, (envs,)."""
         return self._lines.failures.numpy()[:, item]
-
-
-class _Owner:
-    """Where the array of the settings is."""
-
-    settings: Any = None

@@ -6,9 +6,14 @@ from enum import IntEnum
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
+from warpcontact import checks
+from warpcontact.checks import Array
 from warpcontact.couplings.elements import Coupling
+from warpcontact.parameters import Field, pack
 from warpcontact.readings import Reading
 from warpcontact.status import CouplingStatus
 
@@ -17,6 +22,12 @@ if TYPE_CHECKING:
     from warpcontact.parameters import Parameters
     from warpcontact.schedule import Span
 
+# Values that are not taken as they are given.
+_CONVERTED = {
+    "enabled": checks.switches,
+    "tension_only": checks.switches,
+    "orientation": checks.unit_quaternions,
+}
 _ENDS = (("a", 0), ("b", 1))
 
 
@@ -58,6 +69,45 @@ class CouplingSet(ABC):
     def count(self) -> int:
         """Number of its couplings."""
         return len(self.couplings)
+
+    def _add_settings(
+        self,
+        parameters: "Parameters",
+        owner: Any,
+        struct: Any,
+        ranges: Mapping[str, Mapping[str, Any]],
+        computed: Callable[[dict[str, Array]], dict[str, Array]] = lambda values: values,
+    ) -> dict[str, Field]:
+        """Adds what couplings of this kind have as attributes, and the array ``owner.settings`` of ``struct``.
+
+        Args:
+            parameters: Where to add them.
+            owner: What the array is an attribute of.
+            struct: What it is made of.
+            ranges: What is allowed, by attribute.
+            computed: Returns the columns of the array from their values.
+
+        Returns:
+            Their fields, by attribute.
+        """
+        fields = {key: Field(np.array([getattr(one, key) for one in self.couplings])) for key in ranges}
+
+        def content() -> NDArray[Any]:
+            return pack(struct, computed({key: field.values for key, field in fields.items()}))
+
+        upload = parameters.upload(owner, "settings", struct, content)
+        for item, one in enumerate(self.couplings):
+            for key, allowed in ranges.items():
+                parameters.add(
+                    f"{one.name}.{key}",
+                    fields[key],
+                    slice(item, item + 1),
+                    allowed,
+                    [upload],
+                    tail=fields[key].values.shape[2:],
+                    convert=_CONVERTED.get(key),
+                )
+        return fields
 
     @abstractmethod
     def _make(self, layout: "Layout", parameters: "Parameters") -> None:

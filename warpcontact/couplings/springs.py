@@ -7,7 +7,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from warpcontact import checks
 from warpcontact import elements as limits_of
 from warpcontact.arrays import per_env
 from warpcontact.couplings import elements
@@ -18,12 +17,20 @@ from warpcontact.kernels.couplings import spring
 from warpcontact.kernels.couplings.spring import SpringParts
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.springs import Undamped, tables
-from warpcontact.parameters import Field, Upload, pack
+from warpcontact.parameters import Field, pack
 
 if TYPE_CHECKING:
     from warpcontact.arrays import Layout
     from warpcontact.parameters import Parameters
     from warpcontact.schedule import Span
+
+
+_RANGES = {
+    "rest_length": elements.LENGTH,
+    "break_force": elements.BREAK_FORCE,
+    "tension_only": limits_of.ENABLED,
+    "enabled": limits_of.ENABLED,
+}
 
 
 class SpringSet(CouplingSet):
@@ -56,45 +63,12 @@ class SpringSet(CouplingSet):
         t = spring.spring_structs(self.types.real)
         self._springs = layout.struct("couplings", t.Springs, per_env(self.count))
         self._coefficients = spring.coefficient_structs(self.parts, self.types.real)()
-        rest = Field(np.array([one.rest_length for one in self.couplings]))
-        self._add_settings(parameters, rest)
+        rest = self._add_settings(parameters, self._coefficients, t.Settings, _RANGES)["rest_length"]
         self._tables = []
         for part in self.parts._fields:
             self._tables.append(self._add_tables(layout, part))
-            upload = self._add_formula(parameters, part, rest)
-            for one in self.couplings:
-                parameters.by_name[f"{one.name}.rest_length"].uploads.append(upload)
+            self._add_formula(parameters, part, rest)
         self.kernel = spring.kernel(self.parts, self.types.real)
-
-    def _add_settings(self, parameters: "Parameters", rest: Field) -> None:
-        ranges = {
-            "rest_length": elements.LENGTH,
-            "break_force": elements.BREAK_FORCE,
-            "tension_only": limits_of.ENABLED,
-            "enabled": limits_of.ENABLED,
-        }
-        fields = {
-            key: rest if key == "rest_length" else Field(np.array([getattr(one, key) for one in self.couplings]))
-            for key in ranges
-        }
-        struct = spring.spring_structs(self.types.real).Settings
-        upload = parameters.upload(
-            self._coefficients,
-            "settings",
-            struct,
-            lambda: pack(struct, {key: field.values for key, field in fields.items()}),
-        )
-        for item, one in enumerate(self.couplings):
-            for key, allowed in ranges.items():
-                switch = key in ("tension_only", "enabled")
-                parameters.add(
-                    f"{one.name}.{key}",
-                    fields[key],
-                    slice(item, item + 1),
-                    allowed,
-                    [upload],
-                    convert=checks.switches if switch else None,
-                )
 
     def _add_tables(self, layout: "Layout", part: str) -> Any:
         owner = spring.spring_structs(self.types.real).Tables()
@@ -109,7 +83,7 @@ class SpringSet(CouplingSet):
         layout.content("couplings", owner, "first", first, wp.int32)
         return owner
 
-    def _add_formula(self, parameters: "Parameters", part: str, rest: Field) -> Upload:
+    def _add_formula(self, parameters: "Parameters", part: str, rest: Field) -> None:
         """Adds the parameters of one part, and the array of its coefficients."""
         real = self.types.real
         formulas = [getattr(one, part) for one in self.couplings]
@@ -126,7 +100,8 @@ class SpringSet(CouplingSet):
             columns: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
             for item, (formula, own) in enumerate(zip(formulas, fields, strict=True)):
                 values = {name: field.values for name, field in own.items()}
-                values["rest_length"] = rest.values[:, item : item + 1]
+                if formula.derives():
+                    values["rest_length"] = rest.values[:, item : item + 1]
                 computed = formula.coefficients(
                     dict(zip(values, np.broadcast_arrays(*values.values()), strict=True))
                 )
@@ -147,7 +122,8 @@ class SpringSet(CouplingSet):
             for name, field in own.items():
                 label = f"{one.name}.{name}" if plain else f"{one.name}.{part}.{name}"
                 parameters.add(label, field, slice(0, 1), formula.limits(name), [upload])
-        return upload
+            if formula.derives():
+                parameters.by_name[f"{one.name}.rest_length"].uploads.append(upload)
 
     def force_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launch of the forces of its springs."""
