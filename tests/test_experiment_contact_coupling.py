@@ -169,3 +169,25 @@ def test_problems_name_the_key(changes, problem):
 def test_a_wrong_coupling_does_not_make_its_names_unknown():
     (problem,) = problems_of(content(contact_coupling=[COUPLING | {"facing": "some"}]))
     assert problem.startswith("contact_coupling[0].facing")
+
+
+def test_a_run_reports_its_couplings_whatever_the_batches(tmp_path):
+    changes = {
+        "envs": 3,
+        "variation": {"block.linear_velocity": {"values": [[0, 0, -0.5], [0, 0, 1.0], [0, 0, -2.5]]}},
+    }
+    runs = [
+        wc.Experiment(content(**changes)).run(tmp_path / str(batch), device="cpu", batch=batch)
+        for batch in (None, 2)
+    ]
+    for run in runs:
+        told = str(run)
+        assert "keep: 2 of 3 environments came into range" in told
+        assert "passed the closest distance of 0.005 m: in environment 2" in told
+        assert run.summary["contact_couplings"]["keep"][0] == "keep: 2 of 3 environments came into range"
+        (report,) = run.reports
+        assert report.in_range.tolist() == [True, False, True]
+        assert report.passed.tolist() == [False, False, True]
+    whole, batched = (run.reports[0] for run in runs)
+    for name in ("effective_area", "minimum_distance", "effective_range"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(batched, name))

@@ -1,6 +1,7 @@
 """What became of a contact coupling: how close the surfaces came, and over which area they repelled each other."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -93,6 +94,27 @@ def report(coupling: "ContactCoupling", model: "Environments") -> CouplingReport
         effective_range=model[f"{coupling.name}.effective_range"],
         impact=coupling.range.impact,
         first_env=model.first_env,
+    )
+
+
+def joined(reports: Sequence[CouplingReport]) -> CouplingReport:
+    """Returns one report of a coupling in several batches of environments, in their order."""
+    first = reports[0]
+    return replace(
+        first,
+        effective_area=np.concatenate([report.effective_area for report in reports]),
+        minimum_distance=np.concatenate([report.minimum_distance for report in reports]),
+        effective_range=np.concatenate([report.effective_range for report in reports]),
+    )
+
+
+def first_of(report: CouplingReport, envs: int) -> CouplingReport:
+    """Returns what ``report`` tells of its first environments."""
+    return replace(
+        report,
+        effective_area=report.effective_area[:envs],
+        minimum_distance=report.minimum_distance[:envs],
+        effective_range=report.effective_range[:envs],
     )
 
 

@@ -12,6 +12,7 @@ import xarray as xr
 
 from warpcontact.advice import ContactWarning, advice
 from warpcontact.checks import Array
+from warpcontact.contact_coupling_report import CouplingReport, first_of
 from warpcontact.experiment import result
 from warpcontact.experiment.plan import Plan, kept
 from warpcontact.experiment.schema import Settings
@@ -46,6 +47,7 @@ class Batches:
             name: model.find_parameter(name).parse(values, plan.envs) for name, values in varied.items()
         }
         self.frozen: list[int] = []
+        self.reports: list[list[CouplingReport]] = []  # of the contact couplings, batch by batch
         self.wall_time = 0.0
         self._said: set[str] = set()
 
@@ -104,6 +106,8 @@ class Batches:
         self.wall_time += time.perf_counter() - start
         frozen = model.health().frozen
         self.frozen += (model.first_env + frozen[frozen < own]).tolist()
+        couplings = model.scene.contact_couplings
+        self.reports.append([first_of(coupling.report(model), own) for coupling in couplings])
         recording.attrs |= {"name": settings.name, "seed": settings.seed}
         return recording.isel(env=slice(0, own))
 

@@ -15,6 +15,7 @@ import warp as wp
 
 from warpcontact._version import __version__
 from warpcontact.checks import Array
+from warpcontact.contact_coupling_report import CouplingReport, joined
 from warpcontact.environments import Environments
 from warpcontact.experiment import result
 from warpcontact.experiment.batches import Batches, opened
@@ -117,6 +118,7 @@ def _execute(simulation: Simulation, run: "_AtOnce | _InBatches", job: Job, summ
     simulation.reset()
     files["recording"] = folder / result.RECORDING
     recording, health, wall_time = run(files["recording"])
+    reports = run.reports()
     _show(recording, settings, list(job.varied), folder, files)
     summary = summary | {
         "state": result.FINISHED,
@@ -125,10 +127,11 @@ def _execute(simulation: Simulation, run: "_AtOnce | _InBatches", job: Job, summ
         "wall_time": wall_time,
         "env_steps_per_second": settings.envs * simulation.steps / wall_time,
         "frozen_environments": health.frozen.tolist(),
+        "contact_couplings": {report.name: str(report).split("\n") for report in reports},
         "warnings": job.notices.lines,
     }
     result.write_summary(files["summary"], summary)
-    return Run(folder=folder, files=files, recording=recording, health=health, summary=summary)
+    return Run(folder=folder, files=files, recording=recording, health=health, reports=reports, summary=summary)
 
 
 class _AtOnce:
@@ -156,6 +159,11 @@ class _AtOnce:
         result.write_recording(recording, path)
         return recording, self.simulation.model.health(), wall_time
 
+    def reports(self) -> tuple[CouplingReport, ...]:
+        """Returns what became of the contact couplings."""
+        model = self.simulation.model
+        return tuple(coupling.report(model) for coupling in model.scene.contact_couplings)
+
 
 class _InBatches:
     """The same, one batch after the other."""
@@ -173,6 +181,10 @@ class _InBatches:
         self.batches.run(path, self.job.progress)
         self.job.say("writing")
         return opened(path, self.simulation.model.scene), self.batches.health, self.batches.wall_time
+
+    def reports(self) -> tuple[CouplingReport, ...]:
+        """Returns what became of the contact couplings, of all batches."""
+        return tuple(joined(of_batches) for of_batches in zip(*self.batches.reports, strict=True))
 
 
 def _show(

@@ -14,6 +14,7 @@ from typing import Any
 import xarray as xr
 
 from warpcontact._version import __version__
+from warpcontact.contact_coupling_report import CouplingReport
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh, own_class
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.own import OwnFiles
@@ -50,6 +51,7 @@ class Run:
         recording: The readings (time, env, …), and the parameters that varied (env, …). After batches they are
             read from the folder where they are asked for.
         health: Which environments turned non-finite.
+        reports: How close contact couplings came, and over which area.
         summary: Content of ``run.json``: versions, device, seed, times.
     """
 
@@ -57,6 +59,7 @@ class Run:
     files: dict[str, Path]
     recording: Recording
     health: Health
+    reports: tuple[CouplingReport, ...]
     summary: dict[str, Any]
 
     def __str__(self) -> str:
@@ -68,6 +71,7 @@ class Run:
             f"{s['name']}: {s['envs']} environments × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s",
             f"{s['wall_time']:.1f} s on {s['device']}{batches}, {rate}",
             str(self.health),
+            *(str(report) for report in self.reports),
             *(f"  {kind:<{width}} {path}" for kind, path in sorted(self.files.items())),
         ]
         return "\n".join(lines)
