@@ -255,7 +255,7 @@ def test_couplings_and_contacts_side_by_side_say_what_each_says_alone(device):
         return scene.build(envs=2, device=device, precision="float64")
 
     def seen(model, name):
-        wc.Simulation(model, dt=1e-5).step(5)
+        wc.Simulation(model, dt=1e-5, deterministic=True).step(5)
         keys = ("force", "torque", "effective_area", "minimum_distance")
         own = [model.reading(f"{name}.{key}") for key in keys] if kinds[name] is not None else []
         return [*own, model.reading(f"b_{name}.force"), model.reading(f"b_{name}.position")]
