@@ -53,7 +53,7 @@ def parameter(
 ROWS = -1
 
 
-def table(unit: str, meaning: str) -> Any:
+def table(unit: str, meaning: str, *, at_least: float = -math.inf) -> Any:
     """Declares a table of a spring or damper: values over the distance, linear in between and held outside.
 
     Instances take it as pairs (distance [m], value), at least two, with increasing distances from 0 on. The
@@ -64,13 +64,14 @@ def table(unit: str, meaning: str) -> Any:
     Args:
         unit: SI unit of the values.
         meaning: What they are, in a few words.
+        at_least: Every value must be at least this.
     """
     field = parameter(unit, meaning, shape=(ROWS, 2))
-    return dataclasses.field(metadata={**field.metadata, "table": True})
+    return dataclasses.field(metadata={**field.metadata, "table": {"unit": unit, "at_least": at_least}})
 
 
-def check_table(name: str, values: np.ndarray) -> None:
-    """Raises ``ValueError`` unless the distances of a table (n, 2) increase from 0 or more."""
+def check_table(name: str, values: np.ndarray, allowed: Mapping[str, Any]) -> None:
+    """Raises ``ValueError`` unless the distances of a table (n, 2) increase from 0 or more, and values fit."""
     if len(values) < 2:
         raise ValueError(f"{name} must have two rows at least, got {len(values)}")
     down = np.flatnonzero(np.diff(values[:, 0]) <= 0.0)
@@ -82,6 +83,11 @@ def check_table(name: str, values: np.ndarray) -> None:
             f"{name} must have distances of at least 0 m, got {values[0, 0]:g} m; they are those of the points, "
             "not extensions"
         )
+    low = np.flatnonzero(values[:, 1] < allowed["at_least"])
+    if len(low):
+        x, y = values[low[0]]
+        unit = f"{allowed['at_least']:g} {allowed['unit']}"
+        raise ValueError(f"{name} must have values of at least {unit}, got {y:g} at {x:g} m")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -309,7 +315,7 @@ class Formula:
             if limits["direction"]:
                 unit_vectors(f"{cls.__name__}.{name}", values.astype(np.float64))
             if "table" in limits:
-                check_table(f"{cls.__name__}.{name}", values)
+                check_table(f"{cls.__name__}.{name}", values, limits["table"])
 
     def parameters(self, area: Any = None) -> dict[str, Any]:
         """Returns the parameters of a model that have a value; an area that was left to the points is ``area``.

@@ -153,7 +153,7 @@ def finish(real: type) -> wp.Kernel:
     def finish_step(
         work: Work,
         status: wp.array(dtype=wp.int32),
-        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
         time: wp.array(dtype=wp.float64),  # [env] [s]
         bodies: wp.int32,
         state_in: State,
@@ -162,7 +162,7 @@ def finish(real: type) -> wp.Kernel:
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task
             if status[env] == ENV_ACTIVE:
-                time[env] = time[env] + wp.float64(step[env, 0])
+                time[env] = time[env] + step[env, 0]
             if status[env] != ENV_FAILED:
                 continue
             for body in range(bodies):

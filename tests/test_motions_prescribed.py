@@ -98,6 +98,19 @@ def test_a_function_of_time_is_tracked_exactly_for_as_long_as_a_run_takes(follow
             assert angle < 4 * EPSILON[model.precision] + 1e-12, (name, steps)
 
 
+def test_the_clock_of_a_function_is_that_of_the_recording(device):
+    """In float32 a step of 1 ms is off by 5e-8 of it: 3e-4 rad of 50 Hz after 20 s, were the clock its sum."""
+    scene = wc.Scene()
+    shake = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=0.1, frequency=49.7)
+    scene.add_body(1.0, (0.1, 0.1, 0.1), motion=shake, name="table")
+    model = scene.build(2, device, "float32")
+    recording = wc.Simulation(model, 1.0e-3).run(20.0, every=0.5)
+    time = recording["time"].values
+    expected = 0.1 * np.sin(2.0 * np.pi * 49.7 * time)
+    # A sum of 20 000 times up to 20 s is off by 3.6e-11 s at most, at 31 m/s.
+    np.testing.assert_allclose(recording["table.position"].values[:, 0, 2], expected, rtol=0, atol=1.2e-9)
+
+
 def test_its_velocities_are_the_mean_over_the_step_and_the_derivative_before_the_first(followed):
     model = followed
     model.reset()

@@ -422,6 +422,10 @@ BAD = [
         r"x\.point_a must come from add_point of this scene, got Body 'one'$",
     ),
     (
+        lambda s, a, b: wc.springs.DampingTable(table=[(1.0, 2.0), (2.0, -3.0)]),
+        r"DampingTable\.table must have values of at least 0 N·s/m, got -3 at 2 m",
+    ),
+    (
         lambda s, a, b: wc.springs.ForceTable(table=[1.0, 2.0]),
         r"ForceTable\.table must be a list of 2 numbers each, got shape \(2,\)",
     ),

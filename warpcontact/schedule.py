@@ -75,6 +75,19 @@ class Span:
         return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=together)]
 
 
+@dataclass(frozen=True)
+class StepLength:
+    """Length of a step [env, 0] [s].
+
+    Attributes:
+        dynamic: In the precision of the model, for what forces do over it.
+        clock: In float64, for clocks and for motions that are functions of time.
+    """
+
+    dynamic: wp.array
+    clock: wp.array
+
+
 def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that compute contacts and wrenches of ``state``; they change nothing else.
 
@@ -160,7 +173,7 @@ def queue_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
 
 
 def step_stages(
-    span: Span, integrator: "Integrator", dt: wp.array, state_in: Any, state_out: Any, mark: wp.array | None
+    span: Span, integrator: "Integrator", dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
 ) -> list[wp.Launch]:
     """Returns the launches that propose a step from ``state_in`` to ``state_out``.
 
@@ -169,11 +182,11 @@ def step_stages(
     """
     model = span.model
     a, real = model.arrays, model.types.real
-    launches = force_stages(span, state_in, dt, a.status)
+    launches = force_stages(span, state_in, dt.dynamic, a.status)
     launches += span.prepare(
         integrator.kernel(real, model.moves),
         model.body_count,
-        [a.status, dt, a.model, state_in, a.wrenches, state_out],
+        [a.status, dt.dynamic, a.model, state_in, a.wrenches, state_out],
     )
     launches += motion_stages(span, integrator, dt, state_in, state_out)
     if model.sweeps:
@@ -198,7 +211,7 @@ def step_stages(
 
 
 def motion_stages(
-    span: Span, integrator: "Integrator", dt: wp.array, state_in: Any, state_out: Any
+    span: Span, integrator: "Integrator", dt: StepLength, state_in: Any, state_out: Any
 ) -> list[wp.Launch]:
     """Returns the launches that step the bodies that are not free; none if all are."""
     model = span.model
@@ -208,13 +221,13 @@ def motion_stages(
     launches = span.prepare(
         integrator.motions(real),
         model.constrained_count,
-        [a.status, dt, a.model, a.constrained, state_in, a.wrenches, state_out],
+        [a.status, dt.dynamic, a.model, a.constrained, state_in, a.wrenches, state_out],
     )
     for drive in model.drives:
         launches += span.prepare(
             driven.follow(drive.motion, real),
             drive.count,
-            [a.status, dt, a.time, a.model, *drive.inputs, a.wrenches, state_out],
+            [a.status, dt.clock, a.time, a.model, *drive.inputs, a.wrenches, state_out],
         )
     return launches
 
@@ -245,17 +258,17 @@ def change_stages(span: Span, integrator: "Integrator", change: wp.array, state:
     return launches
 
 
-def accept_stages(span: Span, dt: wp.array, state_in: Any, state_out: Any) -> list[wp.Launch]:
+def accept_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
     """Returns the launches that accept a proposed step in all active environments."""
     model = span.model
     a, real = model.arrays, model.types.real
     launches = span.prepare(
-        integrate.finish(real), 1, [a.status, dt, a.time, model.body_count, state_in, state_out]
+        integrate.finish(real), 1, [a.status, dt.clock, a.time, model.body_count, state_in, state_out]
     )
     launches += span.prepare(
         history.kernel(real, model.follows),
         model.blocks.count,
-        [a.status, a.time, dt, a.model, a.contacts, a.near, a.history],
+        [a.status, a.time, dt.dynamic, a.model, a.contacts, a.near, a.history],
     )
     for group in model.groups:
         if group.coupling_count:

@@ -15,6 +15,7 @@ from warpcontact.captures import beside_captures, capturing
 from warpcontact.integrators import Integrator
 from warpcontact.schedule import (
     Span,
+    StepLength,
     accept_stages,
     adopt_stage,
     change_stages,
@@ -36,8 +37,8 @@ CPU_GRAPH_STEPS = (8, 2, 1)
 class Times:
     """Lengths of steps [env, 0] [s]: of a whole one, of a part, and what the one is longer or shorter by."""
 
-    whole: wp.array
-    part: wp.array
+    whole: StepLength
+    part: StepLength
     shorter: wp.array
     longer: wp.array
 
@@ -58,7 +59,7 @@ class Buffers:
 
     def __init__(self, model: "Model | PartDraft", dt: float = 0.0, parts: int = 1) -> None:
         self.layout = Layout(model.device)
-        self.times = Times(None, None, None, None)
+        self.times = Times(StepLength(None, None), StepLength(None, None), None, None)
         self.other = self.layout.struct("stepping", model.types.State, per_env(model.body_count))
         # Kept alive: the times share their memory.
         self._lengths = SimpleNamespace()
@@ -66,12 +67,16 @@ class Buffers:
         lengths = {"whole": dt, "part": part, "shorter": part - dt, "longer": dt - part}
         for name, length in lengths.items():
             self.layout.content("stepping", self._lengths, name, [[length]], model.types.real)
+        for name, length in (("whole_clock", dt), ("part_clock", part)):
+            self.layout.content("stepping", self._lengths, name, [[length]], wp.float64)
 
     @beside_captures()
     def allocate(self, envs: int) -> None:
         """Makes them for ``envs`` environments."""
         self.layout.allocate(envs)
-        self.times = Times(**{name: broadcast(memory, envs) for name, memory in vars(self._lengths).items()})
+        lengths = {name: broadcast(memory, envs) for name, memory in vars(self._lengths).items()}
+        whole, part = (StepLength(lengths[name], lengths[f"{name}_clock"]) for name in ("whole", "part"))
+        self.times = Times(whole, part, lengths["shorter"], lengths["longer"])
 
 
 @dataclass(frozen=True)

@@ -103,7 +103,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
     def follow_motion(
         work: Work,
         status: wp.array(dtype=wp.int32),
-        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
         time: wp.array(dtype=wp.float64),  # [env], before the step [s]
         model: Model,
         members: wp.array(dtype=wp.int32),  # [item] body
@@ -122,7 +122,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
             p = coefficients[env, item]
             before = time[env]
             # The same sum as that of the clock.
-            after = before + wp.float64(step[env, 0])
+            after = before + step[env, 0]
             turn = turn_at(p, samples, after)
             v, w = mean_velocities(p, samples, motion, before, after)
             put(state_out, env, body, motion.position, way_at(p, samples, after, motion, turn))

@@ -69,7 +69,9 @@ class DampingTable(Damper):
     reference = f"{_MANUAL}; the table method of its reference"
     provenance = "R"
 
-    table: tuple[tuple[float, float], ...] = table("N·s/m", "damping coefficient k_d over the distance x")
+    table: tuple[tuple[float, float], ...] = table(
+        "N·s/m", "damping coefficient k_d over the distance x", at_least=0.0
+    )
     scale: float = parameter("-", "factor on the damping", default=1.0, at_least=0.0)
 
     @wp.func
