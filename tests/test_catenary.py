@@ -79,7 +79,7 @@ def test_lines_of_the_specification(oracle, precision, direction, device):
 
 def test_random_lines_have_the_forces_of_float64_in_float32(device):
     """Places have a remainder in float32, so that not even the tension of a line within 1e-8 of taut is lost."""
-    lines = random_lines(20_000)
+    lines = random_lines(100_000)
     x, y, weight, give = lines.T
     models = [hung((1.0, 0, 0), len(lines), device, precision) for precision in ("float64", "float32")]
     for model in models:
@@ -89,6 +89,12 @@ def test_random_lines_have_the_forces_of_float64_in_float32(device):
     largest = np.abs(exact).max(axis=1, keepdims=True)
     assert (models[0].reading("line.status") != wc.LineStatus.FAILED).all()
     assert (models[1].reading("line.status") != wc.LineStatus.FAILED).all()
+    for model, rounding in zip(models, (1e-12, 2e-7), strict=True):
+        assert model.reading("line.iterations").max() <= 20
+        # Both ends carry the weight, to a rounding of the larger of their forces.
+        total = model.reading("line.force_a") + model.reading("line.force_b")
+        off = (total + np.array([0.0, 0.0, 9.81 * 2000.0])) / largest
+        np.testing.assert_allclose(off, 0.0, atol=rounding)
     # What is left is gravity, which has no remainder: 3e-8 of the weight, of which tensions follow.
     np.testing.assert_allclose(rounded / largest, exact / largest, atol=2e-6)
 
