@@ -48,7 +48,7 @@ def test_all_faces_in_range_push_as_printed_at_every_level_of_the_mesh(oracle, n
         assert model.reading("keep.effective_area")[0] == pytest.approx(level["area_in_range"], rel=1e-12)
 
 
-@pytest.mark.parametrize("name", ["flat", "tilt"])
+@pytest.mark.parametrize("name", ["flat", "flat_spin", "tilt"])
 def test_float32_says_the_same(oracle, name, device):
     case = oracle[name]
     level = next(level for level in case["levels"] if level["n"] == 4)
