@@ -314,6 +314,9 @@ def structs(real: type) -> SimpleNamespace:
         delta_dot: real  # dδ/dt, > 0 on approach [m/s]
         entry_speed: real  # δ̇ when the contact began, or the largest since [m/s]
         mass: real  # effective mass along the normal [kg]; only for laws with needs_mass
+        # Relative principal curvatures, the smaller first; only for laws with needs_curvature
+        curvature_1: real  # [1/m]
+        curvature_2: real  # [1/m]
         dt: real  # step that the force acts over [s]; 0: the force of this instant
 
     @wp.struct
