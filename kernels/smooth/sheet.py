@@ -64,7 +64,14 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
     bounded = A is not Plane
     closed_u, closed_v = B.u_periodic, B.v_periodic
     u_0, u_1, v_0, v_1 = (wp.constant(real(value)) for value in (*B.u_range, *B.v_range))
-    count_u, count_v = (wp.constant(wp.int32(count)) for count in B.scan)
+    nodes_u, nodes_v = (
+        wp.constant(wp.int32(count + (0 if closed else 1)))
+        for count, closed in zip(B.scan, (closed_u, closed_v), strict=True)
+    )
+    step_u, step_v = (
+        wp.constant(real((ends[1] - ends[0]) / count))
+        for count, ends in zip(B.scan, (B.u_range, B.v_range), strict=True)
+    )
     Slots = wp.types.vector(STARTS, real)
 
     @wp.func
@@ -202,10 +209,6 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         if wp.static(bounded):
             radius = wp.length(A.extents(p_a))
         steps = wp.int32(0)
-        step_u = (u_1 - u_0) / real(count_u)
-        step_v = (v_1 - v_0) / real(count_v)
-        nodes_u = count_u + wp.where(wp.static(closed_u), 0, 1)
-        nodes_v = count_v + wp.where(wp.static(closed_v), 0, 1)
         for i in range(nodes_u):
             for j in range(nodes_v):
                 u = vec2d(u_0 + real(i) * step_u, v_0 + real(j) * step_v)
@@ -230,15 +233,17 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
                         slot = wp.int32(STARTS - 1)
                         gaps[slot] = FAR
                     if slot < STARTS and gap < gaps[slot]:
-                        k = slot
-                        while k > 0 and gap < gaps[k - 1]:
-                            gaps[k] = gaps[k - 1]
-                            first_u[k] = first_u[k - 1]
-                            first_v[k] = first_v[k - 1]
-                            k -= 1
-                        gaps[k] = gap
-                        first_u[k] = u[0]
-                        first_v[k] = u[1]
+                        gaps[slot] = gap
+                        first_u[slot] = u[0]
+                        first_v[slot] = u[1]
+                        for k in range(STARTS - 1, 0, -1):
+                            if gaps[k] < gaps[k - 1]:
+                                gaps[k] = gaps[k - 1]
+                                gaps[k - 1] = gap
+                                first_u[k] = first_u[k - 1]
+                                first_u[k - 1] = u[0]
+                                first_v[k] = first_v[k - 1]
+                                first_v[k - 1] = u[1]
         best = Sight()
         best.near.gap = FAR
         for k in range(STARTS):
