@@ -104,6 +104,8 @@ class Shape(Formula):
     convex: ClassVar[bool] = True
     #: How many kinks its support function has.
     kinks: ClassVar[int] = 0
+    #: Whether, less its margin, it is a point, or all its edges are straight and along the axes.
+    polyhedral: ClassVar[bool] = False
     #: Flat discs with the normals −z and +z: none, the first, or both.
     discs: ClassVar[int] = 0
     #: Whether the first kink is bent.
