@@ -115,8 +115,10 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
             cosine = -cosine
         if cosine < half:
             return vec3d()
+        # A step that comes near to it, or passes it by.
         to_pole = pole / cosine - n
-        if wp.length_sq(d - to_pole) > wp.length_sq(to_pole):
+        part = wp.clamp(wp.dot(to_pole, d) / wp.dot(d, d), zero, one)
+        if wp.length_sq(to_pole - part * d) > real(0.25) * wp.length_sq(to_pole):
             return vec3d()
         return pole
 
@@ -221,8 +223,10 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 if wp.static(A.discs > 0):
                     # Along −n: a disc with the normal −z of a lies in +z.
                     pole = pole_ahead(n, vec3d(R[0, 2], R[1, 2], R[2, 2]), wp.static(int(A.discs == 1)), d_3)
-                if wp.static(B.discs > 0) and wp.length_sq(pole) == zero:
-                    pole = pole_ahead(n, vec3d(zero, zero, -one), wp.static(int(B.discs == 1)), d_3)
+                if wp.static(B.discs > 0):
+                    other = pole_ahead(n, vec3d(zero, zero, -one), wp.static(int(B.discs == 1)), d_3)
+                    if wp.dot(n, other) > wp.dot(n, pole):
+                        pole = other
             done = wp.bool(False)
             tried = wp.int32(0)
             while not done and tried < TRIALS:
