@@ -37,6 +37,8 @@ CLOSE = wp.constant(real(1.0e-10))
 NOISE = wp.constant(real(1.0e-15))
 # The longest step, as the tangent of an angle.
 LONGEST = wp.constant(real(1.0))
+# Of a component of n, the change from which its power is looked at.
+OFF = wp.constant(real(0.2))
 TINY = wp.constant(real(1.0e-300))
 
 
@@ -71,6 +73,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
     Flat = wp.types.matrix((max(count, 1), 2), real)
     divide = zonotope.function(max(count, 1))
     discs = A.discs + B.discs
+    steep = A.steep or B.steep
 
     @wp.struct
     class Climb:
@@ -121,6 +124,53 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         if wp.length_sq(to_pole - part * d) > real(0.25) * wp.length_sq(to_pole):
             return vec3d()
         return pole
+
+    @wp.func
+    def steeper(p_a: Of_a, p_b: Of_b, R: mat33d, n: vec3d, d: vec3d):
+        """A step like d, but so that points that go by powers of components of n move as far as meant."""
+        worst = OFF
+        second = OFF
+        axis = vec3d()
+        axis_2 = vec3d()
+        more = real(0.0)
+        more_2 = real(0.0)
+        for i in range(6):
+            w = vec3d()
+            power = real(1.0)
+            if i < 3:
+                if wp.static(A.steep):
+                    w = vec3d(R[0, i], R[1, i], R[2, i])
+                    power = A.steepness(p_a)[i]
+            else:
+                if wp.static(B.steep):
+                    w[i - 3] = one
+                    power = B.steepness(p_b)[i - 3]
+            u = wp.dot(n, w)
+            change = wp.dot(d, w)
+            if power < real(0.9) and wp.abs(u) > ON_AXIS and wp.abs(change) > second * wp.abs(u):
+                z = one + power * change / u
+                target = u * wp.sign(z) * wp.pow(wp.abs(z), one / power)
+                extra = wp.clamp(target - u, -half, half) - change
+                if wp.abs(change) > worst * wp.abs(u):
+                    second = worst
+                    axis_2 = axis
+                    more_2 = more
+                    worst = wp.abs(change / u)
+                    axis = w
+                    more = extra
+                else:
+                    second = wp.abs(change / u)
+                    axis_2 = w
+                    more_2 = extra
+        if worst == OFF:
+            return d
+        k = axis - wp.dot(axis, n) * n
+        if second > OFF:
+            l = axis_2 - wp.dot(axis_2, n) * n
+            turned = wp.dot(n, wp.cross(k, l))
+            if wp.abs(turned) > real(0.1) * wp.length(k) * wp.length(l):
+                return d + (more_2 * wp.cross(n, k) - more * wp.cross(n, l)) / turned
+        return d + (more / wp.dot(k, k)) * k
 
     @wp.func
     def climb(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, start: vec3d, size: real):
@@ -235,6 +285,8 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 to_pole = wp.length_sq(pole) > zero
                 if not to_pole:
                     trial = wp.normalize(n + part * d_3)
+                    if wp.static(steep) and tried == 1 and met < 0:
+                        trial = wp.normalize(n + steeper(p_a, p_b, R, n, d_3))
                     if wp.static(count > 0) and edge >= 0:
                         trial = held(p_a, p_b, x, R, trial, view.kinks, edge, met)
                     elif wp.static(count > 0) and met >= 0:
@@ -249,6 +301,8 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 if done:
                     n = trial
                     view = seen
+                elif wp.static(steep) and tried == 1:
+                    part = part
                 elif not to_pole:
                     met = -1
                     back = half * slope * part / wp.max(slope * part - rise, TINY)

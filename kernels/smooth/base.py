@@ -108,6 +108,8 @@ class Shape(Formula):
     polyhedral: ClassVar[bool] = False
     #: Flat discs with the normals −z and +z: none, the first, or both.
     discs: ClassVar[int] = 0
+    #: Whether a point may run far for the smallest turn of n: it has ``steepness(p)``, and kinks where it would.
+    steep: ClassVar[bool] = False
     #: Whether the first kink is bent.
     bent: ClassVar[bool] = False
 
