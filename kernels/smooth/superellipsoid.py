@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Shape
+from warpcontact.kernels.smooth.base import ACROSS, Expansion, Shape
 
 real = wp.float64
 zero = wp.constant(real(0.0))
@@ -70,7 +70,7 @@ class Superellipsoid(Shape):
 
     formula = "(|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁) = 1"
     reference = "A. H. Barr, Superquadrics and angle-preserving transformations, 1981"
-    # Where n is all but across an axis, and an exponent below 1, the point runs along an edge for all that n tells.
+    # Where n is all but across an axis, and an exponent below 1, the point runs along what looks like an edge.
     kinks: ClassVar[int] = 3
     steep: ClassVar[bool] = True
 
@@ -95,9 +95,9 @@ class Superellipsoid(Shape):
         found.point = wp.cw_mul(signed, wp.vec3d(by_flat * by_x, by_flat * by_y, by_z))
         exponents = wp.vec3d(p.exponents[1], p.exponents[1], p.exponents[0])
         for i in range(3):
-            if wp.abs(n[i]) < ON_AXIS and exponents[i] < one:
+            if wp.abs(n[i]) <= ACROSS and exponents[i] < one:
                 beside = n
-                beside[i] = ON_AXIS
+                beside[i] = ACROSS
                 found.kinks[i, i] = supporting(p, beside)[i]
                 found.point[i] = zero
         up = wp.cw_mul(signed, wp.vec3d(z * by_x, z * by_y, -flat))
@@ -110,6 +110,33 @@ class Superellipsoid(Shape):
         """Powers of the components of n that those of the point go by, near zero."""
         across = p.exponents[1] / (two - p.exponents[1])
         return wp.vec3d(across, across, p.exponents[0] / (two - p.exponents[0]))
+
+    @wp.func
+    def gauss(p: Any, y: wp.vec3d):
+        """The normal where a point, scaled, lies on the surface."""
+        axes = p.semi_axes
+        x_1 = wp.abs(y[0]) / axes[0]
+        x_2 = wp.abs(y[1]) / axes[1]
+        x_3 = wp.abs(y[2]) / axes[2]
+        round = two / p.exponents[1]
+        up = two / p.exponents[0] - one
+        flat = zero
+        by_1 = zero
+        by_2 = zero
+        longest = wp.max(x_1, x_2)
+        if longest > zero:
+            flat = longest * raised(raised(x_1 / longest, round) + raised(x_2 / longest, round), one / round)
+            by_1 = raised(x_1 / flat, round - one)
+            by_2 = raised(x_2 / flat, round - one)
+        whole = wp.max(flat, x_3)
+        by_flat = raised(flat / whole, up)
+        return wp.normalize(
+            wp.vec3d(
+                wp.sign(y[0]) * by_flat * by_1 / axes[0],
+                wp.sign(y[1]) * by_flat * by_2 / axes[1],
+                wp.sign(y[2]) * raised(x_3 / whole, up) / axes[2],
+            )
+        )
 
     @wp.func
     def margin(p: Any):
