@@ -30,6 +30,7 @@ real = wp.float64
 vec2d = wp.vec2d
 vec3d = wp.vec3d
 mat22d = wp.mat22d
+Row1 = wp.types.vector(1, real)
 Row12 = wp.types.vector(12, real)
 Rows12 = wp.types.matrix((3, 12), real)
 zero = wp.constant(real(0.0))
@@ -152,7 +153,9 @@ def outward(point: vec3d, n: vec3d):
 @wp.func
 def of_sphere(p: Any, point: vec3d, n: vec3d):
     """By the radius."""
-    return wp.types.vector(1, real)(one)
+    grown = Row1()
+    grown[0] = one
+    return grown
 
 
 @wp.func
