@@ -153,7 +153,7 @@ def of_capsule(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 @wp.func
 def of_cylinder(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a cylinder: its mantle, its ends, and the rim between them."""
-    if wp.abs(n[2]) >= one - CLOSE * CLOSE:
+    if wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= CLOSE:
         return round_of(zero, n)
     if wp.abs(n[2]) <= CLOSE:
         return of_revolution(point, n, zero)
@@ -163,7 +163,7 @@ def of_cylinder(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 @wp.func
 def of_cone(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a cone: its mantle, its base, the rim between them, and the tip."""
-    if n[2] <= CLOSE * CLOSE - one:
+    if n[2] < zero and wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= CLOSE:
         return round_of(zero, n)
     if point[2] >= (one - CLOSE) * p.height:
         return round_of(sharp, n)

@@ -37,10 +37,12 @@ STARTS = 4
 LOWERINGS = wp.constant(wp.int32(8))
 # By how much more than it is deep, in terms of the shape's size.
 MARGIN = wp.constant(real(0.02))
-STEPS = wp.constant(wp.int32(80))
+STEPS = wp.constant(wp.int32(100))
 HALVINGS = wp.constant(wp.int32(40))
 # Cosine between the normal of the shape and the tangents of the patch, at a contact.
 ALLOWED = wp.constant(real(1.0e-9))
+# Part of the descent that a slope promises.
+ENOUGH = wp.constant(real(0.25))
 GOAL = wp.constant(real(1.0e-14))
 FAR = wp.constant(real(wp.inf))
 
@@ -137,7 +139,7 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
 
     @wp.func
     def newton(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, at: Sight, lowered: real):
-        """Newton's step for the tangential parts of the normal; and whether there is one."""
+        """Newton's step for the tangential parts of the normal, the way down, and the slope of the distance."""
         jet = at.jet
         n = at.normal
         m = at.near.normal
@@ -166,7 +168,7 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         step = down
         if determinant != zero:
             step = -(wp.inverse(J) * values)
-        return step, down, wp.dot(values, step)
+        return step, down, vec2d(wp.dot(m, z_u), wp.dot(m, z_v))
 
     @wp.func
     def polish(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec2d, lowered: real):
@@ -176,24 +178,27 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         going = wp.bool(True)
         while going and steps < STEPS and at.lean > GOAL:
             steps += 1
-            step, down, rise = newton(p_a, p_b, x, q, at, lowered)
+            step, down, slope = newton(p_a, p_b, x, q, at, lowered)
             going = wp.bool(False)
             # Newton's step if it leads down and nearer to a root; else, or if that fails, the way down.
             for attempt in range(2):
                 trial = step
                 if attempt == 1:
                     trial = (wp.abs(at.near.gap) + wp.length(at.jet.u) * (u_1 - u_0)) * down
-                if attempt == 1 or rise < zero:
+                rise = wp.dot(slope, trial)
+                if rise < zero:
                     for _i in range(HALVINGS):
                         now = look(p_a, p_b, x, q, inside(at.u + trial), lowered)
                         slack = GOAL * (wp.abs(at.near.gap) + wp.length(at.place - x))
-                        lower = now.near.gap < at.near.gap - slack
+                        # By a good part of what the slope promises: less is a jump across a valley.
+                        lower = now.near.gap < at.near.gap + wp.min(ENOUGH * rise, -slack)
                         settled = now.near.gap <= at.near.gap + slack and now.lean < half * at.lean
                         if lower or settled:
                             at = now
                             going = wp.bool(True)
                             break
                         trial = half * trial
+                        rise = half * rise
                 if going:
                     break
         return at, steps
@@ -303,7 +308,8 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         facing = wp.dot(at.near.normal, at.normal) < zero
         if at.lean > ALLOWED or not facing:
             met.status = NOT_CONVERGED
-            if at_edge(at.u):
+            # Nearest to the edge, or apart from the patch and behind it.
+            if at_edge(at.u) or (at.lean <= ALLOWED and met.gap >= zero):
                 met.status = OUTSIDE
         elif wp.static(bounded):
             top = x + wp.quat_rotate(q, A.support(p_a, wp.quat_rotate_inv(q, at.normal)))
