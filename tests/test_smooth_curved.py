@@ -107,12 +107,17 @@ def test_linked_rings_meet_as_their_core_circles_do(device):
     np.testing.assert_allclose(met["gap"], 0.5 - 2 * 0.12, atol=1e-12)
 
 
-# Patches -----------------------------------------------------------------------------------------------------------
+# Patches
 
 SHEETS = {
     "bowl": Quadric(k_x=1.2, k_y=0.8), "dome": Quadric(k_x=-0.8, k_y=-0.5), "saddle": Quadric(k_x=0.7, k_y=-0.6),
 }  # fmt: skip
-BODIES = [S.Ellipsoid((0.35, 0.25, 0.2)), S.RoundedBox((0.2, 0.15, 0.25), 0.05), S.Cylinder(0.2, 0.2), Torus(0.25, 0.08)]
+BODIES = [
+    S.Ellipsoid((0.35, 0.25, 0.2)),
+    S.RoundedBox((0.2, 0.15, 0.25), 0.05),
+    S.Cylinder(0.2, 0.2),
+    Torus(0.25, 0.08),
+]
 
 
 def height(sheet, x, y):

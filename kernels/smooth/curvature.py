@@ -2,11 +2,11 @@
 
 Curvatures are those of normal sections, positive where the material is convex: 1/r of a sphere, −1/r of its mould.
 Across a sharp edge the curvature is infinite, along it that of the edge in the plane of the normal; at a tip and a
-sharp corner both are. Flat faces have none. What lies between two of these, as the seam of a capsule, has that of one
-side.
+sharp corner both are. Flat faces have none. What lies between two of these, as the seam of a capsule, has that of
+one side.
 
-The gap of a pair along a displacement t in the tangent plane opens by ½ t·(S_a + S_b) t: the principal values of the
-sum are the relative curvatures, A + B = ½ (κ₁ + κ₂) in Hertz's words.
+The gap of a pair along a displacement t in the tangent plane opens by ½ t·(S_a + S_b) t: the principal values of
+the sum are the relative curvatures, A + B = ½ (κ₁ + κ₂) in Hertz's words.
 """
 
 import functools
@@ -203,8 +203,8 @@ def of_torus(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 def curvature(A: type[Shape]) -> wp.Function:
     """Returns ``(p, point, n, u, v)``: the ``Curvature`` at a point of the surface, all in the frame of the shape.
 
-    n is the unit normal of the contact: on an edge there are many. u and v are the parameters of a patch, and unused
-    otherwise.
+    n is the unit normal of the contact: on an edge there are many. u and v are the parameters of a patch, and
+    unused otherwise.
 
     Raises:
         TypeError: If it is a shape of which no curvature is known.
@@ -294,8 +294,8 @@ class Bent:
 def relative(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns ``(p_a, p_b, x, q, meeting)``: the curvatures of a pair, ``Bent``.
 
-    The relative ones are positive where the surfaces part from the contact, negative where a hollow is narrower than
-    what lies in it, infinite on edges.
+    The relative ones are positive where the surfaces part from the contact, negative where a hollow is narrower
+    than what lies in it, infinite on edges.
     """
     of_a, of_b = curvature(A), curvature(B)
 

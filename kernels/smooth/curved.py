@@ -16,8 +16,8 @@ vec3d = wp.vec3d
 def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function of a pair, see ``meet.py``.
 
-    The seed is not needed: all of the surface is looked at every time, so that no step follows a contact that is no
-    longer the deepest, and a state that is loaded again gives the same bits.
+    The seed is not needed: all of the surface is looked at every time, so that no step follows a contact that is
+    no longer the deepest, and a state that is loaded again gives the same bits.
 
     Raises:
         TypeError: If both are patches.
