@@ -245,12 +245,12 @@ def outside(shape, values, y):
     raise ValueError(shape)
 
 
-def check(A, B, pair, found, count):
+def check(A, B, pair, found, **effort):
     """Asserts that every pair is solved, that no root is wrong, and what there is in points and residual.
 
     The gap must be that of the planes along the normal, and the vector between the two points, which must lie in
     the bodies: where it is not negative, no shorter vector and no wider gap can be. In overlap nothing better must
-    be found by brute force, on ``count`` directions.
+    be found by ``brute_force`` with this ``effort``.
     """
     a, b, x, q = pair
     steep = "Superellipsoid" in (A.__name__, B.__name__)
@@ -269,5 +269,5 @@ def check(A, B, pair, found, count):
     assert outside(B, b, found["point_b"]).max() < allowed
     deep = found["gap"] < 0.0
     assert 0.2 < deep.mean() < 0.8
-    best = brute_force(A, B, chosen(a, deep), chosen(b, deep), x[deep], q[deep], count=count)
+    best = brute_force(A, B, chosen(a, deep), chosen(b, deep), x[deep], q[deep], **effort)
     assert (found["gap"][deep] >= best - 1e-9).all()

@@ -282,9 +282,11 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
             # Where the step meets an edge that turns the slope.
             part = real(1.0)
             met = wp.int32(-1)
+            promised = half * slope
             if wp.static(count > 0):
                 bent = wp.max(q_11 * d[0] * d[0] + two * q_12 * d[0] * d[1] + q_22 * d[1] * d[1], zero)
                 crossed = zero
+                crossed_at = zero
                 passed = tied
                 for _ in range(wp.static(count)):
                     nearest = wp.int32(-1)
@@ -297,10 +299,13 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                             nearest = i
                     if nearest >= 0 and met < 0:
                         passed += 1 << nearest
-                        crossed += two * wp.abs(flat[nearest, 0] * d[0] + flat[nearest, 1] * d[1])
+                        drop = two * wp.abs(flat[nearest, 0] * d[0] + flat[nearest, 1] * d[1])
+                        crossed += drop
+                        crossed_at += drop * at
                         if slope - crossed - at * bent <= zero:
                             met = nearest
                             part = at
+                promised = wp.max(part * (slope - crossed - half * part * bent) + crossed_at, zero)
             d_3 = d[0] * e_1 + d[1] * e_2
             pole = vec3d()
             if wp.static(discs > 0) and disc == zero:
@@ -353,13 +358,15 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                             most = rise
                             best = trial
                             best_seen = seen
-                        done = tried == 1 and rise >= MOST * slope
+                        done = tried == 1 and rise >= MOST * promised
                         if tried == WAYS and most > NOISE * size:
                             done = True
                             trial = best
                             seen = best_seen
                 if ordinary:
-                    done = rise >= LEAST * part * slope - NOISE * size
+                    # The model's rise tells whether the step is a good one; a shorter one only has to rise.
+                    asked = wp.where(tried == 1, MOST * promised, LEAST * part * slope)
+                    done = rise >= asked - NOISE * size
                 if done:
                     n = trial
                     view = seen
