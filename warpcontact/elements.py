@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from warpcontact import frames
 from warpcontact.checks import Array, limits
-from warpcontact.kernels.contact_force import Parts
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction, Frictionless
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.touch import Parts
 from warpcontact.kernels.types import WORLD
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.topology import seen_from
