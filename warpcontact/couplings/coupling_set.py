@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.couplings.elements import Coupling
-from warpcontact.kernels.types import WORLD
 from warpcontact.parameters import Field, pack
 from warpcontact.readings import Reading
 from warpcontact.status import CouplingStatus
@@ -160,12 +159,14 @@ def _column_of_ends(number: int) -> Callable[[SimpleNamespace], wp.array]:
     return lambda arrays: arrays.ends.force[:, number]
 
 
-def ends_by_body(couplings: Sequence[Coupling], bodies: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def ends_by_body(couplings: Sequence[Coupling], bodies: int) -> tuple[list[int], list[int]]:
     """Returns where the ends of each body start in a list (bodies + 1), and the list; ends as numbered there."""
-    of_end = np.array(
-        [WORLD if body is None else body.index for coupling in couplings for body in coupling.bodies],
-        dtype=np.intp,
-    )
-    ends = np.argsort(of_end, kind="stable")[(of_end == WORLD).sum() :]
-    counts = np.bincount(of_end[ends], minlength=bodies)
-    return np.concatenate([[0], np.cumsum(counts)]), ends
+    lists: list[list[int]] = [[] for _ in range(bodies)]
+    for number, coupling in enumerate(couplings):
+        for place, body in enumerate(coupling.bodies):
+            if body is not None:
+                lists[body.index].append(2 * number + place)
+    starts = [0]
+    for own in lists:
+        starts.append(starts[-1] + len(own))
+    return starts, [end for own in lists for end in own]
