@@ -292,7 +292,7 @@ class Bent:
 
 @functools.cache
 def relative(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns ``(p_a, p_b, x, q, meeting)``: the curvatures of a pair, ``Bent``.
+    """Returns ``(p_a, p_b, x, rotation, meeting)``: the curvatures of a pair, ``Bent``.
 
     The relative ones are positive where the surfaces part from the contact, negative where a hollow is narrower
     than what lies in it, infinite on edges.
@@ -300,7 +300,8 @@ def relative(A: type[Shape], B: type[Shape]) -> wp.Function:
     of_a, of_b = curvature(A), curvature(B)
 
     @wp.func
-    def bent(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, met: Meeting):
+    def bent(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, met: Meeting):
+        q = wp.normalize(rotation)
         found = Bent()
         u = met.seed.u
         point_a = wp.quat_rotate_inv(q, met.point_a - x)

@@ -122,12 +122,13 @@ def solver(A: type[Shape], B: type[Shape]) -> wp.Function:
         p_a: Any,
         p_b: Any,
         x: vec3d,
-        q: wp.quatd,
+        rotation: wp.quatd,
         start: wp.vec4d,
         start_pole_a: wp.int32,
         start_pole_b: wp.int32,
         most: wp.int32,
     ):
+        q = wp.normalize(rotation)
         u = start
         pole_a = start_pole_a
         pole_b = start_pole_b

@@ -183,7 +183,8 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         return met
 
     @wp.func
-    def met_by(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, seed: Any):
+    def met_by(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, seed: Any):
+        q = wp.normalize(rotation)
         values = Values()
         slopes = Values()
         best = seen(p_a, p_b, x, q, zero)

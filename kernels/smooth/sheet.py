@@ -274,7 +274,8 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         return vec2d(first, second)
 
     @wp.func
-    def met_by(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, seed: Any):
+    def met_by(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, seed: Any):
+        q = wp.normalize(rotation)
         lowered = zero
         at, steps = deepest(p_a, p_b, x, q, lowered)
         for attempt in range(LOWERINGS):
