@@ -221,7 +221,8 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         if wp.static(rounded):  # noqa: SIM102  a static branch
             if met.residual > ALLOWED:
                 between = squeezed(p_a, p_b, x, q, best)
-                if between.residual <= ALLOWED:
+                # Across the tube the way out is longer than the shortest; another contact is not meant.
+                if between.residual <= ALLOWED and between.gap <= met.gap:
                     met.normal = between.normal
                     met.gap = between.gap
                     met.point_a = between.point_a
