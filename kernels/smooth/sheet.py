@@ -38,7 +38,8 @@ STARTS = 4
 LOWERINGS = wp.constant(wp.int32(8))
 # By how much more than it is deep, in terms of the shape's size.
 MARGIN = wp.constant(real(0.02))
-STEPS = wp.constant(wp.int32(100))
+# 4 to 6 are usual; where a contact lies on the end of a rounded edge, it takes hundreds.
+STEPS = wp.constant(wp.int32(1000))
 HALVINGS = wp.constant(wp.int32(40))
 # Cosine between the normal of the shape and the tangents of the patch, at a contact.
 ALLOWED = wp.constant(real(1.0e-9))
