@@ -1,0 +1,145 @@
+"""Where two convex shapes meet: the largest value of g(n) over all directions.
+
+A direction where g is stationary is the answer if g is not negative there: the vector between the contact
+points is as long as g, and no two points of the bodies can be nearer than the planes g apart. So it is in
+overlap no deeper than the sum of the radii of spheres that roll inside both surfaces (Blaschke): a sphere of
+that size fits into the set of all differences of points of the two bodies where it touches its border, and no
+other part of the border is nearer. In deeper overlap there may be several, however good the start. Of two
+bodies with straight edges, the normals of faces and of pairs of edges are all there are. Of others, bounds on
+cells of directions rule out most, and the climb starts again from those that are left.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.smooth import around, ascent
+from warpcontact.kernels.smooth.base import Meeting, Seed, Shape
+from warpcontact.kernels.types import MET, NOT_CONVERGED
+
+real = wp.float64
+vec3d = wp.vec3d
+mat33d = wp.mat33d
+
+#: Most climbs, and how many of their ends are remembered.
+CLIMBS = 40
+KNOWN = 8
+
+zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
+# A residual above this is no solution; of steep shapes, whose points the rounding of n moves far.
+ALLOWED = wp.constant(real(1.0e-9))
+ALLOWED_STEEP = wp.constant(real(1.0e-6))
+# Cosines of the angles to the best end of a climb, and to any other, below which no new one starts.
+ALIKE = wp.constant(real(0.999))
+SAME = wp.constant(real(0.9998))
+# Rounding of g, of the size of the pair.
+NOISE = wp.constant(real(1.0e-14))
+NOTHING = wp.constant(real(-wp.inf))
+
+
+@functools.cache
+def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
+    """Returns the device function of two convex shapes, see ``meet.py``."""
+    of_pair = ascent.functions(A, B)
+    Of_a, Of_b, Climb, climb = of_pair.Of_a, of_pair.Of_b, of_pair.Climb, of_pair.climb
+    Known = wp.types.matrix((KNOWN, 3), real)
+    next_direction = around.function(A, B)
+    # In overlap, the sum of straight edges is least along one of the normals that ``ahead`` knows.
+    allowed = ALLOWED_STEEP if A.steep or B.steep else ALLOWED
+    polyhedral = A.polyhedral and B.polyhedral
+
+    @wp.func
+    def ahead(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, best: real):
+        """Of the normals of faces, and of two straight edges, the one with the largest g above ``best``."""
+        normal = vec3d()
+        largest = real(best)
+        count = wp.int32(wp.static(12 + 2 * A.kinks * B.kinks))
+        for i in range(count):
+            n = vec3d()
+            k = i // 2
+            if k < 3:
+                n[k] = one
+            elif k < 6:
+                n = vec3d(R[0, k - 3], R[1, k - 3], R[2, k - 3])
+            else:
+                # Straight edges lie along the axes; one of a single edge is along z.
+                if wp.static(A.kinks > 0 and B.kinks > 0):
+                    j = (k - 6) % wp.static(max(A.kinks, 1)) + wp.static(2 if A.kinks == 1 else 0)
+                    m = (k - 6) // wp.static(max(A.kinks, 1)) + wp.static(2 if B.kinks == 1 else 0)
+                    axis = vec3d()
+                    axis[m] = one
+                    n = wp.cross(vec3d(R[0, j], R[1, j], R[2, j]), axis)
+                    n = wp.normalize(n)
+            if i % 2 == 1:
+                n = -n
+            if wp.length_sq(n) > zero:
+                value = wp.dot(n, x + R * A.support(p_a, -(n * R)) - B.support(p_b, n))
+                if value > largest:
+                    largest = value
+                    normal = n
+        return normal
+
+    @wp.func
+    def meet_convex(p_a: Of_a, p_b: Of_b, x: vec3d, q: wp.quatd, seed: Seed):
+        R = wp.quat_to_matrix(wp.normalize(q))
+        apart = x + R * A.centre(p_a) - B.centre(p_b)
+        size = wp.length(x) + wp.max(A.extents(p_a)) + wp.max(B.extents(p_b))
+        inner = A.inner(p_a) + B.inner(p_b)
+        margin = A.margin(p_a) + B.margin(p_b)
+        sure = A.rolling(p_a) + B.rolling(p_b)
+        n = vec3d(zero, zero, one)
+        if seed.known != 0:
+            n = seed.normal
+        elif wp.length_sq(apart) > zero:
+            n = wp.normalize(apart)
+        found = Meeting()
+        best = Climb()
+        known = Known()
+        climbs = wp.int32(0)
+        met = wp.bool(False)
+        cell = wp.int32(-1)
+        searching = wp.bool(True)
+        while searching:
+            one_climb = climb(p_a, p_b, x, R, n, size)
+            found.iterations += one_climb.steps
+            known[climbs % KNOWN] = one_climb.normal
+            good = one_climb.residual <= allowed
+            better = one_climb.residual < best.residual
+            if met:
+                better = False
+            if good and (not met or one_climb.value > best.value):
+                better = True
+            if climbs == 0 or better:
+                best = one_climb
+                met = good
+            climbs += 1
+            if met and best.value - margin >= -sure:
+                break
+            gap = NOTHING
+            if met:
+                gap = best.value - margin
+            searching = False
+            if cell < 0:
+                cell = 0
+                n = ahead(p_a, p_b, x, R, gap + NOISE * size)
+                searching = wp.length_sq(n) > zero
+            left = wp.bool(wp.static(not polyhedral) or not met)
+            while left and not searching and climbs < CLIMBS:
+                n, left, cell = next_direction(p_a, p_b, x, R, apart, inner, -gap, cell)
+                if left:
+                    searching = wp.dot(n, best.normal) < ALIKE
+                    for k in range(KNOWN):
+                        if k < climbs and wp.dot(n, known[k]) > SAME:
+                            searching = False
+        found.gap = best.value - margin
+        found.normal = best.normal
+        found.point_a = best.point_a - A.margin(p_a) * best.normal
+        found.point_b = best.point_b + B.margin(p_b) * best.normal
+        found.residual = best.residual
+        found.status = NOT_CONVERGED
+        if met:
+            found.status = MET
+            found.seed.normal = best.normal
+            found.seed.known = 1
+        return found
+
+    return meet_convex
