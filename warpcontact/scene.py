@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact import checks
+from warpcontact.body_sets import body_set
 from warpcontact.checks import Array, limits
 from warpcontact.couplings.adding import Couplings
 from warpcontact.couplings.elements import Coupling
@@ -104,7 +105,7 @@ class Scene(Couplings):
         tensor = checks.numbers(f"{name}.inertia", tensor, (3, 3), limits("kg·m²"))
         body = Body(
             name=name,
-            index=len(self.bodies),
+            index=self._body_count(),
             mass=checks.numbers(f"{name}.mass", mass, (), MASS),
             inertia=checks.inertia_tensors(f"{name}.inertia", tensor),
             position=checks.numbers(f"{name}.position", position, (3,), limits("m")),
@@ -118,10 +119,61 @@ class Scene(Couplings):
             motion=Free() if motion is None else motion,
             color=checks.color(f"{name}.color", color),
         )
-        check_start(body)
-        self.bodies.append(body)
-        self._elements[name] = body
-        return body
+        return self._include_body(body)
+
+    def add_bodies(
+        self,
+        positions: ArrayLike,
+        mass: ArrayLike,
+        inertia: ArrayLike,
+        orientations: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        linear_velocities: ArrayLike = (0.0, 0.0, 0.0),
+        angular_velocities: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        external_forces: ArrayLike = (0.0, 0.0, 0.0),
+        external_torques: ArrayLike = (0.0, 0.0, 0.0),
+        motion: Motion | None = None,
+        name: str | None = None,
+        color: ArrayLike | None = None,
+    ) -> Body:
+        """Adds a set of rigid bodies as one element. Its parameters and readings have one more axis, ``item``.
+
+        All but ``positions`` are one value that all of them share, or one per body, (n, …).
+
+        Args:
+            positions: Initial positions of the centres of mass, (n, 3), world [m].
+            mass: Mass [kg], positive; one or (n,).
+            inertia: Inertia about the centre of mass in body axes [kg·m²]: three principal moments or a symmetric
+                3×3 tensor; for each, (n, 3) or (n, 3, 3).
+            orientations: Initial rotations body → world, quaternions (x, y, z, w).
+            linear_velocities: Initial velocities of the centres of mass, world [m/s].
+            angular_velocities: Initial angular velocities, world axes [rad/s].
+            external_forces: Forces from outside at the centres of mass, world axes [N].
+            external_torques: Torques from outside, world axes [N·m].
+            motion: How each of them may move: ``Free``, ``Fixed``, ``Translation``, ``Planar``, ``Slider`` or
+                ``Prescribed`` of ``wc.motions``; ``None``: free.
+            name: Name in parameters and readings; made up if not given.
+            color: Display colour, RGB in 0…1.
+
+        Raises:
+            ValueError: If a value is out of range; the message names it.
+        """
+        name = checks.new_name("bodies", name, self._elements)
+        body = body_set(
+            name,
+            self._body_count(),
+            positions,
+            mass=mass,
+            inertia=inertia,
+            orientation=orientations,
+            linear_velocity=linear_velocities,
+            angular_velocity=angular_velocities,
+            external_force=external_forces,
+            external_torque=external_torques,
+            motion=Free() if motion is None else motion,
+            color=color,
+        )
+        return self._include_body(body)
 
     def add_surface(
         self,
@@ -142,7 +194,7 @@ class Scene(Couplings):
         Args:
             mesh: A ``wc.Mesh``, or an object with ``vertices`` (V, 3) [m] and ``faces`` (F, 3). A list of them:
                 ``model["<surface>.mesh"]`` then says by number which one an environment has.
-            body: Body that carries it; ``None``: the world.
+            body: Body that carries it, from ``add_body``; ``None``: the world.
             position: Origin of the mesh's frame in the frame of the body [m].
             orientation: Rotation mesh → body, quaternion (x, y, z, w).
             scale: Factor by which the mesh is enlarged about the origin of its frame.
@@ -161,6 +213,8 @@ class Scene(Couplings):
         """
         name = checks.new_name("surface", name, self._elements)
         body = self._body(f"{name}.body", body)
+        if body is not None and not body.single:
+            raise ValueError(f"{name}.body must be one body, from add_body, got the set {body.name!r}")
         several = isinstance(mesh, list | tuple)
         meshes = [mesh_of(name, one) for one in (mesh if several else [mesh])]
         if not meshes:
@@ -191,10 +245,13 @@ class Scene(Couplings):
     def add_point(self, body: Body | Surface | None, position: ArrayLike, *, name: str | None = None) -> Points:
         """Adds a point fixed to ``body`` (``None``: the world) at ``position`` in its frame [m].
 
-        On a surface it is in the frame of the mesh, and moves with that.
+        On a surface it is in the frame of the mesh, and moves with that. On a set of bodies it is one point on
+        each of them, at the same place of all, and readings of its contacts have one more axis, ``item``.
         """
         name = checks.new_name("point", name, self._elements)
         place = checks.numbers(f"{name}.position", position, (3,), limits("m"))
+        if isinstance(body, Body) and not body.single:
+            return self._add_points(name, body, np.tile(place, (body.count, 1)), None, None, single=False)
         return self._add_points(name, body, place[None], None, None, single=True)
 
     def add_points(
@@ -208,7 +265,8 @@ class Scene(Couplings):
         """Adds a set of points. Readings of its contacts have one more axis, ``item``.
 
         Args:
-            body: What carries them: a body, ``None`` for the world, or a surface, with which they move.
+            body: What carries them: a body, ``None`` for the world, or a surface, with which they move; a set of
+                bodies, which are given one each.
             positions: Where they are in its frame, (n, 3) [m], of a surface in that of its mesh; or points with
                 their areas, from ``wc.sample_surface``.
             areas: The area that each stands for, (n,) [m²], for laws that leave it to the points; on a surface
@@ -225,6 +283,11 @@ class Scene(Couplings):
                 raise ValueError(f"{name}.areas must be left out: the points of wc.sample_surface have theirs")
             areas, normals, positions = positions.areas, positions.normals, positions.positions
         shape = np.shape(positions)
+        if isinstance(body, Body) and not body.single and shape != (body.count, 3):
+            raise ValueError(
+                f"{name}.position must have shape {(body.count, 3)}, one for each body of {body.name!r}, "
+                f"got {shape}"
+            )
         if len(shape) != 2 or shape[0] < 1 or shape[1] != 3:
             raise ValueError(f"{name}.position must have shape (n, 3) with n ≥ 1, got {shape}")
         places = checks.numbers(f"{name}.position", positions, shape, limits("m"))
@@ -246,7 +309,7 @@ class Scene(Couplings):
             body = surface.body
         points = Points(
             name=name,
-            start=sum(len(p.positions) for p in self.points),
+            start=sum(p.count for p in self.points),
             body=self._body(f"{name}.body", body),
             surface=surface,
             positions=positions,
@@ -264,7 +327,7 @@ class Scene(Couplings):
         surface: Surface,
         template: Template,
         *,
-        radius: float = 0.0,
+        radius: ArrayLike = 0.0,
         kappa: float = 0.5,
         search: str = "whole",
         entry: str = "literal",
@@ -285,7 +348,7 @@ class Scene(Couplings):
             points: From ``add_point`` or ``add_points``.
             surface: From ``add_surface``, on another body.
             template: Law and friction.
-            radius: Radius of the sphere about each point [m]; 0: a point.
+            radius: Radius of the sphere about each point [m]; 0: a point. Of a set of points one for all, or (n,).
             kappa: Where the force acts: K = S + κ (D − S), from 0 on the surface to 1 at the deepest point D.
             search: ``"whole"``: the nearest point of the whole surface must be active; ``"active"``: the
                 nearest point of the active part.
@@ -322,7 +385,8 @@ class Scene(Couplings):
             raise ValueError(f"{name}: points and surface are both fixed to {where}; one must move")
         if not isinstance(template, Template):
             raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
-        size = checks.numbers(f"{name}.radius", radius, (), RADIUS)
+        each = () if points.single or np.ndim(radius) == 0 else (points.count,)
+        size = checks.numbers(f"{name}.radius", radius, each, RADIUS)
         check_arms(name, template, size, torsion_radius)
         check_areas(name, template, points)
         contact = Contact(
@@ -440,6 +504,15 @@ class Scene(Couplings):
         if not isinstance(surface, Surface) or self._elements.get(surface.name) is not surface:
             raise ValueError(f"{label} must come from add_surface of this scene, got {checks.element(surface)}")
         return surface
+
+    def _body_count(self) -> int:
+        return self.bodies[-1].items.stop if self.bodies else 0
+
+    def _include_body(self, body: Body) -> Body:
+        check_start(body)
+        self.bodies.append(body)
+        self._elements[body.name] = body
+        return body
 
     def _body(self, name: str, body: Body | None) -> Body | None:
         if body is not None and (not isinstance(body, Body) or self._elements.get(body.name) is not body):
