@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
     from warpcontact.kernels.motions.base import Motion
+    from warpcontact.kernels.smooth import shapes
     from warpcontact.kernels.springs.base import Damper, Spring
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
@@ -81,6 +82,7 @@ _HOME = {
     "motions": "warpcontact.kernels.motions",
     "parameter": "warpcontact.kernels.formula",
     "sample_surface": "warpcontact.meshes",
+    "shapes": "warpcontact.kernels.smooth.shapes",
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
 }
@@ -131,6 +133,7 @@ __all__ = [
     "motions",
     "parameter",
     "sample_surface",
+    "shapes",
     "springs",
     "table",
 ]
