@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from warpcontact.recorder import Recording
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
+    from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
     from warpcontact.status import CouplingStatus, LineStatus, Status
     from warpcontact.usd import export_usd
@@ -65,6 +66,8 @@ _HOME = {
     "Simulation": "warpcontact.simulation",
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
+    "Shape": "warpcontact.smooth.elements",
+    "SmoothContact": "warpcontact.smooth.elements",
     "SpringDamper": "warpcontact.couplings.elements",
     "Status": "warpcontact.status",
     "Surface": "warpcontact.elements",
@@ -112,7 +115,9 @@ __all__ = [
     "Points",
     "Recording",
     "Scene",
+    "Shape",
     "Simulation",
+    "SmoothContact",
     "SplitModel",
     "Spring",
     "SpringDamper",

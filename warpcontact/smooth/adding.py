@@ -192,10 +192,7 @@ def _sizes_of(
         raise ValueError(f"{kind.__name__} has a parameter {taken[0]!r}, which every shape has already")
     values = [one.parameters() for one in forms]
     sizes = {key: np.array([one[key] for one in values], dtype=np.float64) for key in values[0]}
-    return kind, {
-        key: rows if several else np.repeat(rows, count, axis=0)
-        for key, rows in sizes.items()
-    }
+    return kind, {key: rows if several else np.repeat(rows, count, axis=0) for key, rows in sizes.items()}
 
 
 def _each(name: str, value: ArrayLike, count: int, single: bool, width: int) -> Array:
@@ -208,5 +205,7 @@ def _each(name: str, value: ArrayLike, count: int, single: bool, width: int) -> 
 
 def _bits(name: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= ALL:
-        raise ValueError(f"{name} must be a whole number from 0 to {ALL:#x}, one bit for each group, got {value!r}")
+        raise ValueError(
+            f"{name} must be a whole number from 0 to {ALL:#x}, one bit for each group, got {value!r}"
+        )
     return int(value)
