@@ -1,4 +1,4 @@
-"""What laws, frictions and motions have in common: named parameters, and device functions of a few scalars.
+"""What laws, frictions, motions and shapes have in common: named parameters, and device functions of few scalars.
 
 A formula is a class with annotated parameters and device functions, written as ``wp.func``: the ``force`` of a
 law. Its instances are frozen and hold values for the host; the device sees one struct of coefficients per contact,
@@ -172,7 +172,10 @@ def has_shape(values: np.ndarray, shape: tuple[int, ...]) -> bool:
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(parameter, table))
 class Formula:
-    """Base of laws, frictions and motions. Subclasses become frozen dataclasses with keyword-only parameters."""
+    """Base of laws, frictions, motions and shapes. Subclasses become frozen dataclasses.
+
+    Their parameters are keyword-only but where ``positional`` says otherwise.
+    """
 
     #: The formula as text, with the letters of the field.
     formula: ClassVar[str] = ""
@@ -189,11 +192,15 @@ class Formula:
     #: What it is part of, and as what, as in the names of its parameters; a friction may be others, too.
     whole: ClassVar[str] = "contact"
     part: ClassVar[str] = "law"
+    #: Whether parameters may be given by position.
+    positional: ClassVar[bool] = False
     #: Whether it may have a ``table``.
     may_have_table: ClassVar[bool] = False
-    #: Whether it may have parameters that are vectors, of shape (3,), or tables of its own, with ``ROWS``.
+    #: Whether it may have parameters that are vectors, or tables of its own, with ``ROWS``.
     may_have_vectors: ClassVar[bool] = False
     may_have_rows: ClassVar[bool] = False
+    #: The shapes that such vectors may have.
+    vector_shapes: ClassVar[tuple[tuple[int, ...], ...]] = ((3,),)
     #: Names of its device functions, and what each of them returns, in words.
     functions: ClassVar[Mapping[str, str]] = {"force": "the force"}
     #: The device function of laws and frictions.
@@ -220,7 +227,7 @@ class Formula:
                     f"{cls.__name__}.elapsed: every memory has this already, the time since it advanced"
                 )
         # A subclass without a docstring would get the signature for one; keep what the author wrote.
-        dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+        dataclasses.dataclass(frozen=True, kw_only=not cls.positional)(cls)
         for field in dataclasses.fields(cls):
             if "unit" not in field.metadata:
                 raise TypeError(
@@ -241,12 +248,11 @@ class Formula:
         """Raises ``TypeError`` if a device function could not be given a parameter of its shape."""
         shape = metadata["shape"]
         has_row = "table" in metadata or cls.may_have_rows
-        if shape == () or (shape == (3,) and cls.may_have_vectors) or (ROWS in shape and has_row):
+        if shape == () or (shape in cls.vector_shapes and cls.may_have_vectors) or (ROWS in shape and has_row):
             return
-        allowed = "() or (3,)" if cls.may_have_vectors else "()"
-        raise TypeError(
-            f"{cls.__name__}.{name}: a parameter of a {cls.part} must have shape {allowed}, got {shape}"
-        )
+        allowed = " or ".join(map(str, ((), *cls.vector_shapes))) if cls.may_have_vectors else "()"
+        what = cls.part or cls.whole
+        raise TypeError(f"{cls.__name__}.{name}: a parameter of a {what} must have shape {allowed}, got {shape}")
 
     @classmethod
     def table_field(cls) -> dataclasses.Field | None:
@@ -302,11 +308,11 @@ class Formula:
             if values.dtype.kind not in "iuf":  # not text that reads like a number, nor True for 1
                 raise ValueError(f"{cls.__name__}.{name} must be {what}, got {value!r}")
             if not has_shape(values, shape):
+                path = ".".join(filter(None, (f"<{self.whole}>", self.part, name)))
                 hint = (
                     ""
                     if ROWS in shape
-                    else f"; values per environment are set on the model: "
-                    f"model['<{self.whole}>.{self.part}.{name}'] = values"
+                    else f"; values per environment are set on the model: model['{path}'] = values"
                 )
                 raise ValueError(
                     f"{cls.__name__}.{name} must be {shape_in_words(shape)}, got shape {values.shape}{hint}"
@@ -367,9 +373,9 @@ def coefficient_struct(formula: type[Formula], real: type) -> Any:
     """Returns the struct of ``formula``'s device coefficients in precision ``real``."""
     # Warp has no empty structs.
     names = formula.device_names() or ("unused",)
-    vector = structs(real).vec3
-    vectors = {field.name for field in dataclasses.fields(formula) if field.metadata["shape"] == (3,)}
-    fields = tuple((name, vector if name in vectors else real) for name in names)
+    shapes = {field.name: field.metadata["shape"] for field in dataclasses.fields(formula)}
+    types = {(): real, (2,): wp.types.vector(2, real), (3,): structs(real).vec3}
+    fields = tuple((name, types.get(shapes.get(name, ()), real)) for name in names)
     return named_struct(f"{formula.__name__}Coefficients", fields)
 
 

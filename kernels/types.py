@@ -55,6 +55,11 @@ LINE_LOOSE = 5  # without weight, and not stretched
 LINE_DISABLED = 6
 LINE_FAILED = 7  # no solution was found: the forces are those of the last iterate
 
+# Status of the solution of two smooth shapes.
+MET = 0
+NOT_CONVERGED = 1  # the last iterate is not stationary to the tolerance
+OUTSIDE = 2  # beyond the edge of a patch: no contact
+
 # Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its corners.
 FEATURE_COUNT = 7
 # Bits of a feature.

@@ -25,12 +25,14 @@ if TYPE_CHECKING:
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
     from warpcontact.kernels.motions.base import Motion
+    from warpcontact.kernels.smooth import shapes
     from warpcontact.kernels.springs.base import Damper, Spring
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
     from warpcontact.recorder import Recording
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
+    from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
     from warpcontact.status import CouplingStatus, LineStatus, Status
     from warpcontact.usd import export_usd
@@ -64,6 +66,8 @@ _HOME = {
     "Simulation": "warpcontact.simulation",
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
+    "Shape": "warpcontact.smooth.elements",
+    "SmoothContact": "warpcontact.smooth.elements",
     "SpringDamper": "warpcontact.couplings.elements",
     "Status": "warpcontact.status",
     "Surface": "warpcontact.elements",
@@ -81,6 +85,7 @@ _HOME = {
     "motions": "warpcontact.kernels.motions",
     "parameter": "warpcontact.kernels.formula",
     "sample_surface": "warpcontact.meshes",
+    "shapes": "warpcontact.kernels.smooth.shapes",
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
 }
@@ -110,7 +115,9 @@ __all__ = [
     "Points",
     "Recording",
     "Scene",
+    "Shape",
     "Simulation",
+    "SmoothContact",
     "SplitModel",
     "Spring",
     "SpringDamper",
@@ -131,6 +138,7 @@ __all__ = [
     "motions",
     "parameter",
     "sample_surface",
+    "shapes",
     "springs",
     "table",
 ]

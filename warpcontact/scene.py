@@ -33,6 +33,8 @@ from warpcontact.kernels.motions import Free, Motion
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
 from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of
+from warpcontact.smooth.adding import SmoothContacts
+from warpcontact.smooth.elements import Shape, SmoothContact
 from warpcontact.start import check_start
 
 if TYPE_CHECKING:
@@ -40,11 +42,20 @@ if TYPE_CHECKING:
     from warpcontact.model import Model
     from warpcontact.split_model import SplitModel
 
-_LISTS = ("bodies", "surfaces", "points", "contacts", "contact_couplings", "couplings")
+_LISTS = (
+    "bodies",
+    "surfaces",
+    "points",
+    "contacts",
+    "contact_couplings",
+    "couplings",
+    "shapes",
+    "smooth_contacts",
+)
 
 
-class Scene(Couplings):
-    """Bodies, surfaces, points, contacts and couplings of one environment; ``build`` makes many of it.
+class Scene(Couplings, SmoothContacts):
+    """Bodies, surfaces, shapes, points, contacts and couplings of one environment; ``build`` makes many of it.
 
     Args:
         gravity: Acceleration of gravity, world axes [m/s²].
@@ -58,6 +69,8 @@ class Scene(Couplings):
         self.contacts: list[Contact] = []
         self.contact_couplings: list[ContactCoupling] = []
         self.couplings: list[Coupling] = []
+        self.shapes: list[Shape] = []
+        self.smooth_contacts: list[SmoothContact] = []
         self._elements: dict[str, Any] = {}
 
     def add_body(
@@ -212,7 +225,7 @@ class Scene(Couplings):
             ValueError: If a value is out of range; the message names it.
         """
         name = checks.new_name("surface", name, self._elements)
-        body = self._body(f"{name}.body", body)
+        body = self.owned_body(f"{name}.body", body)
         if body is not None and not body.single:
             raise ValueError(f"{name}.body must be one body, from add_body, got the set {body.name!r}")
         several = isinstance(mesh, list | tuple)
@@ -310,7 +323,7 @@ class Scene(Couplings):
         points = Points(
             name=name,
             start=sum(p.count for p in self.points),
-            body=self._body(f"{name}.body", body),
+            body=self.owned_body(f"{name}.body", body),
             surface=surface,
             positions=positions,
             areas=areas,
@@ -514,7 +527,8 @@ class Scene(Couplings):
         self._elements[body.name] = body
         return body
 
-    def _body(self, name: str, body: Body | None) -> Body | None:
+    def owned_body(self, name: str, body: Body | None) -> Body | None:
+        """Returns ``body`` if it is one of this scene, or ``None``; ``name`` is what an error calls it."""
         if body is not None and (not isinstance(body, Body) or self._elements.get(body.name) is not body):
             raise ValueError(f"{name} must be a body of this scene or None (the world), got {body!r}")
         return body

@@ -1,0 +1,1 @@
+"""Contact between surfaces of analytic form: shapes, and where two of them meet."""

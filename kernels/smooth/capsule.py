@@ -1,0 +1,67 @@
+"""Capsules: cylinders with half a sphere at each end."""
+
+from typing import Any, ClassVar
+
+import warp as wp
+from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Nearest, Shape
+
+zero = wp.constant(wp.float64(0.0))
+one = wp.constant(wp.float64(1.0))
+
+
+class Capsule(Shape):
+    """All within r of a segment of the z axis, its middle at the origin."""
+
+    formula = "distance from the segment |z| ≤ l of the z axis = r"
+    kinks: ClassVar[int] = 1
+
+    radius: float = parameter("m", "radius r", above=0.0)
+    half_length: float = parameter("m", "half the length of the cylindrical part, l", above=0.0)
+
+    @wp.func
+    def support(p: Any, n: wp.vec3d):
+        point = p.radius * n
+        if wp.abs(n[2]) > ON_AXIS:
+            point[2] = point[2] + wp.sign(n[2]) * p.half_length
+        return point
+
+    @wp.func
+    def expand(p: Any, n: wp.vec3d):
+        found = Expansion()
+        found.kinks[0, 2] = p.half_length
+        return found
+
+    @wp.func
+    def margin(p: Any):
+        return p.radius
+
+    @wp.func
+    def rolling(p: Any):
+        return p.radius
+
+    @wp.func
+    def extents(p: Any):
+        return wp.vec3d(p.radius, p.radius, p.radius + p.half_length)
+
+    @wp.func
+    def centre(p: Any):
+        return wp.vec3d()
+
+    @wp.func
+    def inner(p: Any):
+        return p.radius
+
+    @wp.func
+    def nearest(p: Any, x: wp.vec3d):
+        found = Nearest()
+        foot = wp.vec3d(zero, zero, wp.clamp(x[2], -p.half_length, p.half_length))
+        off = x - foot
+        distance = wp.length(off)
+        # On the segment every direction across is the nearest way out.
+        found.normal = wp.vec3d(one, zero, zero)
+        if distance > zero:
+            found.normal = off / distance
+        found.gap = distance - p.radius
+        found.point = foot + p.radius * found.normal
+        return found

@@ -1,0 +1,54 @@
+"""Ellipsoids."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.smooth.base import Expansion, Shape
+
+zero = wp.constant(wp.float64(0.0))
+one = wp.constant(wp.float64(1.0))
+
+
+class Ellipsoid(Shape):
+    """An ellipsoid about the origin, its axes along x, y, z."""
+
+    formula = "(x/a)² + (y/b)² + (z/c)² = 1"
+
+    semi_axes: tuple[float, float, float] = parameter("m", "semi-axes a, b, c", shape=(3,), above=0.0)
+
+    @wp.func
+    def support(p: Any, n: wp.vec3d):
+        scaled = wp.cw_mul(p.semi_axes, n)
+        return wp.cw_mul(p.semi_axes, scaled) / wp.length(scaled)
+
+    @wp.func
+    def expand(p: Any, n: wp.vec3d):
+        found = Expansion()
+        scaled = wp.cw_mul(p.semi_axes, n)
+        value = wp.length(scaled)
+        found.point = wp.cw_mul(p.semi_axes, scaled) / value
+        squares = wp.diag(wp.cw_mul(p.semi_axes, p.semi_axes))
+        found.hessian = (squares - wp.outer(found.point, found.point)) / value
+        return found
+
+    @wp.func
+    def margin(p: Any):
+        return zero
+
+    @wp.func
+    def rolling(p: Any):
+        shortest = wp.min(p.semi_axes)
+        return shortest * (shortest / wp.max(p.semi_axes))
+
+    @wp.func
+    def extents(p: Any):
+        return p.semi_axes
+
+    @wp.func
+    def centre(p: Any):
+        return wp.vec3d()
+
+    @wp.func
+    def inner(p: Any):
+        return wp.min(p.semi_axes)

@@ -1,0 +1,23 @@
+"""Half-spaces."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.smooth.base import Nearest, Shape
+
+zero = wp.constant(wp.float64(0.0))
+one = wp.constant(wp.float64(1.0))
+
+
+class Plane(Shape):
+    """The half-space z ≤ 0; its normal is +z. It has no support function but along z."""
+
+    formula = "z = 0"
+
+    @wp.func
+    def nearest(p: Any, x: wp.vec3d):
+        found = Nearest()
+        found.normal = wp.vec3d(zero, zero, one)
+        found.gap = x[2]
+        found.point = wp.vec3d(x[0], x[1], zero)
+        return found

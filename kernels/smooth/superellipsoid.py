@@ -1,0 +1,115 @@
+"""Superellipsoids, from nearly a box to nearly an octahedron."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.smooth.base import Expansion, Shape
+
+real = wp.float64
+zero = wp.constant(real(0.0))
+one = wp.constant(real(1.0))
+two = wp.constant(real(2.0))
+# The curvature of a support function that has none, or one without bound, is taken this far off an axis.
+OFF_AXIS = wp.constant(real(1.0e-60))
+
+
+@wp.func
+def raised(x: real, exponent: real):
+    """x^exponent for x ≥ 0."""
+    if x == zero:
+        return zero
+    return wp.exp(exponent * wp.log(x))
+
+
+@wp.func
+def joined(x: real, y: real, exponent: real):
+    """(x^q + y^q)^(1/q) for x, y ≥ 0 and q = 2/(2 − e), its two derivatives, and their common curvature.
+
+    The Hessian is the curvature times w wᵀ, w = (y, −x).
+    """
+    longest = wp.max(x, y)
+    if longest == zero:
+        return zero, zero, zero, zero
+    shorter = wp.min(x, y) / longest
+    q = two / (two - exponent)
+    power = raised(shorter, q)
+    root = raised(one + power, one / q)
+    value = longest * root
+    # (value/longest)^(1 − q) and (value/shorter)^(1 − q)
+    of_longest = root / (one + power)
+    of_shorter = of_longest * raised(shorter, q - one)
+    ratio = wp.max(shorter, OFF_AXIS)
+    curvature = (q - one) * of_longest / (one + power) * raised(ratio, q - two) / (longest * longest * longest)
+    if x < y:
+        return value, of_shorter, of_longest, curvature
+    return value, of_longest, of_shorter, curvature
+
+
+class Superellipsoid(Shape):
+    """A superellipsoid about the origin, its axes along x, y, z. Exponents (1, 1) make an ellipsoid.
+
+    Exponents below 1 make it like a box, above 1 like an octahedron; e₂ is that of the section z = 0.
+    """
+
+    formula = "(|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁) = 1"
+    reference = "A. H. Barr, Superquadrics and angle-preserving transformations, 1981"
+
+    semi_axes: tuple[float, float, float] = parameter("m", "semi-axes a, b, c", shape=(3,), above=0.0)
+    exponents: tuple[float, float] = parameter(
+        "-", "exponents e₁, e₂", shape=(2,), at_least=0.1, at_most=1.9, default=(1.0, 1.0)
+    )
+
+    @wp.func
+    def support(p: Any, n: wp.vec3d):
+        axes = p.semi_axes
+        x = axes[0] * wp.abs(n[0])
+        y = axes[1] * wp.abs(n[1])
+        z = axes[2] * wp.abs(n[2])
+        flat, by_x, by_y, _ = joined(x, y, p.exponents[1])
+        _, by_flat, by_z, _ = joined(flat, z, p.exponents[0])
+        return wp.vec3d(
+            axes[0] * wp.sign(n[0]) * by_flat * by_x,
+            axes[1] * wp.sign(n[1]) * by_flat * by_y,
+            axes[2] * wp.sign(n[2]) * by_z,
+        )
+
+    @wp.func
+    def expand(p: Any, n: wp.vec3d):
+        signed = wp.vec3d(
+            p.semi_axes[0] * wp.sign(n[0]), p.semi_axes[1] * wp.sign(n[1]), p.semi_axes[2] * wp.sign(n[2])
+        )
+        x = signed[0] * n[0]
+        y = signed[1] * n[1]
+        z = signed[2] * n[2]
+        flat, by_x, by_y, bent_flat = joined(x, y, p.exponents[1])
+        _, by_flat, by_z, bent = joined(flat, z, p.exponents[0])
+        found = Expansion()
+        found.point = wp.cw_mul(signed, wp.vec3d(by_flat * by_x, by_flat * by_y, by_z))
+        up = wp.cw_mul(signed, wp.vec3d(z * by_x, z * by_y, -flat))
+        around = wp.cw_mul(signed, wp.vec3d(y, -x, zero))
+        found.hessian = bent * wp.outer(up, up) + (by_flat * bent_flat) * wp.outer(around, around)
+        return found
+
+    @wp.func
+    def margin(p: Any):
+        return zero
+
+    @wp.func
+    def rolling(p: Any):
+        # Its edges may be sharp.
+        return zero
+
+    @wp.func
+    def extents(p: Any):
+        return p.semi_axes
+
+    @wp.func
+    def centre(p: Any):
+        return wp.vec3d()
+
+    @wp.func
+    def inner(p: Any):
+        # Of the octahedron inside.
+        axes = p.semi_axes
+        return one / wp.length(wp.vec3d(one / axes[0], one / axes[1], one / axes[2]))
