@@ -25,6 +25,7 @@ from warpcontact.kernels import types
 from warpcontact.model import Model
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Patches, make_patches, upload_patches
+from warpcontact.piles.pile import make_piles
 from warpcontact.readings import readings_of
 from warpcontact.scene import Body, Contact, Scene
 from warpcontact.split_model import SplitModel
@@ -146,6 +147,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     meshes = upload_patches(common.patches, arrays.model, layout, t)
     _add_contacts(contacts, start_of, common.patches.of_contact, contact_couplings, arrays, layout, parameters, t)
     couplings = make_sets(scene, arrays, layout, parameters, t)
+    piles = make_piles(scene, layout, parameters, t)
     moves = any(body.motion.kind != types.FREE for body in scene.bodies)
     groups = [
         make_group(group, start_of[group[0]], contact_couplings, blocks, layout, parameters, t.real, moves)
@@ -161,9 +163,10 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         parameters=parameters,
         groups=groups,
         couplings=couplings,
+        piles=piles,
         drives=drives,
         blocks=blocks,
-        readings=readings_of(scene, start_of, groups, contact_couplings, couplings),
+        readings=readings_of(scene, start_of, groups, contact_couplings, couplings, piles),
         meshes=meshes,
     )
 

@@ -18,6 +18,7 @@ from warpcontact.groups import Group, compile_group
 from warpcontact.model import Model
 from warpcontact.of_scene import OfScene
 from warpcontact.parameters import Parameters, needs_of
+from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
 from warpcontact.split_model import SplitModel
@@ -38,6 +39,7 @@ class PartDraft(OfScene):
         parameters: The parameters.
         groups: The contacts by the code of their laws and frictions.
         couplings: The couplings by their code.
+        piles: The mutual contacts.
         drives: The bodies that follow functions of time, by class.
         blocks: The contacts by what lies together.
         readings: What can be measured.
@@ -54,6 +56,7 @@ class PartDraft(OfScene):
     parameters: Parameters
     groups: list[Group]
     couplings: list[CouplingSet]
+    piles: list[Pile]
     drives: list[Drive]
     blocks: Blocks
     readings: dict[str, Reading]
@@ -75,6 +78,8 @@ class PartDraft(OfScene):
             compile_group(group, self.device, self.types.real)
         for couplings in self.couplings:
             couplings.compile(self.device)
+        for pile in self.piles:
+            pile.compile(self.device)
         for drive in self.drives:
             drive.compile(self.device, self.types.real)
         self.layout.allocate(envs)
@@ -90,6 +95,7 @@ class PartDraft(OfScene):
             uploads=self.parameters.uploads,
             groups=self.groups,
             couplings=self.couplings,
+            piles=self.piles,
             drives=self.drives,
             blocks=self.blocks,
             readings=self.readings,

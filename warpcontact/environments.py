@@ -157,6 +157,7 @@ class Environments(ABC):
         element, _, quantity = name.rpartition(".")
         owners = {contact.name: contact.template.formulas for contact in self.scene.contacts}
         owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
+        owners |= {contact.name: contact.formulas for contact in self.scene.mutual_contacts}
         for owner, formulas in owners.items():
             for part, formula in formulas.items():
                 if element == f"{owner}.{part}" and quantity in formula.varying():

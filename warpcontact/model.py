@@ -19,6 +19,7 @@ from warpcontact.footprint import Need
 from warpcontact.groups import Group
 from warpcontact.of_scene import MEASURES, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
+from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import Span, force_stages
@@ -88,6 +89,7 @@ class Model(Environments, OfScene):
         uploads: list[Upload],
         groups: list[Group],
         couplings: list[CouplingSet],
+        piles: list[Pile],
         drives: list[Drive],
         blocks: Blocks,
         readings: dict[str, Reading],
@@ -102,6 +104,7 @@ class Model(Environments, OfScene):
         self.arrays = arrays
         self.groups = groups
         self.couplings = couplings
+        self.piles = piles
         self.drives = drives
         self.blocks = blocks
         self.parameters = parameters
@@ -206,6 +209,8 @@ class Model(Environments, OfScene):
                 )
         for couplings in self.couplings:
             couplings.restart(chosen, self.envs)
+        for pile in self.piles:
+            pile.restart(chosen, self.envs)
         if self.moves:
             self._start_motions(chosen)
 
@@ -247,6 +252,9 @@ class Model(Environments, OfScene):
             self._measure_coordinates()
         if "contact_couplings" in needs:
             self._measure_contact_couplings()
+        if "piles" in needs:
+            for pile in self.piles:
+                pile.measure(self.envs, self.device)
 
     @beside_captures()
     def add_measures(self, names: Collection[str]) -> None:
@@ -325,3 +333,5 @@ class Model(Environments, OfScene):
         cache = self.arrays.cache
         for known in (cache.set_wake, cache.block_wake, cache.wake, cache.faces):
             known.zero_()
+        for pile in self.piles:
+            pile.forget_lists()

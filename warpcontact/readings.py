@@ -18,6 +18,7 @@ from warpcontact.status import Status
 
 if TYPE_CHECKING:
     from warpcontact.couplings.coupling_set import CouplingSet
+    from warpcontact.piles.pile import Pile
 
 AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
 
@@ -90,7 +91,7 @@ class Reading:
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
         needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, contact
             ``"points"``, of motions ``"reactions"`` and ``"coordinates"``, or the forces of
-            ``"contact_couplings"``.
+            ``"contact_couplings"``, or what is measured of ``"piles"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
         codes: What its numbers stand for.
@@ -126,6 +127,7 @@ def readings_of(
     groups: Sequence[Group],
     contact_couplings: ContactCouplings,
     couplings: "Sequence[CouplingSet]",
+    piles: "Sequence[Pile]",
 ) -> dict[str, Reading]:
     """Returns all readings of a scene by name.
 
@@ -135,6 +137,7 @@ def readings_of(
         groups: What its contacts are computed in.
         contact_couplings: Its contact couplings.
         couplings: Its other couplings.
+        piles: Its mutual contacts.
     """
     table: dict[str, Reading] = {}
 
@@ -195,6 +198,8 @@ def readings_of(
             add(f"{coupling.name}.{key}", unit, meaning, column(part, attribute, number), **options)
     for couplings_of_code in couplings:
         table.update((reading.name, reading) for reading in couplings_of_code.readings())
+    for pile in piles:
+        table.update((reading.name, reading) for reading in pile.readings())
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
         array = column("bodies", attribute, slice(0, scene.bodies[-1].items.stop))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)

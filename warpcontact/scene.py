@@ -33,6 +33,8 @@ from warpcontact.kernels.motions import Free, Motion
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
 from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of
+from warpcontact.piles.adding import MutualContacts
+from warpcontact.piles.elements import MutualContact
 from warpcontact.smooth.adding import SmoothContacts
 from warpcontact.smooth.elements import Shape, SmoothContact
 from warpcontact.start import check_start
@@ -51,10 +53,11 @@ _LISTS = (
     "couplings",
     "shapes",
     "smooth_contacts",
+    "mutual_contacts",
 )
 
 
-class Scene(Couplings, SmoothContacts):
+class Scene(Couplings, SmoothContacts, MutualContacts):
     """Bodies, surfaces, shapes, points, contacts and couplings of one environment; ``build`` makes many of it.
 
     Args:
@@ -71,6 +74,7 @@ class Scene(Couplings, SmoothContacts):
         self.couplings: list[Coupling] = []
         self.shapes: list[Shape] = []
         self.smooth_contacts: list[SmoothContact] = []
+        self.mutual_contacts: list[MutualContact] = []
         self._elements: dict[str, Any] = {}
 
     def add_body(

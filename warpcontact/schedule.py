@@ -2,7 +2,7 @@
 
 Each stage reads what earlier ones wrote:
 
-    travel → closest point → couplings → contact force (one launch per law) → wrenches → integrate, motions
+    travel → closest point → couplings → contact force (one launch per law) → wrenches → piles → integrate, motions
     → sweep → finish → history
 """
 
@@ -140,6 +140,8 @@ def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> li
     if span.ordered:
         kernel = wrenches.add_up(real, *sources)
         launches += span.prepare(kernel, model.body_count, [status, a.model, a.near, a.ends, a.wrenches])
+    for pile in model.piles:
+        launches += pile.force_stages(span, state, step, status)
     return launches
 
 
@@ -296,6 +298,8 @@ def accept_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> 
             )
     for couplings in model.couplings:
         launches += couplings.accept_stages(span)
+    for pile in model.piles:
+        launches += pile.accept_stages(span)
     return launches
 
 

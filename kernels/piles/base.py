@@ -101,7 +101,7 @@ def pile_structs(real: type) -> SimpleNamespace:
         stale: wp.array(dtype=wp.int32)  # [env] whether they are to be made anew
         known: wp.array(dtype=wp.int32)  # [env] whether there are any
         made: wp.array(dtype=wp.int32)  # [env] how often they were made since reset
-        short: wp.array(dtype=wp.int32)  # [env] by how many entries a list was too short, at most
+        missing: wp.array(dtype=wp.int32)  # [env] by how many entries a list was too short, at most
         base: wp.array2d(dtype=vec3)  # [env, shape] where it was when they were made, in two parts, W [m]
         rest: wp.array2d(dtype=vec3)  # [env, shape]
         axis: wp.array2d(dtype=vec3)  # [env, shape] likewise, W [m]

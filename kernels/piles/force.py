@@ -10,7 +10,7 @@ import warp as wp
 from warpcontact.kernels import touch
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.piles import meeting
-from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, owns, pile_structs
+from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, pile_structs
 from warpcontact.kernels.touch import Parts, group_structs, touch_structs
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
 
@@ -215,7 +215,7 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool = False) -> wp.Kern
 
 
 @functools.cache
-def add(real: type, form: Form, alone: bool) -> wp.Kernel:
+def add(real: type, alone: bool) -> wp.Kernel:
     """Returns the kernel that adds to the wrench of each body what touches of its shapes do, in their order.
 
     The same bits in every run. Items: carriers. ``alone``: whether every body of the pile has one shape.

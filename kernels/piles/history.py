@@ -71,13 +71,23 @@ def advance(parts: Parts, real: type) -> wp.Kernel:
 
 
 @functools.cache
-def forget(real: type) -> wp.Kernel:
+def forget() -> wp.Kernel:
     """Returns the kernel that empties the history of chosen environments. Launch with dim (env, slot)."""
 
     @wp.kernel(module="unique", enable_backward=False)
-    def forget_pile(mask: wp.array(dtype=wp.bool), bits: wp.array2d(dtype=wp.int32)):
+    def forget_pile(
+        mask: wp.array(dtype=wp.bool),
+        bits: wp.array2d(dtype=wp.int32),
+        known: wp.array(dtype=wp.int32),
+        made: wp.array(dtype=wp.int32),
+        missing: wp.array(dtype=wp.int32),
+    ):
         env, slot = wp.tid()
         if mask[env]:
             bits[env, slot] = 0
+            if slot == 0:
+                known[env] = 0
+                made[env] = 0
+                missing[env] = 0
 
     return forget_pile

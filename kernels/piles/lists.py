@@ -209,9 +209,17 @@ def gather(form: Form, real: type) -> wp.Kernel:
                     if (touches.bits[env, slot] & TOUCHED) != 0:
                         key = key_of(shape, lists.partner[env, start + k], work.items)
                         count = insert(grid, env, start, room, count, key)
-            grid.keys[env, shape] = wp.min(count, room)
-            if count > room:
-                wp.atomic_max(grid.short, env, count - room)
+            count_that_fit = wp.min(count, room)
+            lacking = count - count_that_fit
+            owned = wp.int32(0)
+            for k in range(count_that_fit):
+                if grid.key[env, start + k] < work.items:
+                    owned += 1
+            records = shapes.slot_start[shape + 1] - first_slot
+            lacking = wp.max(lacking, owned - records)
+            grid.keys[env, shape] = count_that_fit
+            if lacking > 0:
+                wp.atomic_max(grid.missing, env, lacking)
 
     return gather_partners
 
@@ -244,12 +252,13 @@ def carry(parts: Parts, real: type) -> wp.Kernel:
             first = shapes.slot_start[shape]
             count = grid.keys[env, shape]
             before = lists.owned[env, shape]
+            records = shapes.slot_start[shape + 1] - first
             owned = wp.int32(0)
             old = wp.int32(0)
             # What the force stage will write anew holds it meanwhile: both lists share their records.
             for k in range(count):
                 key = grid.key[env, start + k]
-                if key >= work.items:
+                if key >= work.items or owned == records:
                     break
                 owned += 1
                 while old < before and lists.partner[env, start + old] < key:
