@@ -203,7 +203,9 @@ def brute_force(A, B, a, b, x, q, count=2000, best=6, rounds=30, block=500):
             e_2 = np.cross(n, e_1)
             turned = angle + 0.37 * round_
             step = radius * np.concatenate([np.ones(5), 0.4 * np.ones(5)])[:, None]
-            ring = step * (np.cos(turned)[:, None] * e_1[..., None, :] + np.sin(turned)[:, None] * e_2[..., None, :])
+            ring = step * (
+                np.cos(turned)[:, None] * e_1[..., None, :] + np.sin(turned)[:, None] * e_2[..., None, :]
+            )
             trial = n[..., None, :] + ring
             trial /= np.linalg.norm(trial, axis=-1, keepdims=True)
             shape = trial.shape

@@ -156,7 +156,8 @@ class Environments(ABC):
             raise KeyError(f"{name!r} is a reading, not a parameter; use model.reading({name!r})")
         element, _, quantity = name.rpartition(".")
         owners = {contact.name: contact.template.formulas for contact in self.scene.contacts}
-        owners |= {one.name: one.formulas for one in (*self.scene.couplings, *self.scene.smooth_contacts)}
+        owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
+        owners |= {contact.name: contact.formulas for contact in self.scene.smooth_contacts}
         for owner, formulas in owners.items():
             for part, formula in formulas.items():
                 if element == f"{owner}.{part}" and quantity in formula.varying():
@@ -354,7 +355,8 @@ class Environments(ABC):
         first = self.parts[0]
         return (
             f"<{type(self).__name__} of {self.envs} environments: {first.body_count} bodies, "
-            f"{first.contact_count + first.smooth_count} contacts, {self.precision} on {', '.join(map(str, self.devices))}>"
+            f"{first.contact_count + first.smooth_count} contacts, {self.precision} on "
+            f"{', '.join(map(str, self.devices))}>"
         )
 
 

@@ -196,8 +196,10 @@ def readings_of(
         for key, (part, attribute, unit, meaning) in _COUPLING.items():
             options = {"needs": (part,)} if part == "contact_couplings" else {}
             add(f"{coupling.name}.{key}", unit, meaning, column(part, attribute, number), **options)
-    for own_readings in (*couplings, *smooth):
-        table.update((reading.name, reading) for reading in own_readings.readings())
+    for couplings_of_code in couplings:
+        table.update((reading.name, reading) for reading in couplings_of_code.readings())
+    for contacts_of_code in smooth:
+        table.update((reading.name, reading) for reading in contacts_of_code.readings())
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
         array = column("bodies", attribute, slice(0, scene.bodies[-1].items.stop))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)

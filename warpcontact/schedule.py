@@ -2,8 +2,8 @@
 
 Each stage reads what earlier ones wrote:
 
-    travel → closest point → couplings, smooth contacts → contact force (one launch per law) → wrenches → integrate, motions
-    → sweep → finish → history
+    travel → closest point → couplings → smooth contacts → contact force (one launch per law) → wrenches
+    → integrate, motions → sweep → finish → history
 """
 
 from dataclasses import dataclass

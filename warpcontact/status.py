@@ -9,9 +9,9 @@ class Status(IntEnum):
     """State of a contact.
 
     OPEN: not touching. CONTACT: touching. HIDDEN: the nearest point is not on the active part, or beyond the edge
-    of a patch. FAR: nothing within the search radius. WRONG_SIDE: deeper than ``max_depth``, or come from the inner
-    side with ``entry="latched"``. DISABLED: not enabled. NOT_CONVERGED: of a smooth contact, where its surfaces
-    meet was not found; no force acts.
+    of a patch. FAR: nothing within the search radius. WRONG_SIDE: deeper than ``max_depth``, or come from the
+    inner side with ``entry="latched"``. DISABLED: not enabled. NOT_CONVERGED: of a smooth contact, where its
+    surfaces meet was not found; no force acts.
     """
 
     OPEN = types.OPEN

@@ -115,8 +115,10 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
             one_climb = climb(p_a, p_b, x, R, n, size)
             found.iterations += one_climb.steps
             good = one_climb.residual <= ALLOWED
-            if trial == 0 or (good and (not met or one_climb.value > best.value)) or (
-                not met and one_climb.residual < best.residual
+            if (
+                trial == 0
+                or (good and (not met or one_climb.value > best.value))
+                or (not met and one_climb.residual < best.residual)
             ):
                 best = one_climb
                 met = good

@@ -31,7 +31,7 @@ def remember(real: type) -> wp.Kernel:
                 smooth.entry_speed[env, contact] = real(-1.0)
             if touching == UNSOLVED:
                 smooth.failures[env, contact] = smooth.failures[env, contact] + 1
-            if touching == UNSOLVED or touching == DISABLED:
+            if touching == UNSOLVED or touching == DISABLED:  # noqa: SIM109 - Warp has no ``in``
                 held.seed[env, contact] = Seed()
             else:
                 held.seed[env, contact] = found.seed[env, contact]

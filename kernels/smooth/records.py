@@ -1,4 +1,4 @@
-"""The structs of smooth contacts: shapes on a device, settings, what is found of a contact, and what it remembers."""
+"""The structs of smooth contacts: shapes on a device, settings, what is found of a contact and remembered."""
 
 import functools
 from types import SimpleNamespace

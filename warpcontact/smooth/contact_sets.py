@@ -113,7 +113,7 @@ class SmoothSet:
     def _declare(self, layout: "Layout") -> None:
         each, nothing = per_env(self.count), fixed(1, 1)
         absent = ((OF_CURVATURE, self.curved), (OF_DIRECTION, self.oriented))
-        apart = {name: nothing for names, there in absent if not there for name in names}
+        apart: dict[str, Any] = {name: nothing for names, there in absent if not there for name in names}
         self.smooth = layout.struct("smooth contacts", contact_structs(self.real).Smooth, each, **apart)
         self.held, self.found = (layout.struct("smooth contacts", Seeds, each) for _ in range(2))
         self.members = Members()
