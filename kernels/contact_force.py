@@ -28,7 +28,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
     Coefficients, Memory = group_structs(parts, real)
     Place = touch_structs(real).Place
     act, forget = touch.functions(parts, real, moves)
-    twists = parts.twists
+    twists, needs_curvature = parts.twists, parts.law.needs_curvature
     oriented = parts.oriented
     frame = frames.functions(real)
     orientation_to_world, apart = frame.orientation_to_world, frame.apart
@@ -88,6 +88,10 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         place.normal = contacts.normal[env, contact]
         place.penetration = contacts.penetration[env, contact]
         place.radius = geometry.radius
+        if wp.static(needs_curvature):
+            # The facets are flat, whatever the mesh stands for.
+            place.curvature_1 = real(1.0) / geometry.radius
+            place.curvature_2 = place.curvature_1
         torsion_radius = real(-1.0)
         if wp.static(twists):
             of_overlap = (model.contact_options[contact] & HERTZ_PATCH) != 0

@@ -78,6 +78,9 @@ def touch_structs(real: type) -> SimpleNamespace:
         normal: vec3  # unit, W
         penetration: real  # > 0 [m]
         radius: real  # of the rolling body, and of a patch of contact √(radius × penetration) [m]
+        # Relative principal curvatures, the smaller first; only for laws with needs_curvature
+        curvature_1: real  # [1/m]
+        curvature_2: real  # [1/m]
 
     @wp.struct
     class Acts:
@@ -118,7 +121,7 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
     friction_force, _, friction_forget = memory.functions(parts.friction, real)
     rolling_force, _, rolling_forget = memory.functions(parts.rolling, real)
     torsion_force, _, torsion_forget = memory.functions(parts.torsion, real, along_normal=True)
-    needs_mass = parts.law.needs_mass
+    needs_mass, needs_curvature = parts.law.needs_mass, parts.law.needs_curvature
     rolls, twists, directional = parts.rolls, parts.twists, parts.directional
     lowest = wp.constant(real(-math.inf if parts.law.pulls else 0.0))
     # Mean arm of friction under the pressure of Hertz: (3π/16) a.
@@ -203,6 +206,9 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
                 mobility(model, state, env, place.body_1, place.arm_1, n_W)
                 + mobility(model, state, env, place.body_2, place.arm_2, n_W)
             )
+        if wp.static(needs_curvature):
+            touch.curvature_1 = place.curvature_1
+            touch.curvature_2 = place.curvature_2
         touch.dt = dt
         begins = entry_speed < real(0.0)
         # What begins since the last step has not moved for longer than it took to come this deep.

@@ -29,6 +29,7 @@ HIDDEN = 2
 FAR = 3
 WRONG_SIDE = 4
 DISABLED = 5
+UNSOLVED = 6  # of smooth shapes: no root was found, and no force acts
 
 # Option bits of a contact.
 LATCHED = 1  # entry="latched"
@@ -59,6 +60,12 @@ LINE_FAILED = 7  # no solution was found: the forces are those of the last itera
 MET = 0
 NOT_CONVERGED = 1  # the last iterate is not stationary to the tolerance
 OUTSIDE = 2  # beyond the edge of a patch: no contact
+
+# Root of the equations of two surfaces.
+ROOT_FACING = 0  # the normals are antiparallel
+ROOT_PARALLEL = 1  # of the near side of one and the far side of the other
+ROOT_FALSE = 2  # of the equations alone, where a chart is singular
+ROOT_NONE = 3  # no root was found
 
 # Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its corners.
 FEATURE_COUNT = 7
@@ -319,6 +326,9 @@ def structs(real: type) -> SimpleNamespace:
         delta_dot: real  # dδ/dt, > 0 on approach [m/s]
         entry_speed: real  # δ̇ when the contact began, or the largest since [m/s]
         mass: real  # effective mass along the normal [kg]; only for laws with needs_mass
+        # Relative principal curvatures, the smaller first; only for laws with needs_curvature
+        curvature_1: real  # [1/m]
+        curvature_2: real  # [1/m]
         dt: real  # step that the force acts over [s]; 0: the force of this instant
 
     @wp.struct

@@ -80,6 +80,8 @@ class Template:
 
 def needs_radius(template: Template, has_torsion_radius: bool) -> str | None:
     """Returns the part of ``template`` that a contact without a radius cannot have; ``None``: there is none."""
+    if template.law.needs_curvature:
+        return "law"
     if template.friction.needs_radius:
         return "friction"
     if not isinstance(template.rolling, Frictionless):

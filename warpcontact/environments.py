@@ -157,6 +157,7 @@ class Environments(ABC):
         element, _, quantity = name.rpartition(".")
         owners = {contact.name: contact.template.formulas for contact in self.scene.contacts}
         owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
+        owners |= {contact.name: contact.formulas for contact in self.scene.smooth_contacts}
         owners |= {contact.name: contact.formulas for contact in self.scene.mutual_contacts}
         for owner, formulas in owners.items():
             for part, formula in formulas.items():
@@ -317,6 +318,23 @@ class Environments(ABC):
                     counts[one.name] = failed
         return counts
 
+    def unsolved_contacts(self) -> dict[str, NDArray[np.int32]]:
+        """Returns in how many steps since reset it was not found where two shapes meet, (envs,) by contact.
+
+        Of a set, the most of any of its items.
+        """
+        return {
+            contact.name: np.concatenate(
+                [
+                    own.failures(contact).max(axis=1)
+                    for part in self.parts
+                    for own in part.smooth
+                    if contact in own.items
+                ]
+            )
+            for contact in self.scene.smooth_contacts
+        }
+
     def health(self) -> Health:
         """Returns which environments are frozen."""
         return Health.of_status(np.concatenate([part.arrays.status.numpy() for part in self.parts]))
@@ -338,7 +356,8 @@ class Environments(ABC):
         first = self.parts[0]
         return (
             f"<{type(self).__name__} of {self.envs} environments: {first.body_count} bodies, "
-            f"{first.contact_count} contacts, {self.precision} on {', '.join(map(str, self.devices))}>"
+            f"{first.contact_count + first.smooth_count} contacts, {self.precision} on "
+            f"{', '.join(map(str, self.devices))}>"
         )
 
 

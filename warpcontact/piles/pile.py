@@ -419,9 +419,4 @@ def make_piles(
     scene: "Scene", layout: Layout, parameters: Parameters, types: SimpleNamespace
 ) -> list[Pile]:
     """Declares the arrays of all mutual contacts, and adds their parameters."""
-    for contact in scene.mutual_contacts:
-        for shape in contact.shapes:
-            for key, values, tail in (("position", shape.positions, (3,)), ("orientation", shape.orientations, (4,)), *((k, v, ()) for k, v in shape.sizes.items())):
-                if f"{shape.name}.{key}" not in parameters.by_name:
-                    parameters.add(f"{shape.name}.{key}", Field(values), slice(0, shape.count), limits("m"), [], tail=tail, single=shape.single)
     return [Pile(contact, scene, layout, parameters, types) for contact in scene.mutual_contacts]

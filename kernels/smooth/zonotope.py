@@ -1,0 +1,101 @@
+"""The nearest point of a zonotope in the plane: all sums of vectors, each times a number from −1 to 1.
+
+Edges that touch share out the offset of two bodies; what they cannot take turns the normal.
+"""
+
+import functools
+
+import warp as wp
+
+real = wp.float64
+vec2d = wp.vec2d
+
+zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
+# Sine of the angle below which two edges are parallel.
+PARALLEL = wp.constant(real(1.0e-12))
+
+
+@functools.cache
+def function(count: int) -> wp.Function:
+    """Returns the device function for ``count`` vectors."""
+    Row = wp.types.vector(count, real)
+    Flat = wp.types.matrix((count, 2), real)
+
+    @wp.func
+    def side(edges: Flat, chosen: int, i: int, r: vec2d):
+        """Of the side of the zonotope along edge i that faces r: its middle, half of it, and the normal."""
+        along = vec2d(edges[i, 0], edges[i, 1])
+        length = wp.length(along)
+        out = vec2d(-along[1], along[0]) / length
+        if wp.dot(out, r) < zero:
+            out = -out
+        middle = vec2d()
+        reach = vec2d()
+        for j in range(count):
+            if (chosen >> j) & 1 == 1:
+                other = vec2d(edges[j, 0], edges[j, 1])
+                rise = wp.dot(out, other)
+                if wp.abs(rise) <= PARALLEL * wp.length(other):
+                    reach += wp.sign(wp.dot(along, other)) * other
+                else:
+                    middle += wp.sign(rise) * other
+        return middle, reach, out
+
+    @wp.func
+    def divide(edges: Flat, chosen: int, signs: Row, r: vec2d):
+        """Divides r among the ``chosen`` edges.
+
+        Returns the numbers of all edges, what is left of r, the edge that this is across, −1 if there is none, and
+        how much of the way to the border r is, 0 if it is outside or there is no inside. Within, all numbers are
+        as small as the largest of them can be.
+        """
+        best = wp.int32(0)
+        nearest = real(wp.inf)
+        inside = wp.bool(True)
+        ratio = real(0.0)
+        top = wp.int32(0)
+        widest = real(0.0)
+        for i in range(count):
+            if (chosen >> i) & 1 == 1:
+                middle, reach, out = side(edges, chosen, i, r)
+                height = wp.dot(middle, out)
+                want = wp.dot(r, out)
+                widest = wp.max(widest, height / wp.length(reach))
+                inside = inside and want <= height
+                if want > ratio * height and height > zero:
+                    ratio = want / height
+                    top = i
+                t = wp.clamp(wp.dot(r - middle, reach) / wp.length_sq(reach), -one, one)
+                off = wp.length_sq(r - middle - t * reach)
+                if off < nearest:
+                    nearest = off
+                    best = i
+        within = inside and widest > PARALLEL
+        part = one
+        target = r
+        if within:
+            part = ratio
+            best = top
+            if ratio > zero:
+                target = r / ratio
+        middle, reach, out = side(edges, chosen, best, r)
+        t = wp.dot(target - middle, reach) / wp.length_sq(reach)
+        edge = wp.int32(-1)
+        if wp.abs(t) <= one and not within:
+            edge = best
+        t = wp.clamp(t, -one, one)
+        along = vec2d(edges[best, 0], edges[best, 1])
+        for j in range(count):
+            if (chosen >> j) & 1 == 1:
+                other = vec2d(edges[j, 0], edges[j, 1])
+                rise = wp.dot(out, other)
+                if wp.abs(rise) <= PARALLEL * wp.length(other):
+                    signs[j] = part * t * wp.sign(wp.dot(along, other))
+                else:
+                    signs[j] = part * wp.sign(rise)
+        rest = r - middle - t * reach
+        if within:
+            return signs, vec2d(), -1, ratio
+        return signs, rest, edge, zero
+
+    return divide

@@ -1,0 +1,219 @@
+"""Random pairs of convex shapes, and their gaps by brute force: support functions in NumPy, directions all around."""
+
+import functools
+
+import numpy as np
+import warp as wp
+from scipy.spatial.transform import Rotation
+from warpcontact.kernels.formula import coefficient_struct
+from warpcontact.kernels.smooth.base import Meeting, Seed
+from warpcontact.kernels.smooth.meet import meet
+
+# The solver by itself
+
+
+@functools.cache
+def _kernel(A, B):
+    solve = meet(A, B)
+    Of_a, Of_b = coefficient_struct(A, wp.float64), coefficient_struct(B, wp.float64)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def meet_pairs(
+        p_a: wp.array(dtype=Of_a),
+        p_b: wp.array(dtype=Of_b),
+        x: wp.array(dtype=wp.vec3d),
+        q: wp.array(dtype=wp.quatd),
+        seeds: wp.array(dtype=Seed),
+        found: wp.array(dtype=Meeting),
+    ):
+        i = wp.tid()
+        found[i] = solve(p_a[i], p_b[i], x[i], q[i], seeds[i])
+
+    return meet_pairs
+
+
+def packed(shape, values, count, device="cpu"):
+    """Returns the device coefficients of ``count`` shapes."""
+    struct = coefficient_struct(shape, wp.float64)
+    rows = np.zeros(count, dtype=struct.numpy_dtype())
+    for name, value in values.items():
+        rows[name] = value
+    return wp.array(rows, dtype=struct, device=device)
+
+
+def solved(A, B, a, b, x, q, seeds=None, device="cpu"):
+    """Solves pairs: a structured array of meetings.
+
+    Args:
+        A: Shape.
+        B: Shape in whose frame the result is.
+        a: Parameters of A, by name.
+        b: Parameters of B.
+        x: Origin of A, (n, 3).
+        q: Rotation of A, (n, 4).
+        seeds: Of an earlier result.
+        device: Warp device.
+    """
+    x = np.atleast_2d(np.asarray(x, dtype=float))
+    count = len(x)
+    q = np.broadcast_to(np.asarray(q, dtype=float), (count, 4))
+    if seeds is None:
+        seeds = np.zeros(count, dtype=Seed.numpy_dtype())
+    found = wp.zeros(count, dtype=Meeting, device=device)
+    inputs = [
+        packed(A, a, count, device),
+        packed(B, b, count, device),
+        wp.array(x, dtype=wp.vec3d, device=device),
+        wp.array(q, dtype=wp.quatd, device=device),
+        wp.array(seeds, dtype=Seed, device=device),
+    ]
+    wp.launch(_kernel(A, B), dim=count, inputs=inputs, outputs=[found], device=device)
+    return found.numpy()
+
+
+# Random pairs
+
+
+def random_shapes(shape, count, rng, shortest=0.25, exponents=(0.1, 1.9)):
+    """Returns parameters of ``count`` shapes, no longer than 1 and no shorter than ``shortest``."""
+
+    def sizes(*shape):
+        return rng.uniform(shortest, 1.0, (count, *shape))
+
+    match shape.__name__:
+        case "Sphere":
+            return {"radius": sizes()}
+        case "Ellipsoid":
+            return {"semi_axes": sizes(3)}
+        case "Superellipsoid":
+            return {"semi_axes": sizes(3), "exponents": rng.uniform(*exponents, (count, 2))}
+        case "Cylinder" | "Capsule":
+            return {"radius": sizes(), "half_length": sizes()}
+        case "Cone":
+            return {"radius": sizes(), "height": 1.5 * sizes()}
+        case "RoundedBox":
+            extents = sizes(3)
+            rounded = np.where(rng.random(count) < 0.3, 0.0, rng.uniform(0.0, 0.9, count))
+            return {"half_extents": extents, "radius": extents.min(axis=1) * rounded}
+    return {}
+
+
+def random_rotations(count, rng):
+    """Returns unit quaternions (count, 4)."""
+    return Rotation.random(count, random_state=rng).as_quat()
+
+
+def random_pairs(A, B, count, seed=0, **options):
+    """Returns parameters of both, places and rotations of the first, for gaps from deep overlap to twice a size.
+
+    The planes of one random direction are apart by −60 % to 200 % of the smaller mean width, most of them near
+    touching, and the bodies are displaced along the planes: the gap is that or more.
+    """
+    rng = np.random.default_rng(seed)
+    a, b = random_shapes(A, count, rng, **options), random_shapes(B, count, rng, **options)
+    q = random_rotations(count, rng)
+    n = rng.normal(size=(count, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    rotation = Rotation.from_quat(q).as_matrix()
+    sum_of_supports = heights(B, b, n[:, None])[:, 0] + heights(A, a, to_a(rotation, -n[:, None]))[:, 0]
+    size = np.minimum(_mean_width(A, a), _mean_width(B, b))
+    gap = np.where(rng.random(count) < 0.5, rng.uniform(-0.6, 2.0, count), rng.uniform(-0.6, 0.2, count)) * size
+    sideways = rng.normal(size=(count, 3)) * (0.2 * size * rng.random(count))[:, None]
+    sideways -= np.sum(sideways * n, axis=1, keepdims=True) * n
+    return a, b, (sum_of_supports + gap)[:, None] * n + sideways, q
+
+
+def _mean_width(shape, values):
+    n = directions(64)[None]
+    return 2.0 * heights(shape, values, n).mean(axis=1)
+
+
+# The same by brute force
+
+
+def directions(count):
+    """Returns ``count`` unit vectors all around."""
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    across = np.sqrt(1.0 - z * z)
+    return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
+
+
+def to_a(rotation, n):
+    """Turns directions (n, d, 3) of the frame of b into that of a."""
+    return np.einsum("nij,ndi->ndj", rotation, n)
+
+
+def heights(shape, values, n):
+    """Support functions of shapes along directions (n, d, 3) or (1, d, 3): (n, d)."""
+    v = {name: np.asarray(value)[:, None] for name, value in values.items()}
+    across = np.hypot(n[..., 0], n[..., 1])
+    along = n[..., 2]
+    match shape.__name__:
+        case "Sphere":
+            return v["radius"] * np.ones(n.shape[:2])
+        case "Ellipsoid":
+            return np.linalg.norm(v["semi_axes"] * n, axis=-1)
+        case "Superellipsoid":
+            # The largest of n·y on a surface |y/a|^(2/e) … = 1 is the dual norm.
+            p, r = 2.0 / (2.0 - v["exponents"][..., 0]), 2.0 / (2.0 - v["exponents"][..., 1])
+            with np.errstate(under="ignore"):
+                x, y, z = np.moveaxis(np.abs(v["semi_axes"] * n), -1, 0)
+                flat = (x**r + y**r) ** (1.0 / r)
+                return (flat**p + z**p) ** (1.0 / p)
+        case "Cylinder":
+            return v["radius"] * across + v["half_length"] * np.abs(along)
+        case "Capsule":
+            return v["radius"] + v["half_length"] * np.abs(along)
+        case "Cone":
+            return np.maximum(v["radius"] * across, v["height"] * along)
+        case "RoundedBox":
+            return np.sum((v["half_extents"] - v["radius"][..., None]) * np.abs(n), axis=-1) + v["radius"]
+    raise ValueError(shape)
+
+
+def widths(A, B, a, b, x, rotation, n):
+    """g along directions (n, d, 3) or (1, d, 3): (n, d)."""
+    n = np.broadcast_to(n, (len(x), *n.shape[1:]))
+    return np.einsum("ndi,ni->nd", n, x) - heights(B, b, n) - heights(A, a, to_a(rotation, -n))
+
+
+def chosen(values, rows):
+    """Returns some rows of parameters."""
+    return {name: value[rows] for name, value in values.items()}
+
+
+def brute_force(A, B, a, b, x, q, count=2000, best=6, rounds=30, block=500):
+    """Returns the largest g that is found: on many directions, and better and better around the best few of them."""
+    rotation = Rotation.from_quat(q).as_matrix()
+    around = directions(count)[None]
+    found = np.empty(len(x))
+    angle = 2.0 * np.pi * np.arange(10) / 10
+    for first in range(0, len(x), block):
+        rows = slice(first, first + block)
+        pair = (A, B, chosen(a, rows), chosen(b, rows), x[rows], rotation[rows])
+        g = widths(*pair, around)
+        top = np.argpartition(-g, best, axis=1)[:, :best]
+        n = around[0][top]
+        value = np.take_along_axis(g, top, axis=1)
+        radius = 3.0 / np.sqrt(count)
+        for round_ in range(rounds):
+            e_1 = np.cross(n, np.where(np.abs(n[..., :1]) < 0.6, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+            e_1 /= np.linalg.norm(e_1, axis=-1, keepdims=True)
+            e_2 = np.cross(n, e_1)
+            turned = angle + 0.37 * round_
+            step = radius * np.concatenate([np.ones(5), 0.4 * np.ones(5)])[:, None]
+            ring = step * (
+                np.cos(turned)[:, None] * e_1[..., None, :] + np.sin(turned)[:, None] * e_2[..., None, :]
+            )
+            trial = n[..., None, :] + ring
+            trial /= np.linalg.norm(trial, axis=-1, keepdims=True)
+            shape = trial.shape
+            values = widths(*pair, trial.reshape(shape[0], -1, 3)).reshape(shape[:3])
+            pick = values.argmax(axis=-1)[..., None]
+            better = np.take_along_axis(values, pick, axis=-1)[..., 0] > value
+            value = np.maximum(value, np.take_along_axis(values, pick, axis=-1)[..., 0])
+            n = np.where(better[..., None], np.take_along_axis(trial, pick[..., None], axis=-2)[..., 0, :], n)
+            radius *= 0.7
+        found[rows] = value.max(axis=1)
+    return found
