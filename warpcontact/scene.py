@@ -32,9 +32,9 @@ from warpcontact.elements import (
 from warpcontact.kernels.motions import Free, Motion
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
-from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of
 from warpcontact.piles.adding import MutualContacts
 from warpcontact.piles.elements import MutualContact
+from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of
 from warpcontact.smooth.adding import SmoothContacts
 from warpcontact.smooth.elements import Shape, SmoothContact
 from warpcontact.start import check_start

@@ -1,8 +1,8 @@
 """What kernels of a pile read and write: its shapes, who is near whom, and the touches.
 
-A pile is shapes that all touch each other. Every shape has a list of the shapes near it, its partners. A pair is in
-two lists; one of the two shapes owns it, has it among the first of its list, and keeps its record. Of a pair the
-first is the shape with the lower number.
+A pile is shapes that all touch each other. Every shape has a list of the shapes near it, its partners. A pair is
+in two lists; one of the two shapes owns it, has it among the first of its list, and keeps its record. Of a pair
+the first is the shape with the lower number.
 """
 
 import functools
@@ -93,6 +93,7 @@ def pile_structs(real: type) -> SimpleNamespace:
         torque_1: wp.array2d(dtype=vec3)  # [env, slot] on it, about its centre of mass, W [N·m]
         torque_2: wp.array2d(dtype=vec3)  # [env, slot] on the second, about its own, W [N·m]
         bits: wp.array2d(dtype=wp.int32)  # [env, slot] TOUCHES, TOUCHED
+        busy: wp.array2d(dtype=wp.int32)  # [env, shape] whether any bits are set of what it owns
 
     @wp.struct
     class Grid:
@@ -108,7 +109,7 @@ def pile_structs(real: type) -> SimpleNamespace:
         cell: wp.array2d(dtype=wp.vec3i)  # [env, shape] that it was in
         head: wp.array2d(dtype=wp.int32)  # [env, bucket] a shape in it
         link: wp.array2d(dtype=wp.int32)  # [env, shape] another in the same bucket
-        key: wp.array2d(dtype=wp.int32)  # [env, entry] sorted: the partner, and the number of shapes more if not owned
+        key: wp.array2d(dtype=wp.int32)  # [env, entry] partner, more by the number of shapes if not owned
         keys: wp.array2d(dtype=wp.int32)  # [env, shape] how many
 
     return SimpleNamespace(Settings=Settings, Shapes=Shapes, Lists=Lists, Touches=Touches, Grid=Grid)

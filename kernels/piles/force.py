@@ -17,7 +17,7 @@ from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
 
 @functools.cache
 def _start_memory(parts: Parts, real: type) -> wp.Function:
-    """Returns the function that empties the memory of a pair that did not touch before: ``(memory, env, slot, dt)``."""
+    """Returns the function ``(memory, env, slot, dt)`` that empties the memory of a pair that did not touch."""
     _, Memory = group_structs(parts, real)
     law, friction, rolling, torsion = (bool(part.memories) for part in parts)
     LawMemory, FrictionMemory = memory_struct(parts.law, real), memory_struct(parts.friction, real)
@@ -46,13 +46,19 @@ def _start_memory(parts: Parts, real: type) -> wp.Function:
 
 
 @functools.cache
-def kernel(parts: Parts, form: Form, real: type, moves: bool = False) -> wp.Kernel:
+def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp.Kernel:
     """Returns the kernel of the touches that a shape owns; items: shapes.
 
-    With ``moves``, bodies that are not free oppose to a force what their motions let them.
+    Args:
+        parts: The classes of law and frictions.
+        form: What is in the pile.
+        real: Precision.
+        moves: Whether bodies that are not free oppose to a force what their motions let them.
+        alone: Whether one thread has all shapes of an environment, one after the other. It adds what touches do to
+            the wrenches; else ``add`` does.
     """
     t = structs(real)
-    vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
+    vec3, quat, Model, State, Wrenches = t.vec3, t.quat, t.Model, t.State, t.Wrenches
     p = pile_structs(real)
     Shapes, Lists, Touches, Grid, Settings = p.Shapes, p.Lists, p.Touches, p.Grid, p.Settings
     Coefficients, Memory = group_structs(parts, real)
@@ -86,6 +92,7 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool = False) -> wp.Kern
         radius_1: real,
         radius_2: real,
         bits: int,
+        wrenches: Wrenches,
     ):
         """Computes the touch of two shapes into its record."""
         n_W = vec3(real(0.0), real(0.0), real(1.0))
@@ -130,9 +137,19 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool = False) -> wp.Kern
         touches.normal[env, slot] = n_W
         touches.arm[env, slot] = place.arm_1
         touches.force[env, slot] = force
-        touches.torque_1[env, slot] = wp.cross(place.arm_1, force) + torque
-        touches.torque_2[env, slot] = -(wp.cross(place.arm_2, force) + torque)
         touches.bits[env, slot] = bits | TOUCHES
+        torque_1 = wp.cross(place.arm_1, force) + torque
+        torque_2 = wp.cross(place.arm_2, force) + torque
+        if wp.static(alone):
+            one = place.body_1
+            other = place.body_2
+            wrenches.force[env, one] = wrenches.force[env, one] + force
+            wrenches.torque[env, one] = wrenches.torque[env, one] + torque_1
+            wrenches.force[env, other] = wrenches.force[env, other] - force
+            wrenches.torque[env, other] = wrenches.torque[env, other] - torque_2
+        else:
+            touches.torque_1[env, slot] = torque_1
+            touches.torque_2[env, slot] = -torque_2
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def pile_force(
@@ -148,13 +165,14 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool = False) -> wp.Kern
         coefficients: Coefficients,
         touches: Touches,
         kept: Memory,
+        wrenches: Wrenches,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
             shape = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
-            if wp.static(not fixed):
+            if wp.static(not fixed):  # noqa: SIM102  Warp would look at both sides
                 if shape == 0:
                     grid.stale[env] = 0
                     grid.known[env] = 1
@@ -167,6 +185,8 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool = False) -> wp.Kern
             entry = shapes.entry_start[shape]
             slot = shapes.slot_start[shape]
             stop = entry + owned
+            busy = touches.busy[env, shape]
+            now = wp.int32(0)
             while entry < stop:
                 # The next that touches, so that threads side by side compute touches together.
                 touching = wp.bool(False)
@@ -181,21 +201,24 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool = False) -> wp.Kern
                 distance = real(0.0)
                 while entry < stop and not touching:
                     partner = lists.partner[env, entry]
-                    bits = touches.bits[env, slot] & TOUCHED
-                    other = spot(shapes, state, env, partner)
                     radius_2 = shapes.radius[env, partner]
+                    spot_2 = spot(shapes, state, env, partner)
                     reach = radius + radius_2
-                    pair = nearest(own, other)
-                    distance = wp.length(pair.apart)
-                    touching = distance < reach and reach - distance <= settings.max_depth
-                    touching = touching and settings.enabled != 0
-                    if touching:
-                        spot_2 = other
-                    else:
-                        touches.bits[env, slot] = bits
+                    pair = nearest(own, spot_2)
+                    squared = wp.length_sq(pair.apart)
+                    if squared < reach * reach:
+                        distance = wp.sqrt(squared)
+                        touching = reach - distance <= settings.max_depth and settings.enabled != 0
+                        touching = touching and distance < reach
+                    if busy != 0:
+                        bits = touches.bits[env, slot] & TOUCHED
+                        now = now | bits
+                        if not touching:
+                            touches.bits[env, slot] = bits
                     entry += 1
                     slot += 1
                 if touching:
+                    now = now | TOUCHES
                     if partner < shape:
                         # The first is the lower; the same bits as if it had been taken first.
                         first = partner
@@ -209,7 +232,10 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool = False) -> wp.Kern
                     touch_of(
                         model, state, shapes, settings, touches, coefficients, remembered, kept, step[env, 0],
                         env, slot - 1, first, partner, spot_1, spot_2, pair, distance, radius_1, radius_2, bits,
+                        wrenches,
                     )  # fmt: skip
+            if now != busy:
+                touches.busy[env, shape] = now
 
     return pile_force
 

@@ -10,7 +10,7 @@ from warpcontact.kernels.types import ENV_ACTIVE, Work
 
 @functools.cache
 def copy_memory(parts: Parts, real: type) -> wp.Function:
-    """Returns the function ``(source, source_slot, target, target_slot, env)`` that copies the memory of a pair."""
+    """Returns the function ``(source, source_slot, target, target_slot, env)`` that copies what a pair remembers."""
     _, Memory = group_structs(parts, real)
     law, friction, rolling, torsion = (bool(part.memories) for part in parts)
 
@@ -49,7 +49,7 @@ def advance(parts: Parts, real: type) -> wp.Kernel:
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
             shape = task % work.items
-            if status[env] != ENV_ACTIVE:
+            if status[env] != ENV_ACTIVE or touches.busy[env, shape] == 0:
                 continue
             start = shapes.slot_start[shape]
             for slot in range(start, start + lists.owned[env, shape]):
@@ -72,19 +72,23 @@ def advance(parts: Parts, real: type) -> wp.Kernel:
 
 @functools.cache
 def forget() -> wp.Kernel:
-    """Returns the kernel that empties the history of chosen environments. Launch with dim (env, slot)."""
+    """Returns the kernel that empties the history of chosen environments. Launch with dim (env, slot or shape)."""
 
     @wp.kernel(module="unique", enable_backward=False)
     def forget_pile(
         mask: wp.array(dtype=wp.bool),
         bits: wp.array2d(dtype=wp.int32),
+        busy: wp.array2d(dtype=wp.int32),
         known: wp.array(dtype=wp.int32),
         made: wp.array(dtype=wp.int32),
         missing: wp.array(dtype=wp.int32),
     ):
         env, slot = wp.tid()
         if mask[env]:
-            bits[env, slot] = 0
+            if slot < bits.shape[1]:
+                bits[env, slot] = 0
+            if slot < busy.shape[1]:
+                busy[env, slot] = 0
             if slot == 0:
                 known[env] = 0
                 made[env] = 0

@@ -110,9 +110,7 @@ def fill(form: Form, real: type) -> wp.Kernel:
                 grid.axis[env, shape] = now.axis
             place = wide(now.base) + wide(now.rest)
             size = wp.float64(shapes.settings[env, 0].cell)
-            cell = wp.vec3i(
-                cell_along(place[0], size), cell_along(place[1], size), cell_along(place[2], size)
-            )
+            cell = wp.vec3i(cell_along(place[0], size), cell_along(place[1], size), cell_along(place[2], size))
             grid.cell[env, shape] = cell
             grid.link[env, shape] = wp.atomic_exch(grid.head, env, bucket_of(cell, buckets), shape)
             if shape == 0:
@@ -270,16 +268,19 @@ def carry(parts: Parts, real: type) -> wp.Kernel:
                             speed = touches.entry_speed[env, first + old]
                             copy(memory, first + old, kept, first + k, env)
                 touches.approach_speed[env, first + k] = speed
+            busy = wp.int32(0)
             for k in range(owned):
                 speed = touches.approach_speed[env, first + k]
                 touches.bits[env, first + k] = 0
                 if speed >= real(0.0):
+                    busy = TOUCHED
                     touches.bits[env, first + k] = TOUCHED
                     touches.entry_speed[env, first + k] = speed
                     copy(kept, first + k, memory, first + k, env)
             for k in range(count):
                 key = grid.key[env, start + k]
                 lists.partner[env, start + k] = wp.where(key < work.items, key, key - work.items)
+            touches.busy[env, shape] = busy
             lists.owned[env, shape] = owned
             lists.count[env, shape] = count
 

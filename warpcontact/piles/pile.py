@@ -1,6 +1,6 @@
 """A mutual contact on a device: what the step, resets and readings need of it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from warpcontact import checks, frames
 from warpcontact import elements as limits_of
 from warpcontact.arrays import Layout, fixed, per_env
-from warpcontact.checks import Array, limits
+from warpcontact.checks import Array
 from warpcontact.formula_errors import explained
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.frictions import Frictionless
@@ -20,7 +20,7 @@ from warpcontact.kernels.piles import force, history, lists, measures
 from warpcontact.kernels.piles.base import NONE, Form, pile_structs
 from warpcontact.kernels.touch import group_structs
 from warpcontact.kernels.types import FREE
-from warpcontact.parameters import Field, Parameter, Parameters, pack
+from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack
 from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.room import FEW, all_pairs, owned_of, partners_around
 from warpcontact.readings import Reading
@@ -92,15 +92,12 @@ class Pile:
         count = contact.count
         self.fixed = count <= FEW
         self._room = self._make_lists(layout, parameters)
-        placed = any(
-            shape.positions.any() or parameter is not None and not parameter.field.shared
-            for shape, parameter in zip(contact.shapes, self._pose["position"], strict=True)
-        )
+        placed = any(shape.positions.any() for shape in contact.shapes)
         self._form = Form(
             placed=placed, long=any(one is not None for one in self._pose["half_length"]), fixed=self.fixed
         )
         self.touches = layout.struct(
-            "piles", t.Touches, per_env(self.slots), records=True, bits=per_env(self.slots)
+            "piles", t.Touches, per_env(self.slots), records=True, bits=per_env(self.slots), busy=per_env(count)
         )
         self._buckets = 1 << (max(16, count) - 1).bit_length()
         self.grid = self._make_grid(layout)
@@ -115,7 +112,9 @@ class Pile:
             force=per_env(count),
         )
         moves = self._parts.law.needs_mass and any(body.motion.kind != FREE for body in scene.bodies)
-        self._kernel = force.kernel(self._parts, self._form, self.real, moves)
+        # Of the CPU, where a slice of the environments has one thread.
+        self._alone = layout.device.is_cpu
+        self._kernel = force.kernel(self._parts, self._form, self.real, moves, self._alone)
 
     def _make_lists(self, layout: Layout, parameters: Parameters) -> NDArray[np.int_] | None:
         """Declares the lists; returns how many partners each shape may have, ``None`` if they are all pairs."""
@@ -124,7 +123,7 @@ class Pile:
         if self.fixed:
             owned, others = all_pairs(contact.bodies, *contact.kinds)
             rows = [[*own, *other] for own, other in zip(owned, others, strict=True)]
-            starts, slots = (np.cumsum([0, *map(len, lists)]) for lists in (rows, owned))
+            starts, slots = (np.cumsum([0, *map(len, each)]) for each in (rows, owned))
             slot_of = {
                 frozenset((shape, partner)): slots[shape] + k
                 for shape, own in enumerate(owned)
@@ -138,16 +137,14 @@ class Pile:
                 ("partner", [partner for row in rows for partner in row] or [NONE]),
                 ("slot", records or [NONE]),
             ):
-                row = np.array(values, dtype=np.int32)[None]
-                parameters.upload(self.lists, name, wp.int32, lambda row=row: row)
+                parameters.upload(self.lists, name, wp.int32, _constant(values))
             room = None
         else:
-            most = count - 1
             if contact.partners is None:
                 room = partners_around(*self._sizes(), contact.skin).max(axis=0)
             else:
-                room = np.full(count, min(contact.partners, most))
-            starts, slots = (np.cumsum([0, *each]) for each in (room, owned_of(room)))
+                room = np.full(count, min(contact.partners, count - 1))
+            starts, slots = (np.cumsum([0, *most]) for most in (room, owned_of(room)))
             for name in ("owned", "count"):
                 layout.array("piles", self.lists, name, wp.int32, per_env(count))
             for name in ("partner", "slot"):
@@ -195,7 +192,7 @@ class Pile:
         bodies, starts = np.unique(contact.bodies[order], return_index=True)
         self._carriers = len(bodies)
         # Side by side in the order of their bodies, a shape is its own carrier.
-        self._alone = np.array_equal(bodies, contact.bodies)
+        self._single = np.array_equal(bodies, contact.bodies)
         for name, values in (
             ("carrier_body", bodies),
             ("carrier_start", [*starts, contact.count]),
@@ -209,16 +206,13 @@ class Pile:
             ends = half[..., None] * np.array([0.0, 0.0, 1.0])
             return frames.placed(ends[..., None, :], np.zeros(3), turn)[..., 0, :]
 
-        follow = {
+        follow: dict[str, list[Upload]] = {
             "radius": [parameters.upload(shapes, "radius", self.real, self._radii)],
             "half_length": [],
             "position": [],
             "orientation": [],
         }
-        if self._form.placed:
-            follow["position"] = [parameters.upload(shapes, "offset", vec3, lambda: self._column("position"))]
-        else:
-            layout.array("piles", shapes, "offset", vec3, fixed(1, 1))
+        follow["position"] = [parameters.upload(shapes, "offset", vec3, self._offsets)]
         if self._form.long:
             follow["half_length"] = follow["orientation"] = [parameters.upload(shapes, "axis", vec3, axes)]
         else:
@@ -227,6 +221,20 @@ class Pile:
             for one in self._pose[key]:
                 if one is not None:
                     one.uploads.extend(uploads)
+
+    def _offsets(self) -> Array:
+        """Returns where the shapes are on their bodies, (1 or envs, n, 3).
+
+        Raises:
+            ValueError: If one has moved away from the centre of its body, and the kernels look for none elsewhere.
+        """
+        offsets = self._column("position")
+        if not self._form.placed and offsets.any():
+            raise ValueError(
+                f"{self.contact.name}: its shapes were all at the centre of mass of their body when the model was "
+                "built; give one another position in add_shape to let them be elsewhere"
+            )
+        return offsets
 
     def _radii(self) -> Array:
         """Returns the radii of all shapes, (1 or envs, n), if there is room for as many partners as they may have.
@@ -241,8 +249,9 @@ class Pile:
                 shape = int((needed - self._room).max(axis=0).argmax())
                 raise ValueError(
                     f"{self.contact.name}: with these radii {self.contact.label(shape)!r} may have "
-                    f"{needed[:, shape].max()} partners, and there is room for {self._room[shape]}; build the scene "
-                    "with the largest and smallest radii that are to come, or give add_mutual_contact partners="
+                    f"{needed[:, shape].max()} partners, and there is room for {self._room[shape]}; build the "
+                    "scene with the largest and smallest radii that are to come, or give add_mutual_contact "
+                    "partners="
                 )
         return radius
 
@@ -330,16 +339,12 @@ class Pile:
         count, wrenches = self.contact.count, span.model.arrays.wrenches
         shapes, lists_, touches, grid = self.shapes, self.lists, self.touches, self.grid
         launches = [] if self.fixed else self._list_stages(span, state, status)
-        launches += span.prepare(
-            self._kernel,
-            count,
-            [
-                status, model, state, shapes, lists_, grid, self._memory, step, self._coefficients, touches,
-                self._kept,
-            ],
-        )  # fmt: skip
-        adding = force.add(self.real, self._alone)
-        return launches + span.prepare(adding, self._carriers, [status, shapes, lists_, touches, wrenches])
+        inputs = [status, model, state, shapes, lists_, grid, self._memory, step, self._coefficients, touches]
+        launches += span.prepare(self._kernel, count, [*inputs, self._kept, wrenches])
+        if not self._alone:
+            adding = force.add(self.real, self._single)
+            launches += span.prepare(adding, self._carriers, [status, shapes, lists_, touches, wrenches])
+        return launches
 
     def _list_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that make the lists anew where they do not hold."""
@@ -368,8 +373,10 @@ class Pile:
 
     def restart(self, chosen: wp.array, envs: int) -> None:
         """Empties what the environments of the mask ``chosen`` [env] remember."""
-        inputs = [chosen, self.touches.bits, self.grid.known, self.grid.made, self.grid.missing]
-        wp.launch(history.forget(), dim=(envs, self.slots), inputs=inputs, device=chosen.device)
+        inputs = [chosen, self.touches.bits, self.touches.busy, self.grid.known, self.grid.made, self.grid.missing]
+        wp.launch(
+            history.forget(), dim=(envs, max(self.slots, self.contact.count)), inputs=inputs, device=chosen.device
+        )
 
     def forget_lists(self) -> None:
         """Lets all lists be made anew: they may not hold for other radii or places."""
@@ -402,12 +409,15 @@ class Pile:
             yield Reading(f"{name}.{quantity}", unit, meaning, self._array(attribute), needs=("contacts", "piles"))
         for quantity, (attribute, unit, meaning) in _FOR_EACH.items():
             array = self._array(attribute)
-            yield Reading(
-                f"{name}.{quantity}", unit, meaning, array, needs=("contacts", "piles"), items=count
-            )
+            yield Reading(f"{name}.{quantity}", unit, meaning, array, needs=("contacts", "piles"), items=count)
 
     def _array(self, attribute: str) -> Any:
         return lambda _: getattr(self.measured, attribute)
+
+
+def _constant(values: list[int]) -> Callable[[], NDArray[Any]]:
+    row = np.array(values, dtype=np.int32)[None]
+    return lambda: row
 
 
 def _parameter(parameters: Parameters, shape: Shape, key: str) -> Parameter | None:
@@ -415,8 +425,6 @@ def _parameter(parameters: Parameters, shape: Shape, key: str) -> Parameter | No
     return parameters.by_name.get(f"{shape.name}.{key}")
 
 
-def make_piles(
-    scene: "Scene", layout: Layout, parameters: Parameters, types: SimpleNamespace
-) -> list[Pile]:
+def make_piles(scene: "Scene", layout: Layout, parameters: Parameters, types: SimpleNamespace) -> list[Pile]:
     """Declares the arrays of all mutual contacts, and adds their parameters."""
     return [Pile(contact, scene, layout, parameters, types) for contact in scene.mutual_contacts]

@@ -39,7 +39,7 @@ def owned_of(partners: NDArray[np.int_]) -> NDArray[np.int_]:
 
 
 def all_pairs(
-    bodies: NDArray[np.int_], kinds: NDArray[np.int_], allowed: NDArray[np.int_]
+    bodies: NDArray[np.int32], kinds: NDArray[np.int32], allowed: NDArray[np.int32]
 ) -> tuple[list[list[int]], list[list[int]]]:
     """Returns the partners that each shape owns, and its others, if it is every one that it may touch."""
     count = len(bodies)
