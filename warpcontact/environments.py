@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
+import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array
@@ -17,6 +18,7 @@ from warpcontact.footprint import Footprint, require, total
 from warpcontact.health import Health
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
+from warpcontact.piles.touching import touching
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
 from warpcontact.stepping import stepping_footprint
@@ -257,6 +259,8 @@ class Environments(ABC):
 
     def measured(self, name: str) -> NDArray[Any]:
         """Returns reading ``name`` as it was computed last, in a new array."""
+        if "piles" in self.find_reading(name).needs:
+            self.check_piles()
         # On the CPU what is read is a view of memory that the next step overwrites; this copies it.
         values = [part.readings[name].array(part.arrays).numpy() for part in self.parts]
         return self.find_reading(name).finish(np.concatenate(values))
@@ -335,8 +339,52 @@ class Environments(ABC):
             for contact in self.scene.smooth_contacts
         }
 
+    def touching(self, name: str) -> xr.Dataset:
+        """Returns which pairs of a mutual contact touch at the current state.
+
+        Args:
+            name: Its name.
+
+        Returns:
+            A data set with one dimension, ``pair``, in the order of environments and shapes: ``env``, the numbers,
+            names and bodies of both shapes (``shape_1`` < ``shape_2``, ``name_1``, ``body_1``, …), ``gap``,
+            ``point`` K, ``normal`` out of the second, ``normal_force``, ``friction_force`` on the first and
+            ``approach_speed``; units are in the attributes.
+
+        Raises:
+            KeyError: If there is no such mutual contact.
+            RuntimeError: If a list of partners was too short.
+        """
+        _look_up("mutual contact", name, {contact.name: contact for contact in self.scene.mutual_contacts})
+        self.evaluate()
+        self.check_piles()
+        return touching(
+            [
+                (part, part.first_env - self.first_env, pile)
+                for part in self.parts
+                for pile in part.piles
+                if pile.contact.name == name
+            ]
+        )
+
+    def check_piles(self) -> None:
+        """Waits for the devices and looks whether all pairs of mutual contacts were found.
+
+        Raises:
+            RuntimeError: If a list of partners was too short, in any environment since its reset.
+        """
+        for part in self.parts:
+            for pile in part.piles:
+                if problem := pile.shortage():
+                    raise RuntimeError(problem)
+
     def health(self) -> Health:
-        """Returns which environments are frozen."""
+        """Returns which environments are frozen.
+
+        Raises:
+            RuntimeError: If a list of partners of a mutual contact was too short.
+        """
+        self.check_piles()
         return Health.of_status(np.concatenate([part.arrays.status.numpy() for part in self.parts]))
 
     def memory(self) -> Footprint:

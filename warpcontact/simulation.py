@@ -132,7 +132,11 @@ class Simulation:
         self.model.reset(env_mask)
 
     def step(self, count: int = 1) -> None:
-        """Takes ``count`` steps without recording."""
+        """Takes ``count`` steps without recording.
+
+        Raises:
+            RuntimeError: If a list of partners of a mutual contact was too short; on a GPU what waits for it says so.
+        """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
             raise ValueError(f"count must be a whole number of at least 0, got {count!r}")
         if count == 0:
@@ -153,6 +157,9 @@ class Simulation:
         for done in crew.step(count):
             for part, elapsed in zip(model.parts, before, strict=True):
                 part.elapsed = elapsed + done * self.dt
+        # A GPU is still at work, and is asked when it is waited for.
+        if all(device.is_cpu for device in model.devices):
+            model.check_piles()
 
     @beside_captures()
     def _slices(self) -> list[Slice]:

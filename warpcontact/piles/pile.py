@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
     from warpcontact.schedule import Span
 
+# What a step takes of the cache of a core: of every entry, and of a shape with the records of its touches; measured.
+ENTRY_BYTES = 8
+SHAPE_BYTES = 300
+
 _RANGES = {
     "kappa": limits_of.KAPPA,
     "max_depth": limits_of.MAX_DEPTH,
@@ -311,6 +315,11 @@ class Pile:
         for name, field in fields.items():
             full = f"{self.contact.name}.{part}.{name}"
             parameters.add(full, field, slice(0, 1), formula.limits(name), [upload])
+
+    @property
+    def bytes_near(self) -> int:
+        """About what a step reads and writes of it in an environment [bytes]."""
+        return ENTRY_BYTES * self.entries + SHAPE_BYTES * self.contact.count
 
     def compile(self, device: wp.Device) -> None:
         """Compiles the force kernel, so that a mistake in a user's law shows at once.
