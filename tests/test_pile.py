@@ -49,7 +49,9 @@ def test_dissipative_impact_has_the_restitution_of_its_law(device):
     law = wc.laws.HuntCrossley(stiffness=1e7, exponent=1.5, restitution=restitution)
     wall = wc.Scene(gravity=(0, 0, 0))
     floor = wall.add_surface(wc.meshes.box((2, 2, 0.2)), position=(0, 0, -0.1))
-    ball = wall.add_body(MASS, INERTIA, position=(0, 0, 1.05 * RADIUS), linear_velocity=(0, 0, -speed), name="ball")
+    ball = wall.add_body(
+        MASS, INERTIA, position=(0, 0, 1.05 * RADIUS), linear_velocity=(0, 0, -speed), name="ball"
+    )
     wall.add_contact(wall.add_point(ball, (0, 0, 0)), floor, wc.Template(law=law), radius=RADIUS)
     at_wall = wall.build(device=device, precision="float64")
     # Against an equal sphere at the opposite speed: the wall is where they meet, and half as stiff a spring acts.
