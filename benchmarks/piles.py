@@ -28,7 +28,7 @@ from warpcontact.crew import available_threads
 DIAMETER, DENSITY, GRAVITY = 0.01, 2500.0, 9.81
 MASS = DENSITY * np.pi / 6 * DIAMETER**3
 STIFFNESS = 4000 * MASS * GRAVITY / DIAMETER  # N/m
-PACKING_DT = np.pi * np.sqrt(MASS / (2 * STIFFNESS)) / 20
+PACKING_DT = np.pi * np.sqrt(MASS / (2 * STIFFNESS)) / 15
 UNIT = np.sqrt(DIAMETER / GRAVITY)
 
 
@@ -58,17 +58,17 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float]:
     places += 0.05 * DIAMETER * rng.uniform(-1, 1, places.shape)
     scene = wc.Scene(gravity=(0, 0, -GRAVITY))
     # They start with speeds of some diameters per unit of time, so that no lattice is left.
-    speeds = 4 * DIAMETER / UNIT * rng.uniform(-1, 1, places.shape)
+    speeds = 2 * DIAMETER / UNIT * rng.uniform(-1, 1, places.shape)
     balls = scene.add_bodies(places, MASS, [0.1 * MASS * DIAMETER**2] * 3, linear_velocities=speeds, name="ball")
     template = wc.Template(
         law=wc.laws.KelvinVoigt(stiffness=STIFFNESS, restitution=0.5),
         friction=wc.frictions.Tanh(mu=friction, velocity_scale=0.002),
     )
     point = scene.add_point(balls, (0, 0, 0))
-    walls = scene.add_surface(tube(width, heights[-1] + 5 * DIAMETER), name="tube")
+    walls = scene.add_surface(tube(width, heights[-1] + 8 * DIAMETER), name="tube")
     floor = scene.add_surface(wc.meshes.grid((2.4 * width, 2.4 * width)), name="floor")
     for surface in (walls, floor):
-        scene.add_contact(point, surface, template, radius=0.5 * DIAMETER, name=f"on_{surface.name}")
+        scene.add_contact(point, surface, template, radius=0.5 * DIAMETER, max_depth=0.5 * DIAMETER, name=f"on_{surface.name}")
     scene.add_mutual_contact(scene.add_shape(balls, wc.shapes.Sphere(0.5 * DIAMETER)), template, name="pile")
     return scene, width
 
@@ -176,11 +176,13 @@ def main() -> None:
     for spheres in options.spheres:
         result = settle(spheres, options.device, options.most)
         found["packing"][str(spheres)] = result
+        energy = result["kinetic_energy"]
         print(
             f"{spheres} spheres: step {1e3 * result['step_s']:.3g} ms, {result['step_ns_per_sphere']:.3g} ns per "
-            f"sphere; lists {result['rebuild_ns_per_sphere']:.3g} ns per sphere, made {result['lists_made']} times "
-            f"in {result['steps']} steps\n  fraction {result['fraction']:.4f}, {result['coordination']:.2f} contacts "
-            f"each, kinetic energy {result['kinetic_energy'][-1]:.3g} J after {result['kinetic_energy'][0]:.3g} J",
+            f"sphere; lists {result['rebuild_ns_per_sphere']:.3g} ns per sphere, made {result['lists_made']} "
+            f"times in {result['steps']} steps
+  fraction {result['fraction']:.4f}, "
+            f"{result['coordination']:.2f} contacts each, kinetic energy {energy[-1]:.3g} J after {energy[0]:.3g} J",
             flush=True,
         )
     if options.out:

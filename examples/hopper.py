@@ -48,12 +48,12 @@ def lathe(profile: list[tuple[float, float]], sides: int = 72) -> wc.Mesh:
 
 
 def bin_radius(spheres: int, orifice: float) -> float:
-    """Radius of a bin that is wider than the orifice by 5 diameters, and about as high as wide when it is full [m]."""
+    """Radius of a bin that is 5 diameters wider than the orifice, and about as high as wide when full [m]."""
     return max((spheres / 5.5) ** (1.0 / 3.0), 0.5 * orifice + 5.0) * DIAMETER
 
 
 def hopper(spheres: int, orifice: float, seed: int = 0) -> tuple[wc.Scene, np.ndarray]:
-    """Spheres above a funnel with a gate in its orifice, which is ``orifice`` mean diameters wide; and their radii."""
+    """Spheres above a funnel, which has a gate in an orifice ``orifice`` mean diameters wide; and their radii."""
     rng = np.random.default_rng(seed)
     radii = 0.5 * DIAMETER * rng.uniform(0.9, 1.1, spheres)
     width, mouth = bin_radius(spheres, orifice), 0.5 * orifice * DIAMETER

@@ -1,4 +1,4 @@
-"""Lists of partners change no result: not how often they are made, nor slices, threads, resets or looks between."""
+"""Lists of partners change no result: not how often they are made, nor slices, threads or looks between."""
 
 import numpy as np
 import pytest

@@ -135,7 +135,8 @@ class Simulation:
         """Takes ``count`` steps without recording.
 
         Raises:
-            RuntimeError: If a list of partners of a mutual contact was too short; on a GPU what waits for it says so.
+            RuntimeError: If a list of partners of a mutual contact was too short. On a GPU that is said by what
+                waits for it, such as a reading or the end of a run.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
             raise ValueError(f"count must be a whole number of at least 0, got {count!r}")

@@ -10,7 +10,7 @@ from warpcontact.kernels.types import ENV_ACTIVE, Work
 
 @functools.cache
 def copy_memory(parts: Parts, real: type) -> wp.Function:
-    """Returns the function ``(source, source_slot, target, target_slot, env)`` that copies what a pair remembers."""
+    """Returns ``(source, source_slot, target, target_slot, env)``, which copies what a pair remembers."""
     _, Memory = group_structs(parts, real)
     law, friction, rolling, torsion = (bool(part.memories) for part in parts)
 

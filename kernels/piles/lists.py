@@ -5,6 +5,8 @@ still hold. Shapes are sorted into cells, cells into buckets by a hash; partners
 lists are the same whatever order threads come in. What is remembered of a pair moves with it, and a pair with a
 memory stays, however far apart it is now.
 
+Conditions are nested where Warp, which looks at both sides of ``and``, would read beyond an array.
+
     check → clear → fill → gather → carry → join
 """
 
@@ -189,8 +191,8 @@ def gather(form: Form, real: type) -> wp.Kernel:
                 other = grid.head[env, bucket_of(near, buckets)]
                 while other != NONE:
                     of_other = grid.cell[env, other]
-                    if of_other[0] == near[0] and of_other[1] == near[1] and of_other[2] == near[2]:
-                        if other != shape and shapes.body[other] != body:
+                    if of_other[0] == near[0] and of_other[1] == near[1] and of_other[2] == near[2]:  # noqa: SIM102
+                        if other != shape and shapes.body[other] != body:  # noqa: SIM102
                             if shapes.allowed[kind, shapes.kind[other]] != 0:
                                 pair = nearest(own, spot(shapes, state, env, other))
                                 if wp.length(pair.apart) < reach + shapes.radius[env, other]:
@@ -203,7 +205,7 @@ def gather(form: Form, real: type) -> wp.Kernel:
                 slot = first_slot + k
                 if k >= lists.owned[env, shape]:
                     slot = lists.slot[env, start + k]
-                if slot >= 0:
+                if slot >= 0:  # noqa: SIM102
                     if (touches.bits[env, slot] & TOUCHED) != 0:
                         key = key_of(shape, lists.partner[env, start + k], work.items)
                         count = insert(grid, env, start, room, count, key)
@@ -262,8 +264,8 @@ def carry(parts: Parts, real: type) -> wp.Kernel:
                 while old < before and lists.partner[env, start + old] < key:
                     old += 1
                 speed = real(-1.0)
-                if old < before:
-                    if lists.partner[env, start + old] == key:
+                if old < before:  # noqa: SIM102
+                    if lists.partner[env, start + old] == key:  # noqa: SIM102
                         if (touches.bits[env, first + old] & TOUCHED) != 0:
                             speed = touches.entry_speed[env, first + old]
                             copy(memory, first + old, kept, first + k, env)
@@ -313,7 +315,7 @@ def join(real: type) -> wp.Kernel:
                     else:
                         high = middle
                 slot = wp.int32(NONE)
-                if low < lists.owned[env, partner]:
+                if low < lists.owned[env, partner]:  # noqa: SIM102
                     if lists.partner[env, begin + low] == shape:
                         slot = shapes.slot_start[partner] + low
                 lists.slot[env, start + k] = slot

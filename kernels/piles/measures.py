@@ -43,7 +43,7 @@ def shapes(real: type) -> wp.Kernel:
             slot = shapes.slot_start[shape] + k
             if k >= owned:
                 slot = lists.slot[env, start + k]
-            if slot >= 0:
+            if slot >= 0:  # noqa: SIM102
                 if (touches.bits[env, slot] & TOUCHES) != 0:
                     count += 1
                     if shape < lists.partner[env, start + k]:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
     from warpcontact.schedule import Span
 
-# What a step takes of the cache of a core: of every entry, and of a shape with the records of its touches; measured.
+# What a step takes of the cache of a core: of an entry, and of a shape with the records of its touches.
 ENTRY_BYTES = 8
 SHAPE_BYTES = 300
 
@@ -190,8 +190,8 @@ class Pile:
         """Adds where the shapes are and how large they are, and which bodies have them."""
         contact, shapes, vec3 = self.contact, self.shapes, self._types.vec3
         kinds, allowed = contact.kinds
-        for name, values in (("body", contact.bodies), ("kind", kinds), ("allowed", allowed)):
-            layout.content("piles", shapes, name, values, wp.int32)
+        for name, numbers in (("body", contact.bodies), ("kind", kinds), ("allowed", allowed)):
+            layout.content("piles", shapes, name, numbers, wp.int32)
         order = np.argsort(contact.bodies, kind="stable")
         bodies, starts = np.unique(contact.bodies[order], return_index=True)
         self._carriers = len(bodies)
