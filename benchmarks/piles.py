@@ -67,14 +67,16 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float]:
     point = scene.add_point(balls, (0, 0, 0))
     walls = scene.add_surface(tube(width, heights[-1] + 8 * DIAMETER), name="tube")
     floor = scene.add_surface(wc.meshes.grid((2.4 * width, 2.4 * width)), name="floor")
+    # Above the tube and beside it a sphere is not deep in its wall.
+    sizes = {"radius": 0.5 * DIAMETER, "max_depth": 0.5 * DIAMETER}
     for surface in (walls, floor):
-        scene.add_contact(point, surface, template, radius=0.5 * DIAMETER, max_depth=0.5 * DIAMETER, name=f"on_{surface.name}")
+        scene.add_contact(point, surface, template, name=f"on_{surface.name}", **sizes)
     scene.add_mutual_contact(scene.add_shape(balls, wc.shapes.Sphere(0.5 * DIAMETER)), template, name="pile")
     return scene, width
 
 
 def bulk_fraction(places: np.ndarray, width: float) -> float:
-    """Returns the part of the bulk, more than two diameters from all that bounds it, that is in spheres."""
+    """Returns the part of the bulk, two diameters and more from its bounds, that is in spheres."""
     rng = np.random.default_rng(2)
     inner = width - 2.5 * DIAMETER
     high = np.quantile(places[:, 2], 0.97) - 2 * DIAMETER
@@ -180,9 +182,11 @@ def main() -> None:
         print(
             f"{spheres} spheres: step {1e3 * result['step_s']:.3g} ms, {result['step_ns_per_sphere']:.3g} ns per "
             f"sphere; lists {result['rebuild_ns_per_sphere']:.3g} ns per sphere, made {result['lists_made']} "
-            f"times in {result['steps']} steps
-  fraction {result['fraction']:.4f}, "
-            f"{result['coordination']:.2f} contacts each, kinetic energy {energy[-1]:.3g} J after {energy[0]:.3g} J",
+            f"times in {result['steps']} steps"
+        )
+        print(
+            f"  fraction {result['fraction']:.4f}, {result['coordination']:.2f} contacts each, kinetic energy "
+            f"{energy[-1]:.3g} J after {energy[0]:.3g} J",
             flush=True,
         )
     if options.out:

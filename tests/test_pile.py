@@ -124,7 +124,7 @@ def segments_apart(c, g, d, h):
         t = np.clip((p - middle) @ half / length, -1, 1) if length else 0.0
         return np.linalg.norm(p - middle - t * half)
 
-    ends = [to_end(c + s * g, d, h) for s in (-1, 1)] + [to_end(d + s * h, c, g) for s in (-1, 1)]
+    ends = [distance for s in (-1, 1) for distance in (to_end(c + s * g, d, h), to_end(d + s * h, c, g))]
     (s, t), *_ = np.linalg.lstsq(np.stack([g, -h], 1), d - c, rcond=None)
     if max(abs(s), abs(t)) <= 1:
         ends.append(np.linalg.norm(c + s * g - d - t * h))
