@@ -89,7 +89,7 @@ def bulk_fraction(places: np.ndarray, width: float) -> float:
 
 
 def settle(spheres: int, device: str, most: float = 60.0) -> dict[str, Any]:
-    """Lets spheres settle, for at most so many times √(d/g); returns what was measured of the times and the end."""
+    """Lets spheres settle, for ``most`` times √(d/g) at the longest; returns what was measured."""
     scene, width = packing(spheres)
     model = scene.build(device=device)
     sim = wc.Simulation(model, dt=PACKING_DT)

@@ -106,7 +106,7 @@ def cloud(capsules, count=120, seed=5):
     rng = np.random.default_rng(seed)
     radii = 0.03 * 5 ** rng.uniform(0, 1, count)
     half = np.where(np.arange(count) % 2 == 0, 2.0 * radii, 0.5 * radii) if capsules else np.zeros(count)
-    positions = rng.uniform(-0.5, 0.5, (count, 3)) + [3.0, -7.0, 100.0]
+    positions = np.array([3.0, -7.0, 100.0]) + rng.uniform(-0.5, 0.5, (count, 3))
     turns = rng.normal(size=(count, 4))
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     forms = [
