@@ -29,6 +29,7 @@ from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.parameters import Field, pack
 from warpcontact.readings import CONTACT_READINGS, Reading
 from warpcontact.smooth.elements import SmoothContact
+from warpcontact.smooth.measures import has_curvatures
 from warpcontact.smooth.shape_sets import ShapeSet
 from warpcontact.status import Status
 
@@ -57,6 +58,8 @@ _MEASURES = {
     "point": ("smooth_points", "point", "m", "point K where the force acts, world"),
     "point_a": ("smooth_points", "point_a", "m", "where the first surface meets the other, world"),
     "point_b": ("smooth_points", "point_b", "m", "where the other surface meets the first, world"),
+    "curvature_1": ("smooth_curvatures", "curvature_1", "1/m", "smaller principal curvature of the gap"),
+    "curvature_2": ("smooth_curvatures", "curvature_2", "1/m", "larger principal curvature of the gap"),
 }
 
 
@@ -267,7 +270,10 @@ class SmoothSet:
                 array = self._column(attribute, own)
                 name = f"{contact.name}.{key}"
                 yield Reading(name, unit, text, array, needs=("contacts",), items=several, codes=codes)
+            bent = has_curvatures(contact.kinds)
             for key, (measure, attribute, unit, meaning) in _MEASURES.items():
+                if measure == "smooth_curvatures" and not bent:
+                    continue
                 array = _measured(measure, attribute, _shifted(own, self.first))
                 yield Reading(f"{contact.name}.{key}", unit, meaning, array, needs=(measure,), items=several)
             for part, formula in contact.formulas.items():
