@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from scenes import square
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
@@ -60,7 +61,9 @@ def sphere_on_plane(smooth, device, precision, envs=1):
     )  # fmt: skip
     if smooth:
         sphere = scene.add_shape(ball, wc.shapes.Sphere(0.05), name="sphere")
-        scene.add_smooth_contact(sphere, scene.add_shape(None, wc.shapes.Plane(), name="floor"), RUBBER, name="touch")
+        scene.add_smooth_contact(
+            sphere, scene.add_shape(None, wc.shapes.Plane(), name="floor"), RUBBER, name="touch"
+        )
     else:
         ground = scene.add_surface(square(10.0))
         scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, RUBBER, radius=0.05, name="touch")
@@ -100,11 +103,11 @@ def test_the_impact_of_two_spheres_keeps_momentum_and_gives_the_restitution(devi
     wanted = np.array([1.0, 0.7, 0.3])
     model["touch_0.law.restitution"] = wanted
     energy, momentum = (model.reading(f"scene.{name}") for name in ("kinetic_energy", "linear_momentum"))
-    sim = wc.Simulation(model, dt=1e-6)
-    sim.step(4000)
+    sim = wc.Simulation(model, dt=1e-5)
+    sim.step(1000)
     assert (model.reading("touch_0.gap") > 0).all()
     velocity = [model.reading(f"ball_{number}.linear_velocity")[:, 0] for number in range(2)]
-    # Steps are 1/400 of the contact; semi-implicit Euler is off by their square.
+    # Steps are 1/350 of the contact; semi-implicit Euler is off by their square.
     np.testing.assert_allclose((velocity[1] - velocity[0]) / 1.5, wanted, atol=2e-3)
     np.testing.assert_allclose(model.reading("scene.linear_momentum"), momentum, atol=1e-12)
     np.testing.assert_allclose(model.reading("scene.kinetic_energy")[0], energy[0], rtol=1e-4)
@@ -113,14 +116,28 @@ def test_the_impact_of_two_spheres_keeps_momentum_and_gives_the_restitution(devi
 def test_a_chain_of_spheres_keeps_momentum_and_energy(device):
     radius = 0.1
     model = spheres(2 * radius * np.arange(5) - [1e-4, 0, 0, 0, 0], (1.0, 0, 0, 0, 0), radius, device)
-    sim = wc.Simulation(model, dt=1e-6)
+    sim = wc.Simulation(model, dt=5e-6)
     sim.step(6000)
     assert model.reading("scene.linear_momentum")[0, 0] == pytest.approx(1.0, abs=1e-12)
-    # Symplectic steps of 1/400 of a contact.
+    # Symplectic steps of 1/700 of a contact.
     assert model.reading("scene.kinetic_energy")[0] == pytest.approx(0.5, rel=1e-4)
-    # In Hertz contact the last of five does not take all of it: 0.9868 of the speed (Reinsch, Am. J. Phys. 62, 1994,
-    # has 0.987), so that no sequence of impacts of two would do.
-    assert model.reading("ball_4.linear_velocity")[0, 0] == pytest.approx(0.987, abs=2e-3)
+    # They touch at once: the last does not take all of the speed, as it would in impacts of two after one another.
+    last = model.reading("ball_4.linear_velocity")[0, 0]
+    assert last == pytest.approx(chain_of_hertz_springs(5)[-1], abs=1e-4)
+    assert last < 0.99
+
+
+def chain_of_hertz_springs(count):
+    """Returns the velocities of balls of 1 kg that just touch, after the first came with 1 m/s."""
+
+    def rates(_, state):
+        x, v = np.split(state, 2)
+        force = 1e7 * np.maximum(x[:-1] - x[1:], 0.0) ** 1.5
+        return np.concatenate([v, np.append(0.0, force) - np.append(force, 0.0)])
+
+    start = np.zeros(2 * count)
+    start[count] = 1.0
+    return solve_ivp(rates, (0.0, 0.1), start, rtol=1e-10, atol=1e-13, max_step=1e-4).y[count:, -1]
 
 
 def test_meshes_of_a_sphere_come_to_the_smooth_one(device):
@@ -235,7 +252,9 @@ def test_sets_have_a_contact_each(device):
     np.testing.assert_allclose(model.reading("pairs.gap"), [0.05 - radii] * 2, atol=1e-15)
     np.testing.assert_allclose(model.reading("under.gap"), 0.05)
     np.testing.assert_allclose(model.reading("under.normal"), np.broadcast_to([0, 0, -1.0], (2, 4, 3)))
-    np.testing.assert_allclose(model.reading("grains.force")[..., 2], 1e3 * np.maximum(radii - 0.1, 0.0) * [[1], [1]])
+    np.testing.assert_allclose(
+        model.reading("grains.force")[..., 2], 1e3 * np.maximum(radii - 0.1, 0.0) * [[1], [1]]
+    )
     model["sizes.radius"] = [[0.1] * 4, [0.11] * 4]
     np.testing.assert_allclose(model.reading("on_floor.gap"), [[0.0] * 4, [-0.01] * 4], atol=1e-15)
     wc.Simulation(model, dt=1e-3).run(0.01, ["pairs.gap", "on_floor.point"])
@@ -268,7 +287,10 @@ def test_input_is_refused_with_its_name():
     scene = wc.Scene()
     body = scene.add_body(1.0, (1.0, 1.0, 1.0), name="body")
     grains = scene.add_bodies(np.zeros((3, 3)), mass=1.0, inertia=(1.0, 1.0, 1.0), name="grains")
-    ball, floor = scene.add_shape(body, wc.shapes.Sphere(0.1), name="ball"), scene.add_shape(None, wc.shapes.Plane())
+    ball, floor = (
+        scene.add_shape(body, wc.shapes.Sphere(0.1), name="ball"),
+        scene.add_shape(None, wc.shapes.Plane()),
+    )
     several, few = (
         scene.add_shape(bodies, wc.shapes.Sphere(0.1))
         for bodies in (grains, scene.add_bodies(np.zeros((2, 3)), mass=1.0, inertia=(1.0, 1.0, 1.0)))
@@ -288,7 +310,9 @@ def test_input_is_refused_with_its_name():
         scene.add_smooth_contact(ball, scene.add_shape(body, wc.shapes.Plane()), template)
     with pytest.raises(ValueError, match="two sets of shapes must be of one size, got 3"):
         scene.add_smooth_contact(several, few, template)
-    with pytest.raises(ValueError, match="other_shape of 'x' must come from add_shape of this scene, got Body 'body'"):
+    with pytest.raises(
+        ValueError, match="other_shape of 'x' must come from add_shape of this scene, got Body 'body'"
+    ):
         scene.add_smooth_contact(ball, body, template, name="x")
     with pytest.raises(TypeError, match=r"template of 'x' must be a wc\.Template"):
         scene.add_smooth_contact(ball, floor, template.law, name="x")

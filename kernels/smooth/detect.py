@@ -142,7 +142,13 @@ def bending(kind_a: type[Shape], kind_b: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def bent(
-        env: int, contact: int, members: Members, shapes_a: ShapesA, shapes_b: ShapesB, pose: Pose, meeting: Meeting
+        env: int,
+        contact: int,
+        members: Members,
+        shapes_a: ShapesA,
+        shapes_b: ShapesB,
+        pose: Pose,
+        meeting: Meeting,
     ):
         p_a = shapes_a.coefficients[env, members.shape_a[contact]]
         p_b = shapes_b.coefficients[env, members.shape_b[contact]]
