@@ -1,5 +1,6 @@
 """Contacts of two smooth shapes in a scene: against worked numbers, closed forms, and the same on a mesh."""
 
+import itertools
 import json
 
 import numpy as np
@@ -56,9 +57,8 @@ def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision,
 
 def sphere_on_plane(smooth, device, precision, envs=1):
     scene = wc.Scene()
-    ball = scene.add_body(
-        0.5, (5e-4, 5e-4, 5e-4), (0, 0, 0.06), linear_velocity=(1.0, 0.2, 0), angular_velocity=(0, 3.0, 5.0), name="ball"
-    )  # fmt: skip
+    moving = {"linear_velocity": (1.0, 0.2, 0), "angular_velocity": (0, 3.0, 5.0)}
+    ball = scene.add_body(0.5, (5e-4, 5e-4, 5e-4), (0, 0, 0.06), **moving, name="ball")
     if smooth:
         sphere = scene.add_shape(ball, wc.shapes.Sphere(0.05), name="sphere")
         scene.add_smooth_contact(
@@ -80,7 +80,7 @@ def test_a_sphere_on_a_plane_is_that_on_a_flat_mesh(device):
     smooth, mesh = runs
     assert (smooth["touch.normal_force"] > 0).sum() > 20
     for name in (*names, "ball.angular_velocity"):
-        # Both take the same floating-point numbers through the same formulas; the mesh rounds its corners once more.
+        # Both take the same numbers through the same formulas; the mesh rounds its corners once more.
         scale = float(np.abs(mesh[name]).max())
         np.testing.assert_allclose(smooth[name], mesh[name], rtol=0, atol=1e-9 * scale, err_msg=name)
 
@@ -93,7 +93,7 @@ def spheres(positions, velocities, radius, device, template=STEEL, precision="fl
         inertia = (0.4 * radius**2,) * 3
         body = scene.add_body(1.0, inertia, (x, 0, 0), linear_velocity=(v, 0, 0), name=f"ball_{number}")
         shapes.append(scene.add_shape(body, wc.shapes.Sphere(radius), name=f"sphere_{number}"))
-    for number, (shape, other) in enumerate(zip(shapes[:-1], shapes[1:], strict=True)):
+    for number, (shape, other) in enumerate(itertools.pairwise(shapes)):
         scene.add_smooth_contact(shape, other, template, name=f"touch_{number}")
     return scene.build(envs, device, precision)
 
@@ -165,12 +165,11 @@ def test_meshes_of_a_sphere_come_to_the_smooth_one(device):
 def two_ellipsoids(device, precision="float32", envs=4):
     """Two ellipsoids that collide obliquely, spin, stick, slide and part."""
     scene = wc.Scene(gravity=(0, 0, 0))
+    moving = {"linear_velocity": (0.5, 0.1, -2.0), "angular_velocity": (2, 1, 5)}
     bodies = [
         scene.add_body(1.0, (0.02, 0.03, 0.04), (0, 0, 0), name="a"),
-        scene.add_body(
-            0.5, (0.01, 0.03, 0.02), (0.25, 0.1, 0.42), linear_velocity=(0.5, 0.1, -2.0), angular_velocity=(2, 1, 5), name="b"
-        ),
-    ]  # fmt: skip
+        scene.add_body(0.5, (0.01, 0.03, 0.02), (0.25, 0.1, 0.42), **moving, name="b"),
+    ]
     axes = ((0.3, 0.2, 0.2), (0.25, 0.15, 0.1))
     shapes = [
         scene.add_shape(body, wc.shapes.Ellipsoid(size), name=f"shape_{body.name}")
@@ -298,27 +297,27 @@ def test_input_is_refused_with_its_name():
     template = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
     with pytest.raises(TypeError, match=r"form of 'x' must be an instance of a class of wc\.shapes, got 0\.1"):
         scene.add_shape(body, 0.1, name="x")
-    with pytest.raises(ValueError, match="x.position must be 3 numbers"):
+    with pytest.raises(ValueError, match=r"x.position must be 3 numbers"):
         scene.add_shape(body, wc.shapes.Sphere(0.1), (0, 0), name="x")
-    with pytest.raises(ValueError, match="form of 'x' must be one form or 3, one for each body, got a list of 2"):
+    with pytest.raises(ValueError, match=r"form of 'x' must be one form or 3, one for each body, got a list of 2"):
         scene.add_shape(grains, [wc.shapes.Sphere(0.1)] * 2, name="x")
     with pytest.raises(ValueError, match="of one class for all bodies, got Sphere and Plane"):
         scene.add_shape(grains, [wc.shapes.Sphere(0.1), wc.shapes.Plane(), wc.shapes.Sphere(0.1)])
-    with pytest.raises(ValueError, match="x.mask must be a whole number from 0 to 0xffffffff"):
+    with pytest.raises(ValueError, match=r"x.mask must be a whole number from 0 to 0xffffffff"):
         scene.add_shape(body, wc.shapes.Sphere(0.1), name="x", mask=-1)
     with pytest.raises(ValueError, match="both shapes are fixed to body 'body'"):
         scene.add_smooth_contact(ball, scene.add_shape(body, wc.shapes.Plane()), template)
     with pytest.raises(ValueError, match="two sets of shapes must be of one size, got 3"):
         scene.add_smooth_contact(several, few, template)
     with pytest.raises(
-        ValueError, match="other_shape of 'x' must come from add_shape of this scene, got Body 'body'"
+        ValueError, match=r"other_shape of 'x' must come from add_shape of this scene, got Body 'body'"
     ):
         scene.add_smooth_contact(ball, body, template, name="x")
     with pytest.raises(TypeError, match=r"template of 'x' must be a wc\.Template"):
         scene.add_smooth_contact(ball, floor, template.law, name="x")
-    with pytest.raises(ValueError, match="x.kappa must be at least 0 and at most 1, got 2"):
+    with pytest.raises(ValueError, match=r"x.kappa must be at least 0 and at most 1, got 2"):
         scene.add_smooth_contact(ball, floor, template, kappa=2.0, name="x")
-    with pytest.raises(ValueError, match="x.torsion_radius is given, but its template has no torsion"):
+    with pytest.raises(ValueError, match=r"x.torsion_radius is given, but its template has no torsion"):
         scene.add_smooth_contact(ball, floor, template, torsion_radius=0.1, name="x")
     area = wc.Template(law=wc.laws.ElasticFoundation(stiffness=1e6))
     with pytest.raises(ValueError, match="was given no area"):
@@ -326,9 +325,9 @@ def test_input_is_refused_with_its_name():
     assert scene.smooth_contacts == []
     scene.add_smooth_contact(ball, floor, template, name="touch")
     model = scene.build(2, "cpu")
-    with pytest.raises(ValueError, match="ball.radius must be greater than 0"):
+    with pytest.raises(ValueError, match=r"ball.radius must be greater than 0"):
         model["ball.radius"] = -1.0
     with pytest.raises(KeyError, match="reading"):
         model["touch.gap"]
-    with pytest.raises(KeyError, match="there are|did you mean|has"):
+    with pytest.raises(KeyError, match=r"there are|did you mean|has"):
         model["touch.law.restitution"]

@@ -246,11 +246,24 @@ class SmoothSet:
             wp.launch(reset.memory(formula, self.real), dim=shape, inputs=[chosen, memory], device=device)
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles the force kernel, so that a mistake in a user's law shows at once.
+        """Compiles its kernels, so that a mistake in a user's law or shape shows at once.
 
         Raises:
-            TypeError: If a law or friction does not compile.
+            TypeError: If a law, a friction or a shape does not compile.
         """
+        for kinds, _ in self.ranges:
+            kernel = detect.kernel(*kinds, self.real, self.curved, self.oriented)
+            try:
+                kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+            except Exception as error:
+                text = str(error).replace("\\n", "\n")
+                given = "\n".join(
+                    f"In {kind.__name__}, p has {', '.join(kind.device_names()) or 'nothing'}." for kind in kinds
+                )
+                raise TypeError(
+                    f"shape {kinds[0].__name__} with shape {kinds[1].__name__} does not compile: {text}\n{given}\n"
+                    "All of a shape is in float64: constants are written as wp.float64(1.5)."
+                ) from error
         compile_forces(self.parts, self.kernel, device, self.real)
 
     def failures(self, contact: SmoothContact) -> NDArray[np.int32]:
