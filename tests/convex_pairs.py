@@ -1,4 +1,4 @@
-"""Random pairs of convex shapes, and their gaps by brute force: support functions in NumPy, directions all around."""
+"""Random pairs of convex shapes, and their gaps by brute force: support functions in NumPy, many directions."""
 
 import functools
 
@@ -184,7 +184,7 @@ def chosen(values, rows):
 
 
 def brute_force(A, B, a, b, x, q, count=2000, best=6, rounds=30, block=500):
-    """Returns the largest g that is found: on many directions, and better and better around the best few of them."""
+    """Returns the largest g that is found: on many directions, and closer and closer around the best few."""
     rotation = Rotation.from_quat(q).as_matrix()
     around = directions(count)[None]
     found = np.empty(len(x))

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from warpcontact.kernels.laws.base import Law
     from warpcontact.kernels.motions.base import Motion
     from warpcontact.kernels.smooth import shapes
+    from warpcontact.kernels.smooth.patch import Patch
     from warpcontact.kernels.springs.base import Damper, Spring
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
@@ -60,6 +61,7 @@ _HOME = {
     "MeshReport": "warpcontact.meshes",
     "Model": "warpcontact.model",
     "Motion": "warpcontact.kernels.motions.base",
+    "Patch": "warpcontact.kernels.smooth.patch",
     "Points": "warpcontact.elements",
     "Recording": "warpcontact.recorder",
     "Scene": "warpcontact.scene",
@@ -112,6 +114,7 @@ __all__ = [
     "MeshReport",
     "Model",
     "Motion",
+    "Patch",
     "Points",
     "Recording",
     "Scene",

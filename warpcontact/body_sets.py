@@ -46,33 +46,37 @@ def body_set(
     """
     shape = np.shape(positions)
     if len(shape) != 2 or shape[0] < 1 or shape[1] != 3:
-        raise ValueError(f"{name}.position must have shape (n, 3) with n ≥ 1, got {shape}")
+        raise ValueError(f"{name}.positions must have shape (n, 3) with n ≥ 1, got {shape}")
     count = shape[0]
     if isinstance(motion, Motion) and motion.kind not in KINDS:
         raise ValueError(
             f"{name}.motion must be Free, Fixed, Translation, Planar, Slider or Prescribed for a set of bodies, "
             f"got {type(motion).__name__}, with an anchor or a function of time of each body; use add_body"
         )
-    units = {
-        "linear_velocity": "m/s",
-        "angular_velocity": "rad/s",
-        "external_force": "N",
-        "external_torque": "N·m",
+    # Of each vector what it is called as an argument, and its unit.
+    words = {
+        "linear_velocity": ("linear_velocities", "m/s"),
+        "angular_velocity": ("angular_velocities", "rad/s"),
+        "external_force": ("external_forces", "N"),
+        "external_torque": ("external_torques", "N·m"),
     }
     return Body(
         name=name,
         index=index,
         mass=_each(f"{name}.mass", mass, count, (), MASS),
         inertia=_tensors(f"{name}.inertia", inertia, count),
-        position=checks.numbers(f"{name}.position", positions, shape, limits("m")),
+        position=checks.numbers(f"{name}.positions", positions, shape, limits("m")),
         orientation=checks.unit_quaternions(
-            f"{name}.orientation", _each(f"{name}.orientation", orientation, count, (4,))
+            f"{name}.orientations", _each(f"{name}.orientations", orientation, count, (4,))
         ),
         motion=motion,
         color=checks.color(f"{name}.color", color),
         count=count,
         single=False,
-        **{key: _each(f"{name}.{key}", vectors[key], count, (3,), limits(unit)) for key, unit in units.items()},
+        **{
+            key: _each(f"{name}.{word}", vectors[key], count, (3,), limits(unit))
+            for key, (word, unit) in words.items()
+        },
     )
 
 

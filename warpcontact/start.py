@@ -58,5 +58,5 @@ def _refuse(body: Body, key: str, given: Array, allowed: Array, rule: str) -> No
     off = np.linalg.norm(given - allowed, axis=1) > TOLERANCE * np.linalg.norm(given, axis=1)
     if off.any():
         kind, worst = type(body.motion).__name__, int(np.argmax(off))
-        entry = f"{body.name}.{key}" if body.single else f"{body.name}.{key}[{worst}]"
-        raise ValueError(f"{entry} must be {rule} its motion {kind}, got {given[worst].tolist()}")
+        word = key if body.single else f"{key.removesuffix('y')}ies[{worst}]"
+        raise ValueError(f"{body.name}.{word} must be {rule} its motion {kind}, got {given[worst].tolist()}")

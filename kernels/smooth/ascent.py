@@ -1,15 +1,15 @@
 """From a direction up to a maximum of g(n), of two convex shapes.
 
-In the plane n + τ across n, g(n) is (G(n + τ))/|n + τ|, and near n
+In the plane n + τ across n, g(n) is G(n + τ)/|n + τ|, and near n
 
     G = g + τ·c − ½ τ·H τ − Σ |(n + τ)·k|
 
-with the smooth parts of both support functions: c is the difference of the two points where planes with this normal
-touch, H the sum of the Hessians. The kinks k are straight edges, two or more of them a face; a cone has one that is
-curved. Where c, less what the edges that n stands across can take, is along n, g is stationary, and this c is the
-vector between the two contact points. Otherwise what is left points uphill. Steps are Newton's, with the Hessian
-H + g 1, and end where they meet an edge that turns the slope; from there on the direction stays across the edge, or
-leaves it. No step goes down by more than rounding.
+with the smooth parts of both support functions: c is the difference of the two points where planes with this
+normal touch, H the sum of the Hessians. The kinks k are straight edges, two or more of them a face; a cone has one
+that is curved. Where c, less what the edges that n stands across can take, is along n, g is stationary, and this c
+is the vector between the two contact points. Otherwise what is left points uphill. Steps are Newton's, with the
+Hessian H + g 1, and end where they meet an edge that turns the slope; from there on the direction stays across the
+edge, or leaves it. No step goes down by more than rounding.
 """
 
 import functools
@@ -17,7 +17,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels.smooth import pair, zonotope
-from warpcontact.kernels.smooth.base import ON_AXIS, Shape
+from warpcontact.kernels.smooth.base import ACROSS, ON_AXIS, Shape
 from warpcontact.kernels.smooth.pair import tangent
 
 real = wp.float64
@@ -28,15 +28,24 @@ mat33d = wp.mat33d
 #: Steps of one climb, and trials of one step.
 STEPS = 60
 TRIALS = 30
+#: Ways of the first trial where points run far: Newton's, one for each shape, and one by powers.
+WAYS = 4
 
 zero, one, two, half = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5))
-# A residual that rounding does not let fall much further, and one below which a climb that stands still has arrived.
+# A residual that rounding does not let fall much further, and those below which a climb that stands still has
+# arrived; of steep shapes, whose points the rounding of n moves far, the second.
 TARGET = wp.constant(real(1.0e-15))
 CLOSE = wp.constant(real(1.0e-10))
+CLOSE_STEEP = wp.constant(real(1.0e-7))
 # Rounding of g, of the size of the pair.
 NOISE = wp.constant(real(1.0e-15))
 # The longest step, as the tangent of an angle.
 LONGEST = wp.constant(real(1.0))
+# Of the rise at the first slope, what a step must bring; and more where there are several ways to go.
+LEAST = wp.constant(real(1.0e-4))
+MOST = wp.constant(real(0.2))
+# Of a component of n, the change from which its power is looked at.
+OFF = wp.constant(real(0.2))
 TINY = wp.constant(real(1.0e-300))
 
 
@@ -66,11 +75,14 @@ def newton(q_11: real, q_12: real, q_22: real, rho: vec2d):
 def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
     """Returns the struct ``Climb`` of a result and the device function ``climb``."""
     view_of = pair.functions(A, B)
-    View, Row, Of_a, Of_b, look = view_of.View, view_of.Row, view_of.Of_a, view_of.Of_b, view_of.look
+    Row, Of_a, Of_b, look = view_of.Row, view_of.Of_a, view_of.Of_b, view_of.look
     count, of_a = view_of.count, view_of.of_a
     Flat = wp.types.matrix((max(count, 1), 2), real)
     divide = zonotope.function(max(count, 1))
     discs = A.discs + B.discs
+    steep = A.steep or B.steep
+    close = CLOSE_STEEP if steep else CLOSE
+    across_a, across_b = (wp.constant(ACROSS if shape.steep else ON_AXIS) for shape in (A, B))
 
     @wp.struct
     class Climb:
@@ -90,11 +102,10 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 k = view.kinks[first] - view.at[first] * n
                 step = -(view.at[first] / wp.dot(k, k)) * k
                 if second >= 0:
-                    l = view.kinks[second] - view.at[second] * n
-                    across = wp.cross(k, l)
-                    turned = wp.dot(n, across)
-                    if wp.abs(turned) > ON_AXIS * wp.length(k) * wp.length(l):
-                        step = (view.at[first] * wp.cross(n, l) - view.at[second] * wp.cross(n, k)) / turned
+                    m = view.kinks[second] - view.at[second] * n
+                    turned = wp.dot(n, wp.cross(k, m))
+                    if wp.abs(turned) > ON_AXIS * wp.length(k) * wp.length(m):
+                        step = (view.at[first] * wp.cross(n, m) - view.at[second] * wp.cross(n, k)) / turned
                 n = wp.normalize(n + step)
             return n
         k = kinks[first]
@@ -115,10 +126,59 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
             cosine = -cosine
         if cosine < half:
             return vec3d()
+        # A step that comes near to it, or passes it by.
         to_pole = pole / cosine - n
-        if wp.length_sq(d - to_pole) > wp.length_sq(to_pole):
+        part = wp.clamp(wp.dot(to_pole, d) / wp.dot(d, d), zero, one)
+        if wp.length_sq(to_pole - part * d) > real(0.25) * wp.length_sq(to_pole):
             return vec3d()
         return pole
+
+    @wp.func
+    def steeper(p_a: Of_a, p_b: Of_b, R: mat33d, n: vec3d, d: vec3d):
+        """A step like d, but so that points that go by powers of components of n move as far as meant."""
+        worst = OFF
+        second = OFF
+        axis = vec3d()
+        axis_2 = vec3d()
+        more = real(0.0)
+        more_2 = real(0.0)
+        for i in range(6):
+            w = vec3d()
+            power = real(1.0)
+            if i < 3:
+                if wp.static(A.steep):
+                    w = vec3d(R[0, i], R[1, i], R[2, i])
+                    power = A.steepness(p_a)[i]
+            else:
+                if wp.static(B.steep):
+                    w[i - 3] = one
+                    power = B.steepness(p_b)[i - 3]
+            u = wp.dot(n, w)
+            change = wp.dot(d, w)
+            if power < real(0.9) and wp.abs(u) > ACROSS and wp.abs(change) > second * wp.abs(u):
+                z = one + power * change / u
+                target = u * wp.sign(z) * wp.pow(wp.abs(z), one / power)
+                extra = wp.clamp(target - u, -half, half) - change
+                if wp.abs(change) > worst * wp.abs(u):
+                    second = worst
+                    axis_2 = axis
+                    more_2 = more
+                    worst = wp.abs(change / u)
+                    axis = w
+                    more = extra
+                else:
+                    second = wp.abs(change / u)
+                    axis_2 = w
+                    more_2 = extra
+        if worst == OFF:
+            return d
+        k = axis - wp.dot(axis, n) * n
+        if second > OFF:
+            m = axis_2 - wp.dot(axis_2, n) * n
+            turned = wp.dot(n, wp.cross(k, m))
+            if wp.abs(turned) > real(0.1) * wp.length(k) * wp.length(m):
+                return d + (more_2 * wp.cross(n, k) - more * wp.cross(n, m)) / turned
+        return d + (more / wp.dot(k, k)) * k
 
     @wp.func
     def climb(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, start: vec3d, size: real):
@@ -152,7 +212,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                     k = view.kinks[i]
                     flat[i] = vec2d(wp.dot(k, e_1), wp.dot(k, e_2))
                     signs[i] = zero
-                    if wp.abs(view.at[i]) > ON_AXIS * wp.length(k):
+                    if wp.abs(view.at[i]) > wp.where(i < of_a, across_a, across_b) * wp.length(k):
                         signs[i] = wp.sign(view.at[i])
                         rho -= signs[i] * flat[i]
                     elif wp.length_sq(k) > zero:
@@ -166,7 +226,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 rho *= wp.max(one - disc / wp.max(wp.length(rho), TINY), zero)
             steepness = wp.length(rho)
             result.residual = steepness / size
-            if result.residual < CLOSE and result.residual > half * last:
+            if result.residual < close and result.residual > half * last:
                 stalls += 1
             if result.residual <= TARGET or stalls > 2 or result.steps == STEPS:
                 break
@@ -205,10 +265,10 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                     at = part
                     for i in range(wp.static(count)):
                         rate = flat[i, 0] * d[0] + flat[i, 1] * d[1]
-                        if (passed >> i) & 1 == 0 and view.at[i] * rate < zero:
-                            if -view.at[i] / rate < at:
-                                at = -view.at[i] / rate
-                                nearest = i
+                        ahead = (passed >> i) & 1 == 0 and view.at[i] * rate < zero
+                        if ahead and wp.abs(view.at[i]) < at * wp.abs(rate):
+                            at = -view.at[i] / rate
+                            nearest = i
                     if nearest >= 0 and met < 0:
                         passed += 1 << nearest
                         crossed += two * wp.abs(flat[nearest, 0] * d[0] + flat[nearest, 1] * d[1])
@@ -221,34 +281,67 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 if wp.static(A.discs > 0):
                     # Along −n: a disc with the normal −z of a lies in +z.
                     pole = pole_ahead(n, vec3d(R[0, 2], R[1, 2], R[2, 2]), wp.static(int(A.discs == 1)), d_3)
-                if wp.static(B.discs > 0) and wp.length_sq(pole) == zero:
-                    pole = pole_ahead(n, vec3d(zero, zero, -one), wp.static(int(B.discs == 1)), d_3)
+                if wp.static(B.discs > 0):
+                    other = pole_ahead(n, vec3d(zero, zero, -one), wp.static(int(B.discs == 1)), d_3)
+                    if wp.dot(n, other) > wp.dot(n, pole):
+                        pole = other
             done = wp.bool(False)
             tried = wp.int32(0)
+            if wp.static(steep):
+                most = real(-wp.inf)
+                best = n
+                best_seen = view
             while not done and tried < TRIALS:
                 tried += 1
                 trial = pole
                 to_pole = wp.length_sq(pole) > zero
-                if not to_pole:
+                ordinary = not to_pole
+                if ordinary:
                     trial = wp.normalize(n + part * d_3)
-                    if wp.static(count > 0) and edge >= 0:
+                # What is static stands alone: Warp leaves out nothing else.
+                if wp.static(steep):  # noqa: SIM102
+                    if ordinary and tied == 0 and met < 0 and tried <= WAYS:
+                        ordinary = False
+                        # The normals where the points would go; powers of both.
+                        if wp.static(A.steep):  # noqa: SIM102
+                            if tried == 2:
+                                to = view.point_a - view.hessian_a * d_3 - x
+                                trial = -(R * A.gauss(p_a, to * R))
+                        if wp.static(B.steep):  # noqa: SIM102
+                            if tried == 3:
+                                trial = B.gauss(p_b, view.point_b + view.hessian_b * d_3)
+                        if tried == WAYS:
+                            trial = wp.normalize(n + steeper(p_a, p_b, R, n, d_3))
+                if wp.static(count > 0):
+                    if edge >= 0 and not to_pole:
                         trial = held(p_a, p_b, x, R, trial, view.kinks, edge, met)
-                    elif wp.static(count > 0) and met >= 0:
+                    elif met >= 0 and not to_pole:
                         trial = held(p_a, p_b, x, R, trial, view.kinks, met, -1)
                 seen = look(p_a, p_b, x, R, trial)
                 rise = seen.value - view.value
-                if to_pole:
-                    done = rise > zero
-                    pole = vec3d()
-                else:
-                    done = rise >= real(1.0e-4) * part * slope - NOISE * size
+                done = rise > zero
+                if wp.static(steep):  # noqa: SIM102
+                    if not (ordinary or to_pole):
+                        # Newton's step if it is good, or else the best of all.
+                        if rise > most:
+                            most = rise
+                            best = trial
+                            best_seen = seen
+                        done = tried == 1 and rise >= MOST * slope
+                        if tried == WAYS and most > NOISE * size:
+                            done = True
+                            trial = best
+                            seen = best_seen
+                if ordinary:
+                    done = rise >= LEAST * part * slope - NOISE * size
                 if done:
                     n = trial
                     view = seen
-                elif not to_pole:
+                elif ordinary:
                     met = -1
                     back = half * slope * part / wp.max(slope * part - rise, TINY)
                     part *= wp.clamp(back, real(0.05), half)
+                pole = vec3d()
             climbing = done
 
         taken = left

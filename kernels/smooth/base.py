@@ -21,6 +21,8 @@ mat33d = wp.mat33d
 vec3d = wp.vec3d
 # Where a unit vector is taken to lie on an axis or across it: rounding of a rotation there and back.
 ON_AXIS = wp.constant(wp.float64(1.0e-14))
+# The same where a point goes by a small power of a component of n: what rounding leaves of the point is lost.
+ACROSS = wp.constant(wp.float64(1.0e-11))
 
 
 @wp.struct
@@ -104,8 +106,13 @@ class Shape(Formula):
     convex: ClassVar[bool] = True
     #: How many kinks its support function has.
     kinks: ClassVar[int] = 0
+    #: Whether, less its margin, it is a point, or all its edges are straight and along the axes.
+    polyhedral: ClassVar[bool] = False
     #: Flat discs with the normals −z and +z: none, the first, or both.
     discs: ClassVar[int] = 0
+    #: Whether a point may run far for the smallest turn of n: it has kinks where it would, and
+    #: ``steepness(p)``, ``gauss(p, y)``.
+    steep: ClassVar[bool] = False
     #: Whether the first kink is bent.
     bent: ClassVar[bool] = False
 

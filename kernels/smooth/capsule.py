@@ -15,6 +15,7 @@ class Capsule(Shape):
 
     formula = "distance from the segment |z| ≤ l of the z axis = r"
     kinks: ClassVar[int] = 1
+    polyhedral: ClassVar[bool] = True
 
     radius: float = parameter("m", "radius r", above=0.0)
     half_length: float = parameter("m", "half the length of the cylindrical part, l", above=0.0)

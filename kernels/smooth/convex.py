@@ -1,18 +1,18 @@
 """Where two convex shapes meet: the largest value of g(n) over all directions.
 
-A direction where g is stationary is the answer if g is not negative there: the vector between the contact points
-is as long as g, and no two points of the bodies can be nearer than the planes g apart. It is, too, in overlap no
-deeper than the sum of the radii of spheres that roll inside both surfaces (Blaschke): a sphere of that size fits in
-the set of all differences of points of the two bodies where it touches its border, and no other part of the border
-is nearer. In deeper overlap there may be several, however good the start: directions all around are looked at, and
-the climb starts again from the best of them.
+A direction where g is stationary is the answer if g is not negative there: the vector between the contact points is
+as long as g, and no two points of the bodies can be nearer than the planes g apart. So it is in overlap no deeper
+than the sum of the radii of spheres that roll inside both surfaces (Blaschke): a sphere of that size fits into the
+set of all differences of points of the two bodies where it touches its border, and no other part of the border is
+nearer. In deeper overlap there may be several, however good the start. Of two bodies with straight edges, the
+normals of faces and of pairs of edges are all there are. Of others, bounds on cells of directions rule out most,
+and the climb starts again from those that are left.
 """
 
 import functools
-import math
 
 import warp as wp
-from warpcontact.kernels.smooth import ascent
+from warpcontact.kernels.smooth import around, ascent
 from warpcontact.kernels.smooth.base import Meeting, Seed, Shape
 from warpcontact.kernels.types import MET, NOT_CONVERGED
 
@@ -20,18 +20,19 @@ real = wp.float64
 vec3d = wp.vec3d
 mat33d = wp.mat33d
 
-#: Directions that are looked at, and how many of the best a climb starts from.
-DIRECTIONS = 96
-STARTS = 4
+#: Most climbs, and how many of their ends are remembered.
+CLIMBS = 40
+KNOWN = 8
 
 zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
-# A residual above this is no solution.
+# A residual above this is no solution; of steep shapes, whose points the rounding of n moves far.
 ALLOWED = wp.constant(real(1.0e-9))
-# Starts are at least this far apart: cosine.
-ALIKE = wp.constant(real(0.85))
-LATITUDE = wp.constant(real(2.0 / DIRECTIONS))
-GOLDEN_COSINE = wp.constant(real(math.cos(math.pi * (3.0 - math.sqrt(5.0)))))
-GOLDEN_SINE = wp.constant(real(math.sin(math.pi * (3.0 - math.sqrt(5.0)))))
+ALLOWED_STEEP = wp.constant(real(1.0e-6))
+# Cosines of the angles to the best end of a climb, and to any other, below which no new one starts.
+ALIKE = wp.constant(real(0.999))
+SAME = wp.constant(real(0.9998))
+# Rounding of g, of the size of the pair.
+NOISE = wp.constant(real(1.0e-14))
 NOTHING = wp.constant(real(-wp.inf))
 
 
@@ -40,64 +41,49 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function of two convex shapes, see ``meet.py``."""
     of_pair = ascent.functions(A, B)
     Of_a, Of_b, Climb, climb = of_pair.Of_a, of_pair.Of_b, of_pair.Climb, of_pair.climb
-    Starts = wp.types.matrix((STARTS, 3), real)
-    Values = wp.types.vector(STARTS, real)
+    Known = wp.types.matrix((KNOWN, 3), real)
+    next_direction = around.function(A, B)
+    # In overlap, the sum of straight edges is least along one of the normals that ``ahead`` knows.
+    allowed = ALLOWED_STEEP if A.steep or B.steep else ALLOWED
+    polyhedral = A.polyhedral and B.polyhedral
 
     @wp.func
-    def scan(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, apart: vec3d, depth: real):
-        """Looks all around for directions along which the overlap might be less than ``depth``: the best few."""
-        starts = Starts()
-        values = Values()
-        for k in range(STARTS):
-            values[k] = NOTHING
-        inner = A.inner(p_a) + B.inner(p_b)
-        extents_a = A.extents(p_a)
-        extents_b = B.extents(p_b)
-        cosine = real(1.0)
-        sine = real(0.0)
-        count = wp.int32(DIRECTIONS + 12)
+    def ahead(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, best: real):
+        """Of the normals of faces, and of two straight edges, the one with the largest g above ``best``."""
+        normal = vec3d()
+        largest = real(best)
+        count = wp.int32(wp.static(12 + 2 * A.kinks * B.kinks))
         for i in range(count):
             n = vec3d()
-            if i < DIRECTIONS:
-                # A spiral; every other turn by a third each as it is, and denser where one of the shapes is flat.
-                z = (real(i) + real(0.5)) * LATITUDE - one
-                across = wp.sqrt(one - z * z)
-                n = vec3d(across * cosine, across * sine, z)
-                turned = cosine * GOLDEN_COSINE - sine * GOLDEN_SINE
-                sine = sine * GOLDEN_COSINE + cosine * GOLDEN_SINE
-                cosine = turned
-                if i % 3 == 1:
-                    n = wp.normalize(wp.cw_div(n, extents_b))
-                elif i % 3 == 2:
-                    n = R * wp.normalize(wp.cw_div(n, extents_a))
+            k = i // 2
+            if k < 3:
+                n[k] = one
+            elif k < 6:
+                n = vec3d(R[0, k - 3], R[1, k - 3], R[2, k - 3])
             else:
-                # The axes of both.
-                k = i - DIRECTIONS
-                n[(k // 2) % 3] = wp.where(k % 2 == 0, one, -one)
-                if k >= 6:
-                    n = R * n
-            # Spheres inside both overlap by more?
-            if inner - wp.dot(n, apart) < depth:
+                # Straight edges lie along the axes; one of a single edge is along z.
+                if wp.static(A.kinks > 0 and B.kinks > 0):
+                    j = (k - 6) % wp.static(max(A.kinks, 1)) + wp.static(2 if A.kinks == 1 else 0)
+                    m = (k - 6) // wp.static(max(A.kinks, 1)) + wp.static(2 if B.kinks == 1 else 0)
+                    axis = vec3d()
+                    axis[m] = one
+                    n = wp.cross(vec3d(R[0, j], R[1, j], R[2, j]), axis)
+                    n = wp.normalize(n)
+            if i % 2 == 1:
+                n = -n
+            if wp.length_sq(n) > zero:
                 value = wp.dot(n, x + R * A.support(p_a, -(n * R)) - B.support(p_b, n))
-                worst = wp.int32(0)
-                near = wp.int32(-1)
-                for k in range(STARTS):
-                    if values[k] < values[worst]:
-                        worst = k
-                    if values[k] > NOTHING and wp.dot(starts[k], n) > ALIKE:
-                        near = k
-                if near >= 0:
-                    worst = near
-                if value > values[worst]:
-                    values[worst] = value
-                    starts[worst] = n
-        return starts, values
+                if value > largest:
+                    largest = value
+                    normal = n
+        return normal
 
     @wp.func
     def meet_convex(p_a: Of_a, p_b: Of_b, x: vec3d, q: wp.quatd, seed: Seed):
         R = wp.quat_to_matrix(wp.normalize(q))
         apart = x + R * A.centre(p_a) - B.centre(p_b)
         size = wp.length(x) + wp.max(A.extents(p_a)) + wp.max(B.extents(p_b))
+        inner = A.inner(p_a) + B.inner(p_b)
         margin = A.margin(p_a) + B.margin(p_b)
         sure = A.rolling(p_a) + B.rolling(p_b)
         n = vec3d(zero, zero, one)
@@ -107,37 +93,43 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
             n = wp.normalize(apart)
         found = Meeting()
         best = Climb()
-        starts = Starts()
-        values = Values()
+        known = Known()
+        climbs = wp.int32(0)
         met = wp.bool(False)
-        trial = wp.int32(0)
-        while trial <= STARTS:
+        cell = wp.int32(-1)
+        searching = wp.bool(True)
+        while searching:
             one_climb = climb(p_a, p_b, x, R, n, size)
             found.iterations += one_climb.steps
-            good = one_climb.residual <= ALLOWED
-            if (
-                trial == 0
-                or (good and (not met or one_climb.value > best.value))
-                or (not met and one_climb.residual < best.residual)
-            ):
+            known[climbs % KNOWN] = one_climb.normal
+            good = one_climb.residual <= allowed
+            better = one_climb.residual < best.residual
+            if met:
+                better = False
+            if good and (not met or one_climb.value > best.value):
+                better = True
+            if climbs == 0 or better:
                 best = one_climb
                 met = good
+            climbs += 1
             if met and best.value - margin >= -sure:
                 break
-            if trial == 0:
-                depth = real(wp.inf)
-                if met:
-                    depth = margin - best.value
-                starts, values = scan(p_a, p_b, x, R, apart, depth)
-            next = wp.int32(-1)
-            for k in range(STARTS):
-                if values[k] > NOTHING and next < 0:
-                    next = k
-            if next < 0:
-                break
-            n = starts[next]
-            values[next] = NOTHING
-            trial += 1
+            gap = NOTHING
+            if met:
+                gap = best.value - margin
+            searching = False
+            if cell < 0:
+                cell = 0
+                n = ahead(p_a, p_b, x, R, gap + NOISE * size)
+                searching = wp.length_sq(n) > zero
+            left = wp.bool(wp.static(not polyhedral) or not met)
+            while left and not searching and climbs < CLIMBS:
+                n, left, cell = next_direction(p_a, p_b, x, R, apart, inner, -gap, cell)
+                if left:
+                    searching = wp.dot(n, best.normal) < ALIKE
+                    for k in range(KNOWN):
+                        if k < climbs and wp.dot(n, known[k]) > SAME:
+                            searching = False
         found.gap = best.value - margin
         found.normal = best.normal
         found.point_a = best.point_a - A.margin(p_a) * best.normal

@@ -5,10 +5,11 @@ In float64 whatever the precision of the model.
 
 import functools
 from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.smooth.base import Shape
+from warpcontact.kernels.smooth.base import Curvature, Meeting, Seed, Shape
 from warpcontact.kernels.smooth.records import Members, Mount, Seeds, Settings, contact_structs, shapes_struct
 from warpcontact.kernels.types import (
     CONTACT,
@@ -26,6 +27,9 @@ from warpcontact.kernels.types import (
 )
 
 zero = wp.constant(wp.float64(0.0))
+one = wp.constant(wp.float64(1.0))
+# Size of what has no end [m].
+endless_size = wp.constant(wp.float64(1.0e6))
 vec3d = wp.vec3d
 
 
@@ -84,6 +88,107 @@ def functions(real: type) -> SimpleNamespace:
 
 
 @functools.cache
+def seen(kind_a: type[Shape], kind_b: type[Shape], real: type) -> SimpleNamespace:
+    """Returns the device functions of a pair of kinds.
+
+    ``pair`` takes ``(state, env, contact, members, shapes_a, shapes_b)`` and returns the ``Pose``; ``meeting`` the
+    same arguments, that pose and a seed, and returns where the shapes meet.
+    """
+    from warpcontact.kernels.smooth.meet import meet  # with its solvers, which only smooth contacts need
+
+    State = structs(real).State
+    ShapesA, ShapesB = shapes_struct(kind_a), shapes_struct(kind_b)
+    met = meet(kind_a, kind_b)
+    pose_of = functions(real).pose
+
+    @wp.func
+    def pair(state: State, env: int, contact: int, members: Members, shapes_a: ShapesA, shapes_b: ShapesB):
+        return pose_of(
+            state,
+            env,
+            members.body_a[contact],
+            shapes_a.mount[env, members.shape_a[contact]],
+            members.body_b[contact],
+            shapes_b.mount[env, members.shape_b[contact]],
+        )
+
+    @wp.func
+    def meeting(
+        env: int, contact: int, members: Members, shapes_a: ShapesA, shapes_b: ShapesB, pose: Pose, seed: Seed
+    ):
+        p_a = shapes_a.coefficients[env, members.shape_a[contact]]
+        p_b = shapes_b.coefficients[env, members.shape_b[contact]]
+        return met(p_a, p_b, pose.x, pose.q, seed)
+
+    return SimpleNamespace(pair=pair, meeting=meeting)
+
+
+@functools.cache
+def bending(kind_a: type[Shape], kind_b: type[Shape]) -> SimpleNamespace:
+    """Returns the device functions of the curvatures of a pair of kinds.
+
+    ``bent`` takes ``(env, contact, members, shapes_a, shapes_b, pose, meeting)`` and returns the relative
+    ``Curvature``; ``radius`` these arguments without pose and meeting, and that curvature: the radius of rolling
+    and of a patch of contact, that of the most curved section of the gap, and no more than the shapes are large.
+
+    Raises:
+        TypeError: If the curvature of one is not known.
+    """
+    from warpcontact.kernels.smooth.curvature import relative
+
+    ShapesA, ShapesB = shapes_struct(kind_a), shapes_struct(kind_b)
+    relative_of = relative(kind_a, kind_b)
+    size_a, size_b = size_of(kind_a), size_of(kind_b)
+
+    @wp.func
+    def bent(
+        env: int,
+        contact: int,
+        members: Members,
+        shapes_a: ShapesA,
+        shapes_b: ShapesB,
+        pose: Pose,
+        meeting: Meeting,
+    ):
+        p_a = shapes_a.coefficients[env, members.shape_a[contact]]
+        p_b = shapes_b.coefficients[env, members.shape_b[contact]]
+        found = relative_of(p_a, p_b, pose.x, pose.q, meeting)
+        return found.relative
+
+    @wp.func
+    def radius(
+        env: int, contact: int, members: Members, shapes_a: ShapesA, shapes_b: ShapesB, relative: Curvature
+    ):
+        largest = wp.min(
+            size_a(shapes_a.coefficients[env, members.shape_a[contact]]),
+            size_b(shapes_b.coefficients[env, members.shape_b[contact]]),
+        )
+        if relative.k_2 * largest > one:
+            return one / relative.k_2
+        return largest
+
+    return SimpleNamespace(bent=bent, radius=radius)
+
+
+def size_of(kind: type[Shape]) -> wp.Function:
+    """Returns the device function of the radius of a ball that holds a shape; very large of one without end."""
+    if not isinstance(getattr(kind, "extents", None), wp.Function):
+
+        @wp.func
+        def endless(p: Any):
+            return endless_size
+
+        return endless
+    extents = kind.extents
+
+    @wp.func
+    def size(p: Any):
+        return wp.length(extents(p))
+
+    return size
+
+
+@functools.cache
 def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, oriented: bool) -> wp.Kernel:
     """Returns the kernel that finds where shapes of two kinds meet; items: contacts.
 
@@ -97,11 +202,13 @@ def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, o
     t = structs(real)
     State, Smooth = t.State, contact_structs(real).Smooth
     ShapesA, ShapesB = shapes_struct(kind_a), shapes_struct(kind_b)
-    from warpcontact.kernels.smooth.meet import meet  # with its solvers, which only smooth contacts need
-
-    met = meet(kind_a, kind_b)
+    pair = seen(kind_a, kind_b, real)
+    pose_of, meeting_of = pair.pair, pair.meeting
+    bent = radius_of = None
+    if curved:
+        bends = bending(kind_a, kind_b)
+        bent, radius_of = bends.bent, bends.radius
     narrow = frames.functions(real).narrow
-    pose_of = functions(real).pose
     quat = t.quat
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
@@ -130,19 +237,8 @@ def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, o
                 smooth.normal[env, contact] = t.vec3()
                 smooth.status[env, contact] = DISABLED
                 continue
-            shape_a = members.shape_a[contact]
-            shape_b = members.shape_b[contact]
-            pose = pose_of(
-                state, env, members.body_a[contact], shapes_a.mount[env, shape_a], members.body_b[contact],
-                shapes_b.mount[env, shape_b],
-            )  # fmt: skip
-            meeting = met(
-                shapes_a.coefficients[env, shape_a],
-                shapes_b.coefficients[env, shape_b],
-                pose.x,
-                pose.q,
-                held.seed[env, contact],
-            )
+            pose = pose_of(state, env, contact, members, shapes_a, shapes_b)
+            meeting = meeting_of(env, contact, members, shapes_a, shapes_b, pose, held.seed[env, contact])
             found.seed[env, contact] = meeting.seed
 
             touching = wp.int32(OPEN)
@@ -166,6 +262,11 @@ def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, o
             smooth.converged[env, contact] = wp.where(meeting.status == NOT_CONVERGED, 0, 1)
             smooth.iterations[env, contact] = meeting.iterations
             smooth.residual[env, contact] = real(meeting.residual)
+            if wp.static(curved):
+                relative = bent(env, contact, members, shapes_a, shapes_b, pose, meeting)
+                smooth.curvature_1[env, contact] = real(relative.k_1)
+                smooth.curvature_2[env, contact] = real(relative.k_2)
+                smooth.radius[env, contact] = real(radius_of(env, contact, members, shapes_a, shapes_b, relative))
             if wp.static(oriented):
                 q = pose.q_W
                 smooth.orientation[env, contact] = quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))

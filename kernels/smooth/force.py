@@ -74,11 +74,9 @@ def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
             touching.normal = smooth.normal[env, contact]
             touching.penetration = smooth.penetration[env, contact]
             if wp.static(curved):
-                largest = smooth.curvature_2[env, contact]
-                # No rounder than the shape is large: of a flat face on a flat face.
-                touching.radius = smooth.size[env, contact]
-                if largest * touching.radius > real(1.0):
-                    touching.radius = real(1.0) / largest
+                touching.radius = smooth.radius[env, contact]
+                touching.curvature_1 = smooth.curvature_1[env, contact]
+                touching.curvature_2 = smooth.curvature_2[env, contact]
             q_WS = quat()
             if wp.static(oriented):
                 q_WS = smooth.orientation[env, contact]

@@ -1,13 +1,43 @@
-"""Where two shapes meet: the device function for a pair, chosen when a model is built."""
+"""Where two shapes meet: the device function of a pair, chosen when a model is built."""
 
 import functools
 
 import warp as wp
-from warpcontact.kernels.smooth import convex
+from warpcontact.kernels.smooth import closed, convex
 from warpcontact.kernels.smooth.base import Shape
+from warpcontact.kernels.smooth.capsule import Capsule
+from warpcontact.kernels.smooth.plane import Plane
+from warpcontact.kernels.smooth.sphere import Sphere
 
 
 @functools.cache
 def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns the device function ``(p_a, p_b, x, q, seed)`` → ``Meeting`` of a pair of shapes."""
+    """Returns the device function ``(p_a, p_b, x, q, seed)`` → ``Meeting`` of a pair of shapes.
+
+    ``p_a`` and ``p_b`` are the ``coefficient_struct`` of both in float64, ``x`` [m] is the origin of a in the
+    frame of b and ``q`` the rotation a → b. Of all pairs of points with antiparallel normals along the line
+    between them, those with the largest gap are the contact points.
+
+    Of two faces or edges that lie on each other, the contact points are a pair of points common to both, displaced
+    from the middle of each in proportion to its size.
+
+    Raises:
+        TypeError: If both are planes.
+    """
+    if issubclass(A, Plane) and issubclass(B, Plane):
+        raise TypeError("two planes have no contact point; one of two shapes may be a plane")
+    if not (A.convex and B.convex):
+        from warpcontact.kernels.smooth import curved
+
+        return curved.meet(A, B)
+    if issubclass(B, Plane):
+        return closed.on_plane(A, B)
+    if issubclass(A, Plane):
+        return closed.swapped(closed.on_plane(B, A), B, A)
+    if issubclass(A, Sphere) and hasattr(B, "nearest"):
+        return closed.on_sphere(A, B)
+    if issubclass(B, Sphere) and hasattr(A, "nearest"):
+        return closed.swapped(closed.on_sphere(B, A), B, A)
+    if issubclass(A, Capsule) and issubclass(B, Capsule):
+        return closed.capsules(A, B)
     return convex.meet(A, B)

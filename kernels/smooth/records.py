@@ -75,7 +75,7 @@ def contact_structs(real: type) -> SimpleNamespace:
         # Only looked at by some laws and frictions
         curvature_1: wp.array2d(dtype=real)  # [env, contact] of the gap, the smaller principal one [1/m]
         curvature_2: wp.array2d(dtype=real)  # [env, contact] the larger [1/m]
-        size: wp.array2d(dtype=real)  # [env, contact] of the smaller shape [m]
+        radius: wp.array2d(dtype=real)  # [env, contact] of rolling and of a patch of contact [m]
         orientation: wp.array2d(dtype=quat)  # [env, contact] frame of b → W
         # Of the force
         approach_speed: wp.array2d(dtype=real)  # [env, contact] dδ/dt at K, 0 unless CONTACT [m/s]
@@ -90,5 +90,5 @@ def contact_structs(real: type) -> SimpleNamespace:
 
 
 #: Arrays that are only there if a law or a friction looks at them.
-OF_CURVATURE = ("curvature_1", "curvature_2", "size")
+OF_CURVATURE = ("curvature_1", "curvature_2", "radius")
 OF_DIRECTION = ("orientation",)

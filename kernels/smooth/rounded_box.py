@@ -18,6 +18,7 @@ class RoundedBox(Shape):
 
     formula = "distance from the box |x| ≤ a − r, |y| ≤ b − r, |z| ≤ c − r = r"
     kinks: ClassVar[int] = 3
+    polyhedral: ClassVar[bool] = True
 
     half_extents: tuple[float, float, float] = parameter(
         "m", "half extents a, b, c of the outside", shape=(3,), above=0.0

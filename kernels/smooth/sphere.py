@@ -1,6 +1,6 @@
 """Spheres."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
@@ -13,6 +13,7 @@ class Sphere(Shape):
     """A sphere about the origin."""
 
     formula = "|y| = r"
+    polyhedral: ClassVar[bool] = True
 
     radius: float = parameter("m", "radius r", above=0.0)
 

@@ -1,10 +1,10 @@
 """Superellipsoids, from nearly a box to nearly an octahedron."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import Expansion, Shape
+from warpcontact.kernels.smooth.base import ACROSS, Expansion, Shape
 
 real = wp.float64
 zero = wp.constant(real(0.0))
@@ -46,6 +46,22 @@ def joined(x: real, y: real, exponent: real):
     return value, of_longest, of_shorter, curvature
 
 
+@wp.func
+def supporting(p: Any, n: wp.vec3d):
+    """The point farthest along n."""
+    axes = p.semi_axes
+    x = axes[0] * wp.abs(n[0])
+    y = axes[1] * wp.abs(n[1])
+    z = axes[2] * wp.abs(n[2])
+    flat, by_x, by_y, _ = joined(x, y, p.exponents[1])
+    _, by_flat, by_z, _ = joined(flat, z, p.exponents[0])
+    return wp.vec3d(
+        axes[0] * wp.sign(n[0]) * by_flat * by_x,
+        axes[1] * wp.sign(n[1]) * by_flat * by_y,
+        axes[2] * wp.sign(n[2]) * by_z,
+    )
+
+
 class Superellipsoid(Shape):
     """A superellipsoid about the origin, its axes along x, y, z. Exponents (1, 1) make an ellipsoid.
 
@@ -54,25 +70,16 @@ class Superellipsoid(Shape):
 
     formula = "(|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁) = 1"
     reference = "A. H. Barr, Superquadrics and angle-preserving transformations, 1981"
+    # Where n is all but across an axis, and an exponent below 1, the point runs along what looks like an edge.
+    kinks: ClassVar[int] = 3
+    steep: ClassVar[bool] = True
 
     semi_axes: tuple[float, float, float] = parameter("m", "semi-axes a, b, c", shape=(3,), above=0.0)
     exponents: tuple[float, float] = parameter(
         "-", "exponents e₁, e₂", shape=(2,), at_least=0.1, at_most=1.9, default=(1.0, 1.0)
     )
 
-    @wp.func
-    def support(p: Any, n: wp.vec3d):
-        axes = p.semi_axes
-        x = axes[0] * wp.abs(n[0])
-        y = axes[1] * wp.abs(n[1])
-        z = axes[2] * wp.abs(n[2])
-        flat, by_x, by_y, _ = joined(x, y, p.exponents[1])
-        _, by_flat, by_z, _ = joined(flat, z, p.exponents[0])
-        return wp.vec3d(
-            axes[0] * wp.sign(n[0]) * by_flat * by_x,
-            axes[1] * wp.sign(n[1]) * by_flat * by_y,
-            axes[2] * wp.sign(n[2]) * by_z,
-        )
+    support: ClassVar = supporting
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
@@ -86,10 +93,50 @@ class Superellipsoid(Shape):
         _, by_flat, by_z, bent = joined(flat, z, p.exponents[0])
         found = Expansion()
         found.point = wp.cw_mul(signed, wp.vec3d(by_flat * by_x, by_flat * by_y, by_z))
+        exponents = wp.vec3d(p.exponents[1], p.exponents[1], p.exponents[0])
+        for i in range(3):
+            if wp.abs(n[i]) <= ACROSS and exponents[i] < one:
+                beside = n
+                beside[i] = ACROSS
+                found.kinks[i, i] = supporting(p, beside)[i]
+                found.point[i] = zero
         up = wp.cw_mul(signed, wp.vec3d(z * by_x, z * by_y, -flat))
         around = wp.cw_mul(signed, wp.vec3d(y, -x, zero))
         found.hessian = bent * wp.outer(up, up) + (by_flat * bent_flat) * wp.outer(around, around)
         return found
+
+    @wp.func
+    def steepness(p: Any):
+        """Powers of the components of n that those of the point go by, near zero."""
+        across = p.exponents[1] / (two - p.exponents[1])
+        return wp.vec3d(across, across, p.exponents[0] / (two - p.exponents[0]))
+
+    @wp.func
+    def gauss(p: Any, y: wp.vec3d):
+        """The normal where a point, scaled, lies on the surface."""
+        axes = p.semi_axes
+        x_1 = wp.abs(y[0]) / axes[0]
+        x_2 = wp.abs(y[1]) / axes[1]
+        x_3 = wp.abs(y[2]) / axes[2]
+        round = two / p.exponents[1]
+        up = two / p.exponents[0] - one
+        flat = zero
+        by_1 = zero
+        by_2 = zero
+        longest = wp.max(x_1, x_2)
+        if longest > zero:
+            flat = longest * raised(raised(x_1 / longest, round) + raised(x_2 / longest, round), one / round)
+            by_1 = raised(x_1 / flat, round - one)
+            by_2 = raised(x_2 / flat, round - one)
+        whole = wp.max(flat, x_3)
+        by_flat = raised(flat / whole, up)
+        return wp.normalize(
+            wp.vec3d(
+                wp.sign(y[0]) * by_flat * by_1 / axes[0],
+                wp.sign(y[1]) * by_flat * by_2 / axes[1],
+                wp.sign(y[2]) * raised(x_3 / whole, up) / axes[2],
+            )
+        )
 
     @wp.func
     def margin(p: Any):

@@ -46,6 +46,10 @@ class Torus(Shape):
         return point
 
     @wp.func
+    def centre(p: Any):
+        return wp.vec3d()
+
+    @wp.func
     def extents(p: Any):
         outer = p.major_radius + p.minor_radius
         return wp.vec3d(outer, outer, p.minor_radius)

@@ -27,6 +27,7 @@ from warpcontact.experiment.catalogue import (
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.kernels import laws
 from warpcontact.kernels.frictions import Frictionless
+from warpcontact.smooth.elements import ALL
 from warpcontact.surface_contact import SIDES
 
 Row = TypeVar("Row")
@@ -78,8 +79,27 @@ class BodySettings(Section):
     color: Color | None = None
 
 
+class BodiesSettings(Section):
+    """``[[bodies]]``: a set of rigid bodies; all but the positions is one value for all or a list of one for each.
+
+    In place of a list there may be the name of a file with it.
+    """
+
+    name: Name
+    positions: Annotated[Any, q.positions] = Field(description="a list of 3 numbers each [m], or a file")
+    mass: Annotated[Any, q.masses] = Field(description="mass [kg]")
+    inertia: Annotated[Any, q.inertias] = Field(description="3 principal moments or a 3×3 tensor [kg·m²]")
+    orientations: Annotated[Any, q.quaternions] = NO_ROTATION
+    linear_velocities: Annotated[Any, q.velocities] = ORIGIN
+    angular_velocities: Annotated[Any, q.angular_velocities] = ORIGIN
+    external_forces: Annotated[Any, q.forces] = ORIGIN
+    external_torques: Annotated[Any, q.torques] = ORIGIN
+    motion: FormulaTable | None = None
+    color: Color | None = None
+
+
 class PointSettings(Section):
-    """``[[point]]``: a point of a body or of a surface, or of the world."""
+    """``[[point]]``: a point of a body or of a surface, or of the world; of a set of bodies one on each."""
 
     name: Name
     body: str | None = None
@@ -98,7 +118,7 @@ class PointsSettings(Section):
     name: Name
     body: str | None = None
     surface: str | None = None
-    positions: Annotated[tuple[tuple[float, ...], ...] | None, q.positions] = None
+    positions: Annotated[Any, q.positions] = None
     areas: Annotated[tuple[float, ...] | None, q.areas] = None
     samples: Annotated[int | str | None, q.amount] = None
     seed: int | None = Field(default=None, ge=0)
@@ -138,7 +158,7 @@ class ContactOptions(Section):
 
     name: Name
     template: str = Field(description="the name of a template")
-    radius: Annotated[float, q.numbers((), allowed=limits_of.RADIUS)] = 0.0
+    radius: Annotated[Any, q.numbers((), allowed=limits_of.RADIUS)] = 0.0
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
     search: Annotated[str, q.one_of(("whole", "active"))] = "whole"
     entry: Annotated[str, q.one_of(("literal", "latched"))] = "literal"
@@ -156,6 +176,7 @@ class ContactOptions(Section):
 class ContactSettings(ContactOptions):
     """``[[contact]]``: points, or spheres about them, that touch a surface."""
 
+    radius: Annotated[Any, q.radii] = 0.0
     points: str = Field(description="the name of a point or of points")
     surface: str = Field(description="the name of a surface")
 
@@ -168,6 +189,36 @@ class SurfaceContactSettings(ContactOptions):
     samples: Annotated[Any, q.amounts] = 500
     seed: int = Field(default=0, ge=0)
     sides: Annotated[str, q.one_of(SIDES)] = "first"
+
+
+class ShapeSettings(Section):
+    """``[[shape]]``: a shape of analytic form on a body, or on the world; of a set of bodies one on each."""
+
+    name: Name
+    form: FormulaTable = Field(description="{ type = …, and its parameters }")
+    body: str | None = None
+    position: Position = ORIGIN
+    orientation: Quaternion = NO_ROTATION
+    group: int = Field(default=1, ge=0, le=ALL)
+    mask: int = Field(default=ALL, ge=0, le=ALL)
+    color: Color | None = None
+    visible: bool = True
+
+
+class SmoothContactSettings(Section):
+    """``[[smooth_contact]]``: the contact of two shapes."""
+
+    name: Name
+    shape: str = Field(description="the name of a shape")
+    other_shape: str = Field(description="the name of a shape")
+    template: str = Field(description="the name of a template")
+    kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
+    max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
+    torsion_radius: Annotated[float | None, q.numbers((), allowed=limits_of.TORSION_RADIUS)] = None
+    share: Annotated[float, q.numbers((), allowed=limits_of.SHARE)] = 1.0
+    enabled: bool = True
+    color: Color | None = None
+    visible: bool = True
 
 
 class ImpactSettings(Section):
@@ -342,12 +393,15 @@ class Settings(Section):
     gravity: Annotated[tuple[float, ...], q.acceleration] = (0.0, 0.0, -9.81)
     surface: Rows[SurfaceSettings] = ()
     body: Rows[BodySettings] = ()
+    bodies: Rows[BodiesSettings] = ()
     point: Rows[PointSettings] = ()
     points: Rows[PointsSettings] = ()
     template: Rows[TemplateSettings] = ()
     contact: Rows[ContactSettings] = ()
     surface_contact: Rows[SurfaceContactSettings] = ()
     contact_coupling: Rows[ContactCouplingSettings] = ()
+    shape: Rows[ShapeSettings] = ()
+    smooth_contact: Rows[SmoothContactSettings] = ()
     spring_damper: Rows[SpringDamperSettings] = ()
     bushing: Rows[BushingSettings] = ()
     catenary: Rows[CatenarySettings] = ()
@@ -359,6 +413,7 @@ class Settings(Section):
 #: The sections that are lists, in the order in which a scene is made of them.
 SECTIONS: dict[str, type[Section]] = {
     "body": BodySettings,
+    "bodies": BodiesSettings,
     "surface": SurfaceSettings,
     "point": PointSettings,
     "points": PointsSettings,
@@ -366,6 +421,8 @@ SECTIONS: dict[str, type[Section]] = {
     "contact": ContactSettings,
     "surface_contact": SurfaceContactSettings,
     "contact_coupling": ContactCouplingSettings,
+    "shape": ShapeSettings,
+    "smooth_contact": SmoothContactSettings,
     "spring_damper": SpringDamperSettings,
     "bushing": BushingSettings,
     "catenary": CatenarySettings,
@@ -373,7 +430,22 @@ SECTIONS: dict[str, type[Section]] = {
 
 
 #: Those with laws, frictions, springs and motions.
-FORMULA_SECTIONS = ("body", "template", "contact_coupling", "spring_damper")
+FORMULA_SECTIONS = ("body", "bodies", "template", "contact_coupling", "shape", "spring_damper")
+#: Keys of sections that may name a file with rows.
+ROW_KEYS: dict[str, tuple[str, ...]] = {
+    "bodies": (
+        "positions",
+        "mass",
+        "inertia",
+        "orientations",
+        "linear_velocities",
+        "angular_velocities",
+        "external_forces",
+        "external_torques",
+    ),
+    "points": ("positions",),
+    "contact": ("radius",),
+}
 #: Tables within a contact coupling.
 _TABLES: dict[str, type[Section]] = {"range": RangeSettings, "from_impact": ImpactSettings}
 

@@ -12,6 +12,8 @@ from warpcontact.checks import Array, limits
 from warpcontact.elements import KAPPA, MAX_DEPTH, SHARE, TORSION_RADIUS, Body, Template
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.smooth.base import Shape as Form
+from warpcontact.kernels.smooth.curvature import relative
+from warpcontact.kernels.smooth.force import looks_at_curvature
 from warpcontact.smooth.elements import ALL, Shape, SmoothContact
 
 if TYPE_CHECKING:
@@ -142,6 +144,7 @@ class SmoothContacts:
             raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
         if torsion_radius is not None and isinstance(template.torsion, Frictionless):
             raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
+        _check_pair(name, shape.kind, other_shape.kind, template)
         for part, formula in template.formulas.items():
             if formula.takes_area:
                 raise ValueError(
@@ -168,6 +171,18 @@ class SmoothContacts:
         self.smooth_contacts.append(contact)
         self._elements[name] = contact
         return contact
+
+
+def _check_pair(name: str, kind: type[Form], other: type[Form], template: Template) -> None:
+    """Raises ``ValueError`` if it is not known how two shapes meet, or what a template takes of them."""
+    from warpcontact.kernels.smooth.meet import meet  # with its solvers, which only smooth contacts need
+
+    try:
+        meet(kind, other)
+        if looks_at_curvature(template.parts):
+            relative(kind, other)
+    except TypeError as error:
+        raise ValueError(f"{name}: {kind.__name__} and {other.__name__}: {error}") from None
 
 
 def _sizes_of(

@@ -29,6 +29,7 @@ from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.parameters import Field, pack
 from warpcontact.readings import CONTACT_READINGS, Reading
 from warpcontact.smooth.elements import SmoothContact
+from warpcontact.smooth.measures import has_curvatures
 from warpcontact.smooth.shape_sets import ShapeSet
 from warpcontact.status import Status
 
@@ -57,6 +58,8 @@ _MEASURES = {
     "point": ("smooth_points", "point", "m", "point K where the force acts, world"),
     "point_a": ("smooth_points", "point_a", "m", "where the first surface meets the other, world"),
     "point_b": ("smooth_points", "point_b", "m", "where the other surface meets the first, world"),
+    "curvature_1": ("smooth_curvatures", "curvature_1", "1/m", "smaller principal curvature of the gap"),
+    "curvature_2": ("smooth_curvatures", "curvature_2", "1/m", "larger principal curvature of the gap"),
 }
 
 
@@ -243,11 +246,24 @@ class SmoothSet:
             wp.launch(reset.memory(formula, self.real), dim=shape, inputs=[chosen, memory], device=device)
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles the force kernel, so that a mistake in a user's law shows at once.
+        """Compiles its kernels, so that a mistake in a user's law or shape shows at once.
 
         Raises:
-            TypeError: If a law or friction does not compile.
+            TypeError: If a law, a friction or a shape does not compile.
         """
+        for kinds, _ in self.ranges:
+            kernel = detect.kernel(*kinds, self.real, self.curved, self.oriented)
+            try:
+                kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+            except Exception as error:
+                text = str(error).replace("\\n", "\n")
+                given = "\n".join(
+                    f"In {kind.__name__}, p has {', '.join(kind.device_names()) or 'nothing'}." for kind in kinds
+                )
+                raise TypeError(
+                    f"shape {kinds[0].__name__} with shape {kinds[1].__name__} does not compile: {text}\n{given}\n"
+                    "All of a shape is in float64: constants are written as wp.float64(1.5)."
+                ) from error
         compile_forces(self.parts, self.kernel, device, self.real)
 
     def failures(self, contact: SmoothContact) -> NDArray[np.int32]:
@@ -267,7 +283,10 @@ class SmoothSet:
                 array = self._column(attribute, own)
                 name = f"{contact.name}.{key}"
                 yield Reading(name, unit, text, array, needs=("contacts",), items=several, codes=codes)
+            bent = has_curvatures(contact.kinds)
             for key, (measure, attribute, unit, meaning) in _MEASURES.items():
+                if measure == "smooth_curvatures" and not bent:
+                    continue
                 array = _measured(measure, attribute, _shifted(own, self.first))
                 yield Reading(f"{contact.name}.{key}", unit, meaning, array, needs=(measure,), items=several)
             for part, formula in contact.formulas.items():
