@@ -52,8 +52,11 @@ def bin_radius(spheres: int, orifice: float) -> float:
     return max((spheres / 5.5) ** (1.0 / 3.0), 0.5 * orifice + 5.0) * DIAMETER
 
 
-def hopper(spheres: int, orifice: float, seed: int = 0) -> tuple[wc.Scene, np.ndarray]:
-    """Spheres above a funnel, which has a gate in an orifice ``orifice`` mean diameters wide; and their radii."""
+def hopper(spheres: int, orifice: float, part: float, seed: int = 0) -> tuple[wc.Scene, np.ndarray]:
+    """Spheres above a funnel, which has a gate in an orifice ``orifice`` mean diameters wide; and their radii.
+
+    The floor lies so deep that a heap of ``part`` of them does not reach the orifice.
+    """
     rng = np.random.default_rng(seed)
     radii = 0.5 * DIAMETER * rng.uniform(0.9, 1.1, spheres)
     width, mouth = bin_radius(spheres, orifice), 0.5 * orifice * DIAMETER
@@ -87,10 +90,14 @@ def hopper(spheres: int, orifice: float, seed: int = 0) -> tuple[wc.Scene, np.nd
     top = heights[-1] + 2.0 * DIAMETER
     wall = scene.add_surface(lathe([(width, top), (width, rise), (mouth, 0.0)]), name="funnel")
     gate = scene.add_surface(wc.meshes.grid((2.2 * mouth, 2.2 * mouth)), name="gate")
+    heap = (part * spheres) ** (1.0 / 3.0) * DIAMETER
+    depth = 0.6 * heap + 10.0 * DIAMETER
+    ground = scene.add_surface(wc.meshes.grid((16.0 * heap, 16.0 * heap)), position=(0, 0, -depth), name="floor")
     # A sphere beside the orifice, below the funnel, is not deep in its wall.
     options = {"radius": radii, "max_depth": 0.5 * DIAMETER}
     scene.add_contact(centres, wall, template, rim="outer", name="on_funnel", **options)
     scene.add_contact(centres, gate, template, name="on_gate", **options)
+    scene.add_contact(centres, ground, template, name="on_floor", **options)
     forms = [wc.shapes.Sphere(float(radius)) for radius in radii]
     scene.add_mutual_contact(scene.add_shape(grains, forms), template, name="pile")
     return scene, radii
@@ -110,7 +117,7 @@ def packed_fraction(places: np.ndarray, radii: np.ndarray, low: np.ndarray, high
 
 def discharge(spheres: int, orifice: float, part: float, device: str, progress: bool = True) -> dict[str, object]:
     """Fills a hopper, opens it, and measures the rate while ``part`` of the spheres leave it."""
-    scene, radii = hopper(spheres, orifice)
+    scene, radii = hopper(spheres, orifice, part)
     model = scene.build(device=device)
     model["on_gate.enabled"] = 1.0
     # Twenty steps in the contact of two spheres.
@@ -191,7 +198,9 @@ def draw(result: dict[str, object], file: str) -> None:
     )  # fmt: skip
     left.add_collection(grains)
     high = z[z < np.quantile(z, 0.999)].max()
-    left.set(xlim=(1.1 * x.min(), 1.1 * x.max()), ylim=(-6 * DIAMETER, high + DIAMETER), aspect="equal")
+    left.set(
+        xlim=(1.1 * x.min(), 1.1 * x.max()), ylim=(min(z.min(), 0.0) - DIAMETER, high + DIAMETER), aspect="equal"
+    )
     left.set(xlabel="x [m]", ylabel="z [m]", title="a slice two diameters thick, in flow")
     time, mass = np.asarray(result["time"]), np.asarray(result["mass"])
     right.plot(time, mass, label="simulated")

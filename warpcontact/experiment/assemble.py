@@ -16,6 +16,7 @@ from warpcontact.experiment.schema import (
     ContactOptions,
     ContactSettings,
     CouplingOptions,
+    MutualContactSettings,
     PointSettings,
     PointsSettings,
     ShapeSettings,
@@ -79,6 +80,7 @@ class Assembler:
             "contact_coupling": lambda path, entry: self._contact_coupling(scene, path, entry, problems),
             "shape": lambda path, entry: self._shape(scene, path, entry, problems),
             "smooth_contact": lambda path, entry: self._smooth_contact(scene, path, entry, problems),
+            "mutual_contact": lambda path, entry: self._mutual_contact(scene, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:
@@ -193,6 +195,25 @@ class Assembler:
         references = {"shape": _SHAPE, "other_shape": _SHAPE, "template": _TEMPLATE}
         targets = self._find_all(path, entry, references, problems)
         return scene.add_smooth_contact(*targets, **entry.model_dump(exclude=set(references)))
+
+    def _mutual_contact(self, scene: Scene, path: str, entry: MutualContactSettings, problems: Problems) -> Any:
+        def find(key: str, name: str, kind: tuple[str, tuple[str, ...]] = _SHAPE) -> Any:
+            try:
+                return self._find(f"{path}.{key}", name, kind, problems)
+            except _Unresolved:
+                return None
+
+        # All are looked up before giving up.
+        shapes = [find(f"shapes[{i}]", name) for i, name in enumerate(entry.shapes)]
+        pairs: list[Any] = [
+            [find(f"exclude[{i}][{k}]", name) for k, name in enumerate(pair)]
+            for i, pair in enumerate(entry.exclude)
+        ]
+        template = find("template", entry.template, _TEMPLATE)
+        if any(found is None for found in (*shapes, *(shape for pair in pairs for shape in pair), template)):
+            raise _Unresolved
+        options = entry.model_dump(exclude={"shapes", "template", "exclude"})
+        return scene.add_mutual_contact(shapes, template, exclude=pairs, **options)
 
     def _find_all(
         self,

@@ -221,6 +221,24 @@ class SmoothContactSettings(Section):
     visible: bool = True
 
 
+class MutualContactSettings(Section):
+    """``[[mutual_contact]]``: every two of many spheres and capsules touch."""
+
+    name: Name
+    shapes: Rows[str] = Field(description="the names of shapes", min_length=1)
+    template: str = Field(description="the name of a template")
+    exclude: Rows[Rows[str]] = ()
+    skin: Annotated[float | None, q.numbers((), allowed=limits_of.RANGE)] = None
+    partners: int | None = Field(default=None, ge=1)
+    kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
+    max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
+    torsion_radius: Annotated[float | None, q.numbers((), allowed=limits_of.TORSION_RADIUS)] = None
+    share: Annotated[float, q.numbers((), allowed=limits_of.SHARE)] = 1.0
+    enabled: bool = True
+    color: Color | None = None
+    visible: bool = True
+
+
 class ImpactSettings(Section):
     """An expected impact, from which the coefficients of a contact coupling follow."""
 
@@ -402,6 +420,7 @@ class Settings(Section):
     contact_coupling: Rows[ContactCouplingSettings] = ()
     shape: Rows[ShapeSettings] = ()
     smooth_contact: Rows[SmoothContactSettings] = ()
+    mutual_contact: Rows[MutualContactSettings] = ()
     spring_damper: Rows[SpringDamperSettings] = ()
     bushing: Rows[BushingSettings] = ()
     catenary: Rows[CatenarySettings] = ()
@@ -423,6 +442,7 @@ SECTIONS: dict[str, type[Section]] = {
     "contact_coupling": ContactCouplingSettings,
     "shape": ShapeSettings,
     "smooth_contact": SmoothContactSettings,
+    "mutual_contact": MutualContactSettings,
     "spring_damper": SpringDamperSettings,
     "bushing": BushingSettings,
     "catenary": CatenarySettings,

@@ -74,6 +74,7 @@ def _classes(scene: Scene) -> set[type[Formula]]:
     formulas = [f for contact in scene.contacts for f in contact.template.formulas.values()]
     formulas += [f for coupling in scene.couplings for f in coupling.formulas.values()]
     formulas += [f for contact in scene.smooth_contacts for f in contact.formulas.values()]
+    formulas += [f for contact in scene.mutual_contacts for f in contact.formulas.values()]
     kinds = {kind for contact in scene.smooth_contacts for kind in contact.kinds}
     return kinds | {type(formula) for formula in (*formulas, *(body.motion for body in scene.bodies))}
 
