@@ -19,7 +19,7 @@ GRAVITY = 9.81  # m/s²
 DIAMETER = 0.01  # m, mean of the spheres; they differ by ± 10 %
 DENSITY = 2500.0  # kg/m³, of their material
 FRICTION, RESTITUTION = 0.5, 0.5
-STIFFNESS = 4000.0  # in weights of a sphere per diameter: N/m = STIFFNESS m g / d
+STIFFNESS = 2000.0  # in weights of a sphere per diameter: N/m = STIFFNESS m g / d
 SLOPE = math.radians(30.0)  # of the funnel
 C, K = 0.58, 1.4  # of Beverloo's law
 
@@ -120,8 +120,8 @@ def discharge(spheres: int, orifice: float, part: float, device: str, progress: 
     scene, radii = hopper(spheres, orifice, part)
     model = scene.build(device=device)
     model["on_gate.enabled"] = 1.0
-    # Twenty steps in the contact of two spheres.
-    dt = math.pi * math.sqrt(0.5 / STIFFNESS) * UNIT / 20.0
+    # Fifteen steps in the contact of two spheres.
+    dt = math.pi * math.sqrt(0.5 / STIFFNESS) * UNIT / 15.0
     sim = wc.Simulation(model, dt=dt)
     every = round(0.5 * UNIT / dt)
     width, mouth = bin_radius(spheres, orifice), 0.5 * orifice * DIAMETER
@@ -218,7 +218,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     parser = argparse.ArgumentParser(description="Spheres run through a funnel.")
     parser.add_argument("--spheres", type=int, default=20_000, help="number of spheres (default: 20 000)")
     parser.add_argument("--orifice", type=float, default=8.0, help="its width in diameters (default: 8)")
-    parser.add_argument("--part", type=float, default=0.25, help="part of them to let out (default: 0.25)")
+    parser.add_argument("--part", type=float, default=0.15, help="part of them to let out (default: 0.15)")
     parser.add_argument("--device", default="auto", help="cpu, cuda:0 or auto (default)")
     parser.add_argument("--picture", help="file to draw to, such as hopper.png")
     options = parser.parse_args(argv)

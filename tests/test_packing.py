@@ -50,6 +50,7 @@ def test_many_spheres_settle_to_the_density_of_random_packings(device):
     check_packing(load("benchmarks", "piles").settle(100_000, device, most=60.0))
 
 
+@pytest.mark.slow
 def test_hopper_flows_as_beverloo_says(device, capsys):
     result = load("examples", "hopper").main(
         ["--spheres", "1500", "--orifice", "4.5", "--part", "0.25", "--device", device]
