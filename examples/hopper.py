@@ -120,8 +120,8 @@ def discharge(spheres: int, orifice: float, part: float, device: str, progress: 
     scene, radii = hopper(spheres, orifice, part)
     model = scene.build(device=device)
     model["on_gate.enabled"] = 1.0
-    # Fifteen steps in the contact of two spheres.
-    dt = math.pi * math.sqrt(0.5 / STIFFNESS) * UNIT / 15.0
+    # Seventeen steps in the contact of two spheres, more in that of a light one with the wall.
+    dt = math.pi * math.sqrt(0.5 / STIFFNESS) * UNIT / 17.0
     sim = wc.Simulation(model, dt=dt)
     every = round(0.5 * UNIT / dt)
     width, mouth = bin_radius(spheres, orifice), 0.5 * orifice * DIAMETER

@@ -202,14 +202,21 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
                 while entry < stop and not touching:
                     partner = lists.partner[env, entry]
                     radius_2 = shapes.radius[env, partner]
-                    spot_2 = spot(shapes, state, env, partner)
                     reach = radius + radius_2
-                    pair = nearest(own, spot_2)
-                    squared = wp.length_sq(pair.apart)
-                    if squared < reach * reach:
-                        distance = wp.sqrt(squared)
-                        touching = reach - distance <= settings.max_depth and settings.enabled != 0
-                        touching = touching and distance < reach
+                    spot_2 = spot(shapes, state, env, partner)
+                    near = wp.bool(True)
+                    if wp.static(long):
+                        # By the spheres around capsules first; with room for rounding.
+                        around = (own.base - spot_2.base) + (own.rest - spot_2.rest)
+                        beyond = real(1.0001) * (reach + wp.length(own.axis) + wp.length(spot_2.axis))
+                        near = wp.length_sq(around) < beyond * beyond
+                    if near:
+                        pair = nearest(own, spot_2)
+                        squared = wp.length_sq(pair.apart)
+                        if squared < reach * reach:
+                            distance = wp.sqrt(squared)
+                            touching = reach - distance <= settings.max_depth and settings.enabled != 0
+                            touching = touching and distance < reach
                     if busy != 0:
                         bits = touches.bits[env, slot] & TOUCHED
                         now = now | bits
