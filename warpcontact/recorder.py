@@ -157,7 +157,7 @@ class _Ring:
 
 
 def moved_elements(model: Environments) -> list[str]:
-    """Returns the parameters of surfaces and points that are no longer those of the scene in environment 0."""
+    """Returns the parameters of surfaces, shapes and points that are no longer those of the scene in environment 0."""
     scene = model.scene
     first = {
         f"{surface.name}.{key}": getattr(surface, key)
@@ -165,6 +165,9 @@ def moved_elements(model: Environments) -> list[str]:
         for key in ("position", "orientation", "scale")
     }
     first |= {f"{surface.name}.mesh": np.zeros(()) for surface in scene.surfaces if len(surface.meshes) > 1}
+    for shape in scene.shapes:
+        own = {"position": shape.positions, "orientation": shape.orientations, **shape.sizes}
+        first |= {f"{shape.name}.{key}": v[0] if shape.single else v for key, v in own.items()}
     for points in scene.points:
         first[f"{points.name}.position"] = points.positions[0] if points.single else points.positions
     part = model.parts[0]
