@@ -217,3 +217,57 @@ def brute_force(A, B, a, b, x, q, count=2000, best=6, rounds=30, block=500):
             radius *= 0.7
         found[rows] = value.max(axis=1)
     return found
+
+
+def outside(shape, values, y):
+    """How far points (n, 3) lie outside of shapes: 0 on the surface and less inside, about a distance [m]."""
+    across = np.hypot(y[:, 0], y[:, 1])
+    match shape.__name__:
+        case "Sphere":
+            return np.linalg.norm(y, axis=1) - values["radius"]
+        case "Ellipsoid":
+            return np.linalg.norm(y / values["semi_axes"], axis=1) - 1.0
+        case "Superellipsoid":
+            p, r = 2.0 / values["exponents"].T
+            a, b, c = np.abs(y / values["semi_axes"]).T
+            with np.errstate(under="ignore"):
+                return ((a**r + b**r) ** (p / r) + c**p) ** (1.0 / p) - 1.0
+        case "Cylinder":
+            return np.maximum(across - values["radius"], np.abs(y[:, 2]) - values["half_length"])
+        case "Capsule":
+            above = np.maximum(np.abs(y[:, 2]) - values["half_length"], 0.0)
+            return np.hypot(across, above) - values["radius"]
+        case "Cone":
+            return np.maximum(across - values["radius"] * (1.0 - y[:, 2] / values["height"]), -y[:, 2])
+        case "RoundedBox":
+            core = values["half_extents"] - values["radius"][:, None]
+            return np.linalg.norm(np.maximum(np.abs(y) - core, 0.0), axis=1) - values["radius"]
+    raise ValueError(shape)
+
+
+def check(A, B, pair, found, **effort):
+    """Asserts that every pair is solved, that no root is wrong, and what there is in points and residual.
+
+    The gap must be that of the planes along the normal, and the vector between the two points, which must lie in
+    the bodies: where it is not negative, no shorter vector and no wider gap can be. In overlap nothing better must
+    be found by ``brute_force`` with this ``effort``.
+    """
+    a, b, x, q = pair
+    steep = "Superellipsoid" in (A.__name__, B.__name__)
+    # What rounding of the normal, 1e-16, does to points: those of superellipsoids go by powers of it, to 1/19.
+    allowed = 1e-5 if steep else 1e-11
+    assert (found["status"] == 0).all()
+    assert (found["residual"] <= (1e-6 if steep else 1e-9)).all()
+    rotation = Rotation.from_quat(q).as_matrix()
+    along = widths(A, B, a, b, x, rotation, found["normal"][:, None])[:, 0]
+    np.testing.assert_allclose(np.linalg.norm(found["normal"], axis=1), 1.0, atol=1e-14)
+    np.testing.assert_allclose(found["gap"], along, atol=1e-11 if steep else 2e-13)
+    between = found["point_a"] - found["point_b"] - found["gap"][:, None] * found["normal"]
+    assert np.abs(between).max() < allowed
+    in_a = np.einsum("nij,ni->nj", rotation, found["point_a"] - x)
+    assert outside(A, a, in_a).max() < allowed
+    assert outside(B, b, found["point_b"]).max() < allowed
+    deep = found["gap"] < 0.0
+    assert 0.2 < deep.mean() < 0.8
+    best = brute_force(A, B, chosen(a, deep), chosen(b, deep), x[deep], q[deep], **effort)
+    assert (found["gap"][deep] >= best - 1e-9).all()

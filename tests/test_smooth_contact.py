@@ -55,6 +55,42 @@ def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision,
     np.testing.assert_allclose(model.reading("touch.normal_force")[1:], depths, rtol=tolerance * 10)
 
 
+def test_derivatives_are_differences_of_the_readings(device):
+    model = two_ellipsoids(device, "float64", envs=1)
+    model["b.position"] = (0.05, 0.03, 0.29)
+    for quantity in ("gap", "normal", "point_a", "point_b"):
+        # By what carries the first shape, b: positions, then turns about its centre of mass.
+        for key, given in (("position", model["b.position"]), ("orientation", model["b.orientation"])):
+            by = "position" if key == "position" else "rotation"
+            known = model.reading(f"touch.{quantity}_by_{by}_a")[0]
+            for axis, way in enumerate(np.eye(3)):
+                ends = []
+                for step in (-1e-5, 1e-5):
+                    if key == "position":
+                        model["b.position"] = given + step * way
+                    else:
+                        turned = Rotation.from_rotvec(step * way) * Rotation.from_quat(given)
+                        model["b.orientation"] = turned.as_quat()
+                    ends.append(model.reading(f"touch.{quantity}")[0])
+                model[f"b.{key}"] = given
+                # Central differences: the square of the step, and the rounding of a reading over it.
+                difference = (ends[1] - ends[0]) / 2e-5
+                np.testing.assert_allclose(known[..., axis], difference, rtol=1e-6, atol=1e-7)
+    axes = model["shape_a.semi_axes"]
+    for axis, way in enumerate(np.eye(3)):
+        ends = []
+        for step in (-1e-5, 1e-5):
+            model["shape_a.semi_axes"] = axes + step * way
+            ends.append(model.reading("touch.gap")[0])
+        model["shape_a.semi_axes"] = axes
+        known = model.reading("touch.gap_by_semi_axes_b")[0, axis]
+        assert known == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=1e-6, abs=1e-7)
+    recording = wc.Simulation(model, dt=1e-4).run(
+        1e-3, ["touch.point_a_by_rotation_b", "touch.gap_by_semi_axes_a"]
+    )
+    assert recording["touch.point_a_by_rotation_b"].dims == ("time", "env", "row", "column")
+
+
 def sphere_on_plane(smooth, device, precision, envs=1):
     scene = wc.Scene()
     moving = {"linear_velocity": (1.0, 0.2, 0), "angular_velocity": (0, 3.0, 5.0)}

@@ -132,6 +132,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         coordinates=None,
         smooth_points=None,
         smooth_curvatures=None,
+        smooth_gradients=None,
     )
     layout.array("state", arrays, "status", wp.int32, per_env())
     layout.array("state", arrays, "time", wp.float64, per_env())

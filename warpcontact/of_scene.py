@@ -98,6 +98,10 @@ def _smooth_curvatures(layout: Layout, model: OfScene) -> Any:
     return layout.struct("measures", smooth_measures.Curvatures, per_env(model.smooth_count))
 
 
+def _smooth_gradients(layout: Layout, model: OfScene) -> Any:
+    return layout.struct("measures", smooth_measures.Gradients, per_env(model.smooth_count))
+
+
 #: How to declare what readings are measured into, by what they need.
 MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {
     "bodies": _bodies,
@@ -107,6 +111,7 @@ MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {
     "contact_couplings": _contact_couplings,
     "smooth_points": _smooth_points,
     "smooth_curvatures": _smooth_curvatures,
+    "smooth_gradients": _smooth_gradients,
 }
 #: Those of smooth contacts, measured on contacts that were computed before.
-SMOOTH = ("smooth_points", "smooth_curvatures")
+SMOOTH = ("smooth_points", "smooth_curvatures", "smooth_gradients")

@@ -92,8 +92,8 @@ class Reading:
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
         needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, contact
             ``"points"``, of motions ``"reactions"`` and ``"coordinates"``, the forces of
-            ``"contact_couplings"``, of smooth contacts ``"smooth_points"`` and ``"smooth_curvatures"``, or what is
-            measured of ``"piles"``.
+            ``"contact_couplings"``, of smooth contacts ``"smooth_points"``, ``"smooth_curvatures"`` and
+            ``"smooth_gradients"``, or what is measured of ``"piles"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
         codes: What its numbers stand for.

@@ -44,6 +44,9 @@ LONGEST = wp.constant(real(1.0))
 # Of the rise at the first slope, what a step must bring; and more where there are several ways to go.
 LEAST = wp.constant(real(1.0e-4))
 MOST = wp.constant(real(0.2))
+# Of the size of the pair, a rise too small to look for; and of that of a shape, how far outside a point may be.
+SLIDES = wp.constant(real(1.0e-14))
+INSIDE = wp.constant(real(1.0 + 1.0e-9))
 # Of a component of n, the change from which its power is looked at.
 OFF = wp.constant(real(0.2))
 TINY = wp.constant(real(1.0e-300))
@@ -197,6 +200,8 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         last = real(wp.inf)
         stalls = wp.int32(0)
         climbing = wp.bool(True)
+        slid_a = vec3d()
+        slid_b = vec3d()
         while climbing:
             e_1 = tangent(n)
             e_2 = wp.cross(n, e_1)
@@ -253,12 +258,35 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
             if length > LONGEST:
                 d *= LONGEST / length
             slope = wp.dot(rho, d)
+            if wp.static(steep):  # noqa: SIM102
+                # Nothing to gain, and yet the points are not across from each other: n is as good as it can be
+                # rounded, and one of them slides along a face that is flat for all that n tells.
+                if slope < SLIDES * size:
+                    rest = rho[0] * e_1 + rho[1] * e_2
+                    if wp.static(A.steep):
+                        on_a = view.point_a - rest
+                        for i in range(wp.static(A.kinks)):
+                            on_a -= signs[i] * view.kinks[i]
+                        if A.gauge(p_a, (on_a - x) * R) <= INSIDE:
+                            slid_a = -rest
+                            result.residual = zero
+                    if wp.static(B.steep):
+                        on_b = view.point_b + rest
+                        for i in range(wp.static(B.kinks)):
+                            on_b += signs[of_a + i] * view.kinks[of_a + i]
+                        if result.residual > zero and B.gauge(p_b, on_b) <= INSIDE:
+                            slid_b = rest
+                            result.residual = zero
+                    if result.residual == zero:
+                        break
             # Where the step meets an edge that turns the slope.
             part = real(1.0)
             met = wp.int32(-1)
+            promised = half * slope
             if wp.static(count > 0):
                 bent = wp.max(q_11 * d[0] * d[0] + two * q_12 * d[0] * d[1] + q_22 * d[1] * d[1], zero)
                 crossed = zero
+                crossed_at = zero
                 passed = tied
                 for _ in range(wp.static(count)):
                     nearest = wp.int32(-1)
@@ -271,10 +299,13 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                             nearest = i
                     if nearest >= 0 and met < 0:
                         passed += 1 << nearest
-                        crossed += two * wp.abs(flat[nearest, 0] * d[0] + flat[nearest, 1] * d[1])
+                        drop = two * wp.abs(flat[nearest, 0] * d[0] + flat[nearest, 1] * d[1])
+                        crossed += drop
+                        crossed_at += drop * at
                         if slope - crossed - at * bent <= zero:
                             met = nearest
                             part = at
+                promised = wp.max(part * (slope - crossed - half * part * bent) + crossed_at, zero)
             d_3 = d[0] * e_1 + d[1] * e_2
             pole = vec3d()
             if wp.static(discs > 0) and disc == zero:
@@ -327,13 +358,15 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                             most = rise
                             best = trial
                             best_seen = seen
-                        done = tried == 1 and rise >= MOST * slope
+                        done = tried == 1 and rise >= MOST * promised
                         if tried == WAYS and most > NOISE * size:
                             done = True
                             trial = best
                             seen = best_seen
                 if ordinary:
-                    done = rise >= LEAST * part * slope - NOISE * size
+                    # The model's rise tells whether the step is a good one; a shorter one only has to rise.
+                    asked = wp.where(tried == 1, MOST * promised, LEAST * part * slope)
+                    done = rise >= asked - NOISE * size
                 if done:
                     n = trial
                     view = seen
@@ -354,8 +387,8 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                     signs[i] *= one - share
         result.value = view.value
         result.normal = n
-        result.point_a = view.point_a
-        result.point_b = view.point_b
+        result.point_a = view.point_a + slid_a
+        result.point_b = view.point_b + slid_b
         if wp.static(count > 0):
             for i in range(wp.static(count)):
                 if wp.static(i < of_a):

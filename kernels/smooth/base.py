@@ -111,7 +111,7 @@ class Shape(Formula):
     #: Flat discs with the normals −z and +z: none, the first, or both.
     discs: ClassVar[int] = 0
     #: Whether a point may run far for the smallest turn of n: it has kinks where it would, and
-    #: ``steepness(p)``, ``gauss(p, y)``.
+    #: ``steepness(p)``, ``gauss(p, y)`` and ``gauge(p, y)``.
     steep: ClassVar[bool] = False
     #: Whether the first kink is bent.
     bent: ClassVar[bool] = False

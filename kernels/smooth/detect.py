@@ -127,8 +127,8 @@ def seen(kind_a: type[Shape], kind_b: type[Shape], real: type) -> SimpleNamespac
 def bending(kind_a: type[Shape], kind_b: type[Shape]) -> SimpleNamespace:
     """Returns the device functions of the curvatures of a pair of kinds.
 
-    ``bent`` takes ``(env, contact, members, shapes_a, shapes_b, pose, meeting)`` and returns the relative
-    ``Curvature``; ``radius`` these arguments without pose and meeting, and that curvature: the radius of rolling
+    ``bent`` takes ``(env, contact, members, shapes_a, shapes_b, pose, meeting)`` and returns both curvatures and
+    the relative one; ``radius`` these arguments without pose and meeting, and the latter: the radius of rolling
     and of a patch of contact, that of the most curved section of the gap, and no more than the shapes are large.
 
     Raises:
@@ -152,8 +152,7 @@ def bending(kind_a: type[Shape], kind_b: type[Shape]) -> SimpleNamespace:
     ):
         p_a = shapes_a.coefficients[env, members.shape_a[contact]]
         p_b = shapes_b.coefficients[env, members.shape_b[contact]]
-        found = relative_of(p_a, p_b, pose.x, pose.q, meeting)
-        return found.relative
+        return relative_of(p_a, p_b, pose.x, pose.q, meeting)
 
     @wp.func
     def radius(
@@ -263,7 +262,8 @@ def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, o
             smooth.iterations[env, contact] = meeting.iterations
             smooth.residual[env, contact] = real(meeting.residual)
             if wp.static(curved):
-                relative = bent(env, contact, members, shapes_a, shapes_b, pose, meeting)
+                bend = bent(env, contact, members, shapes_a, shapes_b, pose, meeting)
+                relative = bend.relative
                 smooth.curvature_1[env, contact] = real(relative.k_1)
                 smooth.curvature_2[env, contact] = real(relative.k_2)
                 smooth.radius[env, contact] = real(radius_of(env, contact, members, shapes_a, shapes_b, relative))

@@ -35,6 +35,8 @@ half = wp.constant(real(0.5))
 STARTS = 4
 # How often a patch is lowered.
 LOWERINGS = wp.constant(wp.int32(8))
+# By how much more than it is deep, in terms of the shape's size.
+MARGIN = wp.constant(real(0.02))
 STEPS = wp.constant(wp.int32(80))
 HALVINGS = wp.constant(wp.int32(40))
 # Cosine between the normal of the shape and the tangents of the patch, at a contact.
@@ -269,16 +271,18 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
     def met_by(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, seed: Any):
         lowered = zero
         at, steps = deepest(p_a, p_b, x, q, lowered)
-        for _i in range(LOWERINGS):
+        for attempt in range(LOWERINGS):
             facing = wp.dot(at.near.normal, at.normal) < zero and at.lean <= ALLOWED
             # At the edge of the patch, or apart from it, it is where it is.
             if facing or at.near.gap >= zero:
                 break
             if wp.static(bounded):
-                # As deep as the shape goes below the tangent plane.
+                # As deep as the shape goes below the tangent plane, and a little more: outside, the distance from
+                # sharp edges is smooth.
                 lowest = x + wp.quat_rotate(q, A.support(p_a, wp.quat_rotate_inv(q, -at.normal)))
                 depth = wp.dot(at.normal, at.jet.x - lowest)
-                lowered = wp.max(depth, lowered - at.near.gap)
+                more_than = MARGIN * real(attempt + 1) * wp.length(A.extents(p_a))
+                lowered = wp.max(depth, lowered - at.near.gap) + more_than
             else:
                 break
             at, more = deepest(p_a, p_b, x, q, lowered)

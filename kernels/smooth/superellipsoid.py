@@ -139,6 +139,23 @@ class Superellipsoid(Shape):
         )
 
     @wp.func
+    def gauge(p: Any, y: wp.vec3d):
+        """By how much the surface must be scaled to hold a point."""
+        x_1 = wp.abs(y[0]) / p.semi_axes[0]
+        x_2 = wp.abs(y[1]) / p.semi_axes[1]
+        x_3 = wp.abs(y[2]) / p.semi_axes[2]
+        longest = wp.max(x_1, x_2)
+        flat = zero
+        if longest > zero:
+            round = two / p.exponents[1]
+            flat = longest * raised(raised(x_1 / longest, round) + raised(x_2 / longest, round), one / round)
+        longest = wp.max(flat, x_3)
+        if longest == zero:
+            return zero
+        up = two / p.exponents[0]
+        return longest * raised(raised(flat / longest, up) + raised(x_3 / longest, up), one / up)
+
+    @wp.func
     def margin(p: Any):
         return zero
 

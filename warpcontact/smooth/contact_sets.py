@@ -15,7 +15,7 @@ from warpcontact.groups import compile_forces, memory_view
 from warpcontact.kernels import reset
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.memory import memory_struct
-from warpcontact.kernels.smooth import detect, force, history
+from warpcontact.kernels.smooth import detect, force, history, measures
 from warpcontact.kernels.smooth.base import Shape as Form
 from warpcontact.kernels.smooth.records import (
     OF_CURVATURE,
@@ -58,8 +58,26 @@ _MEASURES = {
     "point": ("smooth_points", "point", "m", "point K where the force acts, world"),
     "point_a": ("smooth_points", "point_a", "m", "where the first surface meets the other, world"),
     "point_b": ("smooth_points", "point_b", "m", "where the other surface meets the first, world"),
+}
+# Likewise, where the curvatures of both shapes are known
+_CURVATURES = {
     "curvature_1": ("smooth_curvatures", "curvature_1", "1/m", "smaller principal curvature of the gap"),
     "curvature_2": ("smooth_curvatures", "curvature_2", "1/m", "larger principal curvature of the gap"),
+}
+
+
+# Of what by what, and the units by positions [1/m of it] and rotations
+_DERIVED = {"gap": ("-", "m"), "normal": ("1/m", "-"), "point_a": ("-", "m"), "point_b": ("-", "m")}
+_GRADIENTS = {
+    f"{what}_by_{by}_{side}": (
+        "smooth_gradients",
+        f"{what}_by_{by}_{side}",
+        units[by == "rotation"],
+        f"derivative by the {by} of what carries the {which} shape, world axes",
+    )
+    for what, units in _DERIVED.items()
+    for by in ("position", "rotation")
+    for side, which in (("a", "first"), ("b", "other"))
 }
 
 
@@ -283,18 +301,29 @@ class SmoothSet:
                 array = self._column(attribute, own)
                 name = f"{contact.name}.{key}"
                 yield Reading(name, unit, text, array, needs=("contacts",), items=several, codes=codes)
-            bent = has_curvatures(contact.kinds)
-            for key, (measure, attribute, unit, meaning) in _MEASURES.items():
-                if measure == "smooth_curvatures" and not bent:
-                    continue
+            of_curvature = _CURVATURES | _GRADIENTS if has_curvatures(contact.kinds) else {}
+            for key, (measure, attribute, unit, meaning) in (_MEASURES | of_curvature).items():
                 array = _measured(measure, attribute, _shifted(own, self.first))
                 yield Reading(f"{contact.name}.{key}", unit, meaning, array, needs=(measure,), items=several)
+            if of_curvature:
+                yield from self._by_sizes(contact, _shifted(own, self.first), several)
             for part, formula in contact.formulas.items():
                 for key, memory in formula.memories.items():
                     frame = ", axes of its other shape" if memory.tangent else ""
                     meaning = f"{memory.meaning}, as of the last step{frame}"
                     array = self._remembered(part, key, own)
                     yield Reading(f"{contact.name}.{part}.{key}", memory.unit, meaning, array, items=several)
+
+    def _by_sizes(self, contact: SmoothContact, items: int | slice, several: int) -> Iterator[Reading]:
+        """Iterates over the derivatives of the gap by the sizes of both shapes."""
+        for side, shape in (("a", contact.shape), ("b", contact.other_shape)):
+            first = 0
+            for size, width in measures.size_widths(shape.kind):
+                meaning = f"derivative of the gap by {size} of {shape.name}"
+                array = _part(f"gap_by_sizes_{side}", first, width, items)
+                name = f"{contact.name}.gap_by_{size}_{side}"
+                yield Reading(name, "-", meaning, array, needs=("smooth_gradients",), items=several)
+                first += width
 
     def _column(self, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
         return lambda _: getattr(self.smooth, attribute)[:, items]
@@ -305,6 +334,23 @@ class SmoothSet:
 
 def _measured(measure: str, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
     return lambda arrays: getattr(getattr(arrays, measure), attribute)[:, items]
+
+
+def _part(attribute: str, first: int, width: int, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+    """Returns what gives ``width`` of the numbers of each entry of an array, from ``first`` on, as a view."""
+
+    def part(arrays: SimpleNamespace) -> wp.array:
+        whole = getattr(arrays.smooth_gradients, attribute)
+        return wp.array(
+            ptr=whole.ptr + 8 * first,
+            dtype=wp.float64 if width == 1 else wp.vec3d,
+            shape=whole.shape,
+            strides=whole.strides,
+            device=whole.device,
+            copy=False,
+        )[:, items]
+
+    return part
 
 
 def _shifted(items: int | slice, first: int) -> int | slice:

@@ -20,7 +20,8 @@ def measure(name: str, model: "Model") -> None:
             if name == "smooth_points":
                 kernel, inputs = _points(model, own, kinds, items.start)
             elif has_curvatures(kinds):
-                kernel, inputs = _curvatures(model, own, kinds, items.start)
+                make = measures.curvatures if name == "smooth_curvatures" else measures.gradients
+                kernel, inputs = make(*kinds, own.real), _inputs(model, own, kinds, items.start)
             else:
                 continue
             shape, outputs = (model.envs, items.stop - items.start), [getattr(model.arrays, name)]
@@ -44,9 +45,6 @@ def _points(
     return measures.points(own.real), inputs
 
 
-def _curvatures(
-    model: "Model", own: "SmoothSet", kinds: tuple[type[Form], type[Form]], first: int
-) -> tuple[wp.Kernel, list[Any]]:
+def _inputs(model: "Model", own: "SmoothSet", kinds: tuple[type[Form], type[Form]], first: int) -> list[Any]:
     arrays = [own.shapes[kind].arrays for kind in kinds]
-    inputs = [model.arrays.state, first, own.first, own.members, *arrays, own.held]
-    return measures.curvatures(*kinds, own.real), inputs
+    return [model.arrays.state, first, own.first, own.members, *arrays, own.held]

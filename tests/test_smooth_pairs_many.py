@@ -1,0 +1,20 @@
+"""100 000 random pairs of every combination of convex shapes: none without an answer, none with a wrong one."""
+
+import itertools
+
+import pytest
+from convex_pairs import check, random_pairs, solved
+
+import warpcontact as wc
+
+SHAPES = [shape for shape in wc.shapes.CATALOGUE if shape.convex and shape is not wc.shapes.Plane]
+COMBINATIONS = list(itertools.combinations_with_replacement(SHAPES, 2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", COMBINATIONS, ids=lambda pair: "-".join(shape.__name__ for shape in pair))
+def test_no_pair_of_100_000_is_wrong(pair, device):
+    A, B = pair
+    for seed in range(5):
+        shapes = random_pairs(A, B, 20_000, seed=100 + seed)
+        check(A, B, shapes, solved(A, B, *shapes, device=device), count=500, best=4, rounds=20)
