@@ -29,6 +29,7 @@ HIDDEN = 2
 FAR = 3
 WRONG_SIDE = 4
 DISABLED = 5
+UNSOLVED = 6  # of smooth shapes: no root was found, and no force acts
 
 # Option bits of a contact.
 LATCHED = 1  # entry="latched"

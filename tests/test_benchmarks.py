@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
+from warpcontact.benchmark.simulation import simulation
 
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
 pytestmark = pytest.mark.skipif(
@@ -86,6 +87,19 @@ def test_bodies_start_above_the_surface_and_apart(works):
     spheres = works["W3"].start(500)
     apart = np.linalg.norm(spheres[:, :, None] - spheres[:, None], axis=3) + np.eye(10)
     assert apart.min() > 0.2
+
+
+def test_ten_spheres_come_to_rest_in_the_bowl(works, device):
+    work = works["W3"]
+    sim = simulation(work, 4, device)
+    sim.step(1500)
+    positions = sim.model.reading("body.position")
+    figures = load("works").sanity(work, positions)
+    assert figures["below"] == figures["not_finite"] == 0.0
+    # On the bowl or on each other, none deeper in another than dashpots and weight explain.
+    assert figures["highest_body"] < 0.5
+    assert (sim.model.reading("pile.contacts") >= 5).all()
+    assert sim.model.reading("pile.max_penetration").max() < 2e-3
 
 
 def test_a_row_is_the_best_number_of_environments_against_the_best_peer():

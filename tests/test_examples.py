@@ -119,3 +119,17 @@ def test_the_pendulum_rebounds_from_the_outer_side_of_a_wall_only(device, tmp_pa
     force = data["latched_touch.normal_force"].values
     assert (np.argmax(force > 0.0, axis=0) > np.argmax(swing, axis=0)).all()
     assert (force > 0.0).any(axis=0).all()
+
+
+def test_an_ellipsoid_in_a_bowl_keeps_its_energy():
+    # Symplectic steps of a hundredth of a contact.
+    assert load("ellipsoid_in_bowl").energy_kept(duration=0.5) < 2.0e-3
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+def test_a_rattleback_turns_back_from_one_spin_only(tmp_path, device):
+    run = wc.Experiment.from_toml(FOLDER / "rattleback.toml").run(tmp_path / "out", device=device)
+    wrong, right = run.recording["celt.angular_velocity"].values[-1, :, 2]
+    # Both began with 5 rad/s. Kane and Levinson have the wrong spin turned into one of about half that speed.
+    assert wrong > 1.5
+    assert right > 4.5

@@ -122,12 +122,30 @@ def coupled_scene():
     return scene
 
 
+def pile_scene():
+    """A pile with lists that are made, of spheres and capsules, and one with lists of all pairs."""
+    scene = ball_scene()
+    places = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), -1).reshape(-1, 3)
+    grains = scene.add_bodies(places, 1.0, (1, 1, 1), name="grains")
+    stuck = wc.Template(
+        law=wc.laws.Hooke(stiffness=1e5),
+        friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
+    )
+    sphere = scene.add_shape(grains, wc.shapes.Sphere(0.5))
+    rod = scene.add_shape(scene.bodies[0], wc.shapes.Capsule(0.1, 0.2))
+    scene.add_mutual_contact([sphere, rod], stuck, name="pile")
+    others = scene.add_bodies(places[:9] + 10.0, 1.0, (1, 1, 1), name="others")
+    scene.add_mutual_contact(scene.add_shape(others, wc.shapes.Sphere(0.5)), stuck, name="few")
+    return scene
+
+
 SCENES = {
     "ball": ball_scene,
     "busy": busy_scene,
     "set": set_scene,
     "nothing to touch": free_scene,
     "coupled": coupled_scene,
+    "pile": pile_scene,
 }
 
 

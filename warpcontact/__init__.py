@@ -26,12 +26,14 @@ if TYPE_CHECKING:
     from warpcontact.kernels.laws.base import Law
     from warpcontact.kernels.motions.base import Motion
     from warpcontact.kernels.smooth import shapes
+    from warpcontact.kernels.smooth.patch import Patch
     from warpcontact.kernels.springs.base import Damper, Spring
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
     from warpcontact.recorder import Recording
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
+    from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
     from warpcontact.status import CouplingStatus, LineStatus, Status
     from warpcontact.usd import export_usd
@@ -59,12 +61,15 @@ _HOME = {
     "MeshReport": "warpcontact.meshes",
     "Model": "warpcontact.model",
     "Motion": "warpcontact.kernels.motions.base",
+    "Patch": "warpcontact.kernels.smooth.patch",
     "Points": "warpcontact.elements",
     "Recording": "warpcontact.recorder",
     "Scene": "warpcontact.scene",
     "Simulation": "warpcontact.simulation",
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
+    "Shape": "warpcontact.smooth.elements",
+    "SmoothContact": "warpcontact.smooth.elements",
     "SpringDamper": "warpcontact.couplings.elements",
     "Status": "warpcontact.status",
     "Surface": "warpcontact.elements",
@@ -109,10 +114,13 @@ __all__ = [
     "MeshReport",
     "Model",
     "Motion",
+    "Patch",
     "Points",
     "Recording",
     "Scene",
+    "Shape",
     "Simulation",
+    "SmoothContact",
     "SplitModel",
     "Spring",
     "SpringDamper",

@@ -132,17 +132,22 @@ def row_bytes(values: NDArray[Any]) -> int:
     return values[:1].nbytes
 
 
-def broadcast(memory: wp.array, envs: int) -> wp.array:
+def broadcast(memory: wp.array, envs: int, items: int | None = None) -> wp.array:
     """Returns ``memory`` (1 or envs, items) as an array (envs, items), with stride 0 if it is shared.
 
-    The caller keeps ``memory`` alive.
+    With ``items`` that many share the one that there is. The caller keeps ``memory`` alive.
     """
-    if memory.shape[0] == envs:
+    if memory.shape[0] == envs and items is None:
         return memory
+    shape, strides = [envs, *memory.shape[1:]], list(memory.strides)
+    if memory.shape[0] == 1:
+        strides[0] = 0
+    if items is not None:
+        shape[1], strides[1] = items, 0
     return wp.array(
         ptr=memory.ptr,
-        shape=(envs, *memory.shape[1:]),
-        strides=(0, *memory.strides[1:]),
+        shape=tuple(shape),
+        strides=tuple(strides),
         dtype=memory.dtype,
         device=memory.device,
         copy=False,

@@ -15,6 +15,7 @@ from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks, make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
 from warpcontact.contact_couplings import ContactCouplings
+from warpcontact.couplings.coupling_set import CouplingSet, ends_by_body
 from warpcontact.couplings.sets import make_sets
 from warpcontact.devices import find_devices
 from warpcontact.draft import Draft, PartDraft
@@ -25,8 +26,11 @@ from warpcontact.kernels import types
 from warpcontact.model import Model
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Patches, make_patches, upload_patches
+from warpcontact.piles.pile import make_piles
 from warpcontact.readings import readings_of
 from warpcontact.scene import Body, Contact, Scene
+from warpcontact.smooth.contact_sets import SmoothSet, make_smooth_sets
+from warpcontact.smooth.shape_sets import make_shape_sets
 from warpcontact.split_model import SplitModel
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
@@ -103,6 +107,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
     start_of = dict(zip(contacts, starts, strict=False))
 
+    smooth_count = sum(contact.count for contact in scene.smooth_contacts)
     body_count = sum(body.count for body in scene.bodies)
     bodies, each, parts = per_env(body_count), per_env(starts[-1]), per_env(blocks.count)
     records = starts[-1] > 1  # a few of many contacts are near; of one contact neighbours are those of other envs
@@ -111,7 +116,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         initial=t.State(),
         state=layout.struct("state", t.State, bodies),
         wrenches=layout.struct("state", t.Wrenches, bodies),
-        ends=layout.struct("couplings", t.Ends, per_env(2 * len(scene.couplings))),
+        ends=layout.struct("couplings", t.Ends, per_env(2 * (len(scene.couplings) + smooth_count))),
         history=layout.struct("contacts", t.History, each, records=records),
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
@@ -125,6 +130,9 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         points=None,
         reactions=None,
         coordinates=None,
+        smooth_points=None,
+        smooth_curvatures=None,
+        smooth_gradients=None,
     )
     layout.array("state", arrays, "status", wp.int32, per_env())
     layout.array("state", arrays, "time", wp.float64, per_env())
@@ -145,8 +153,12 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     contact_couplings.upload_normals(arrays.model, point_count, parameters, t)
     meshes = upload_patches(common.patches, arrays.model, layout, t)
     _add_contacts(contacts, start_of, common.patches.of_contact, contact_couplings, arrays, layout, parameters, t)
-    couplings = make_sets(scene, arrays, layout, parameters, t)
+    couplings = make_sets(scene, layout, parameters, t)
     moves = any(body.motion.kind != types.FREE for body in scene.bodies)
+    shapes = make_shape_sets(scene.shapes, parameters)
+    smooth = make_smooth_sets(scene, shapes, layout, parameters, t.real, moves)
+    piles = make_piles(scene, layout, parameters, t)
+    _add_ends(couplings, smooth, body_count, arrays.model, layout)
     groups = [
         make_group(group, start_of[group[0]], contact_couplings, blocks, layout, parameters, t.real, moves)
         for group in common.groups
@@ -161,11 +173,25 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         parameters=parameters,
         groups=groups,
         couplings=couplings,
+        smooth=smooth,
+        piles=piles,
         drives=drives,
         blocks=blocks,
-        readings=readings_of(scene, start_of, groups, contact_couplings, couplings),
+        readings=readings_of(scene, start_of, groups, contact_couplings, couplings, smooth, piles),
         meshes=meshes,
     )
+
+
+def _add_ends(
+    couplings: Sequence[CouplingSet], smooth: Sequence[SmoothSet], bodies: int, model: Any, layout: Layout
+) -> None:
+    """Declares where the ends of couplings and smooth contacts are, and lists them by their bodies."""
+    points = np.array([point for one in couplings for point in one.end_points()], dtype=np.int32)
+    numbers = [np.array([n for one in couplings for n in one.end_bodies()], dtype=np.int32)]
+    numbers += [one.bodies.reshape(-1) for one in smooth]
+    starts, ends = ends_by_body(np.concatenate(numbers), bodies)
+    for name, values in (("end_point", points), ("body_end_start", starts), ("body_end", ends)):
+        layout.content("couplings", model, name, values, wp.int32)
 
 
 def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int, records: bool) -> Any:

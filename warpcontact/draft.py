@@ -14,12 +14,14 @@ from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.devices import spread
 from warpcontact.drives import Drive
 from warpcontact.footprint import Footprint, Need, require, total
-from warpcontact.groups import Group, compile_group
+from warpcontact.groups import Group, compile_forces
 from warpcontact.model import Model
 from warpcontact.of_scene import OfScene
 from warpcontact.parameters import Parameters, needs_of
+from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
+from warpcontact.smooth.contact_sets import SmoothSet
 from warpcontact.split_model import SplitModel
 from warpcontact.stepping import stepping_footprint
 
@@ -38,6 +40,8 @@ class PartDraft(OfScene):
         parameters: The parameters.
         groups: The contacts by the code of their laws and frictions.
         couplings: The couplings by their code.
+        smooth: The smooth contacts by the code of their laws and frictions.
+        piles: The mutual contacts.
         drives: The bodies that follow functions of time, by class.
         blocks: The contacts by what lies together.
         readings: What can be measured.
@@ -54,6 +58,8 @@ class PartDraft(OfScene):
     parameters: Parameters
     groups: list[Group]
     couplings: list[CouplingSet]
+    smooth: list[SmoothSet]
+    piles: list[Pile]
     drives: list[Drive]
     blocks: Blocks
     readings: dict[str, Reading]
@@ -72,9 +78,13 @@ class PartDraft(OfScene):
             TypeError: If a law, a friction, a spring or a motion does not compile.
         """
         for group in self.groups:
-            compile_group(group, self.device, self.types.real)
+            compile_forces(group.parts, group.kernel, self.device, self.types.real)
+        for contacts in self.smooth:
+            contacts.compile(self.device)
         for couplings in self.couplings:
             couplings.compile(self.device)
+        for pile in self.piles:
+            pile.compile(self.device)
         for drive in self.drives:
             drive.compile(self.device, self.types.real)
         self.layout.allocate(envs)
@@ -90,6 +100,8 @@ class PartDraft(OfScene):
             uploads=self.parameters.uploads,
             groups=self.groups,
             couplings=self.couplings,
+            smooth=self.smooth,
+            piles=self.piles,
             drives=self.drives,
             blocks=self.blocks,
             readings=self.readings,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
+import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array
@@ -17,6 +18,7 @@ from warpcontact.footprint import Footprint, require, total
 from warpcontact.health import Health
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
+from warpcontact.piles.touching import touching
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
 from warpcontact.stepping import stepping_footprint
@@ -157,6 +159,8 @@ class Environments(ABC):
         element, _, quantity = name.rpartition(".")
         owners = {contact.name: contact.template.formulas for contact in self.scene.contacts}
         owners |= {coupling.name: coupling.formulas for coupling in self.scene.couplings}
+        owners |= {contact.name: contact.formulas for contact in self.scene.smooth_contacts}
+        owners |= {contact.name: contact.formulas for contact in self.scene.mutual_contacts}
         for owner, formulas in owners.items():
             for part, formula in formulas.items():
                 if element == f"{owner}.{part}" and quantity in formula.varying():
@@ -255,6 +259,8 @@ class Environments(ABC):
 
     def measured(self, name: str) -> NDArray[Any]:
         """Returns reading ``name`` as it was computed last, in a new array."""
+        if "piles" in self.find_reading(name).needs:
+            self.check_piles()
         # On the CPU what is read is a view of memory that the next step overwrites; this copies it.
         values = [part.readings[name].array(part.arrays).numpy() for part in self.parts]
         return self.find_reading(name).finish(np.concatenate(values))
@@ -316,8 +322,69 @@ class Environments(ABC):
                     counts[one.name] = failed
         return counts
 
+    def unsolved_contacts(self) -> dict[str, NDArray[np.int32]]:
+        """Returns in how many steps since reset it was not found where two shapes meet, (envs,) by contact.
+
+        Of a set, the most of any of its items.
+        """
+        return {
+            contact.name: np.concatenate(
+                [
+                    own.failures(contact).max(axis=1)
+                    for part in self.parts
+                    for own in part.smooth
+                    if contact in own.items
+                ]
+            )
+            for contact in self.scene.smooth_contacts
+        }
+
+    def touching(self, name: str) -> xr.Dataset:
+        """Returns which pairs of a mutual contact touch at the current state.
+
+        Args:
+            name: Its name.
+
+        Returns:
+            A data set with one dimension, ``pair``, in the order of environments and shapes: ``env``, the numbers,
+            names and bodies of both shapes (``shape_1`` < ``shape_2``, ``name_1``, ``body_1``, …), ``gap``,
+            ``point`` K, ``normal`` out of the second, ``normal_force``, ``friction_force`` on the first and
+            ``approach_speed``; units are in the attributes.
+
+        Raises:
+            KeyError: If there is no such mutual contact.
+            RuntimeError: If a list of partners was too short.
+        """
+        _look_up("mutual contact", name, {contact.name: contact for contact in self.scene.mutual_contacts})
+        self.evaluate()
+        self.check_piles()
+        return touching(
+            [
+                (part, part.first_env - self.first_env, pile)
+                for part in self.parts
+                for pile in part.piles
+                if pile.contact.name == name
+            ]
+        )
+
+    def check_piles(self) -> None:
+        """Waits for the devices and looks whether all pairs of mutual contacts were found.
+
+        Raises:
+            RuntimeError: If a list of partners was too short, in any environment since its reset.
+        """
+        for part in self.parts:
+            for pile in part.piles:
+                if problem := pile.shortage():
+                    raise RuntimeError(problem)
+
     def health(self) -> Health:
-        """Returns which environments are frozen."""
+        """Returns which environments are frozen.
+
+        Raises:
+            RuntimeError: If a list of partners of a mutual contact was too short.
+        """
+        self.check_piles()
         return Health.of_status(np.concatenate([part.arrays.status.numpy() for part in self.parts]))
 
     def memory(self) -> Footprint:
@@ -337,7 +404,8 @@ class Environments(ABC):
         first = self.parts[0]
         return (
             f"<{type(self).__name__} of {self.envs} environments: {first.body_count} bodies, "
-            f"{first.contact_count} contacts, {self.precision} on {', '.join(map(str, self.devices))}>"
+            f"{first.contact_count + first.smooth_count} contacts, {self.precision} on "
+            f"{', '.join(map(str, self.devices))}>"
         )
 
 

@@ -56,16 +56,7 @@ class Group:
 
     def of_memory(self, part: str, name: str) -> wp.array:
         """Returns what ``part`` remembers as ``name``, a view (envs, contact of the group)."""
-        memory = getattr(self.memory, part)
-        offset = np.dtype(memory.dtype.numpy_dtype()).fields[name][1]
-        return wp.array(
-            ptr=memory.ptr + offset,
-            dtype=memory.dtype.vars[name].type,
-            shape=memory.shape,
-            strides=memory.strides,
-            device=memory.device,
-            copy=False,
-        )
+        return memory_view(getattr(self.memory, part), name)
 
     def memories(self) -> list[tuple[type[Formula], wp.array, wp.array]]:
         """Returns (formula, memory, kept) of the parts that remember anything."""
@@ -125,15 +116,27 @@ def make_group(
     )
 
 
-def compile_group(group: Group, device: wp.Device, real: type) -> None:
-    """Compiles the force kernel of ``group``, so that a mistake in a user's law shows at once.
+def memory_view(memory: wp.array, name: str) -> wp.array:
+    """Returns what is remembered as ``name`` in an array of the memory of a formula, a view of the same shape."""
+    offset = np.dtype(memory.dtype.numpy_dtype()).fields[name][1]
+    return wp.array(
+        ptr=memory.ptr + offset,
+        dtype=memory.dtype.vars[name].type,
+        shape=memory.shape,
+        strides=memory.strides,
+        device=memory.device,
+        copy=False,
+    )
+
+
+def compile_forces(parts: Parts, kernel: wp.Kernel, device: wp.Device, real: type) -> None:
+    """Compiles a force kernel of ``parts``, so that a mistake in a user's law shows at once.
 
     Raises:
         TypeError: If a law or friction does not compile.
     """
     t = structs(real)
-    parts = group.parts._asdict()
-    present = {part: formula for part, formula in parts.items() if formula is not Frictionless}
+    present = {part: formula for part, formula in parts._asdict().items() if formula is not Frictionless}
     with explained(
         present,
         real,
@@ -142,7 +145,7 @@ def compile_group(group: Group, device: wp.Device, real: type) -> None:
         "type(s.speed)(1.5) in a friction.",
         "\nThe force of a law is a number, that of a friction a vector.",
     ):
-        group.kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+        kernel.module.load(device, block_dim=None if device.is_cuda else 1)
 
 
 def _add_formula(

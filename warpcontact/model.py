@@ -17,11 +17,14 @@ from warpcontact.drives import Drive
 from warpcontact.environments import Environments
 from warpcontact.footprint import Need
 from warpcontact.groups import Group
-from warpcontact.of_scene import MEASURES, OfScene
+from warpcontact.of_scene import MEASURES, SMOOTH, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
+from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import Span, force_stages
+from warpcontact.smooth.contact_sets import SmoothSet
+from warpcontact.smooth.measures import measure
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,8 @@ class Model(Environments, OfScene):
         uploads: list[Upload],
         groups: list[Group],
         couplings: list[CouplingSet],
+        smooth: list[SmoothSet],
+        piles: list[Pile],
         drives: list[Drive],
         blocks: Blocks,
         readings: dict[str, Reading],
@@ -102,6 +107,8 @@ class Model(Environments, OfScene):
         self.arrays = arrays
         self.groups = groups
         self.couplings = couplings
+        self.smooth = smooth
+        self.piles = piles
         self.drives = drives
         self.blocks = blocks
         self.parameters = parameters
@@ -206,6 +213,10 @@ class Model(Environments, OfScene):
                 )
         for couplings in self.couplings:
             couplings.restart(chosen, self.envs)
+        for contacts in self.smooth:
+            contacts.restart(chosen, self.envs)
+        for pile in self.piles:
+            pile.restart(chosen, self.envs)
         if self.moves:
             self._start_motions(chosen)
 
@@ -235,7 +246,7 @@ class Model(Environments, OfScene):
     @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
         """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
-        if not needs.isdisjoint(("contacts", "points", "contact_couplings")):
+        if not needs.isdisjoint(("contacts", "points", "contact_couplings", *SMOOTH)):
             self._evaluate()
         if "bodies" in needs:
             self._measure_bodies()
@@ -247,6 +258,12 @@ class Model(Environments, OfScene):
             self._measure_coordinates()
         if "contact_couplings" in needs:
             self._measure_contact_couplings()
+        for name in SMOOTH:
+            if name in needs:
+                measure(name, self)
+        if "piles" in needs:
+            for pile in self.piles:
+                pile.measure(self.envs, self.device)
 
     @beside_captures()
     def add_measures(self, names: Collection[str]) -> None:
@@ -325,3 +342,5 @@ class Model(Environments, OfScene):
         cache = self.arrays.cache
         for known in (cache.set_wake, cache.block_wake, cache.wake, cache.faces):
             known.zero_()
+        for pile in self.piles:
+            pile.forget_lists()

@@ -10,6 +10,7 @@ from warpcontact.arrays import Layout, per_env
 from warpcontact.footprint import Need
 from warpcontact.kernels import contact_coupling, measures
 from warpcontact.kernels.motions.measures import Coordinates, Reactions
+from warpcontact.kernels.smooth import measures as smooth_measures
 from warpcontact.kernels.types import DRIVEN, FREE
 from warpcontact.scene import Scene
 
@@ -28,6 +29,11 @@ class OfScene:
     def contact_count(self) -> int:
         """Number of contacts of an environment."""
         return sum(contact.count for contact in self.scene.contacts)
+
+    @cached_property
+    def smooth_count(self) -> int:
+        """Number of smooth contacts of an environment."""
+        return sum(contact.count for contact in self.scene.smooth_contacts)
 
     @cached_property
     def sweeps(self) -> bool:
@@ -84,6 +90,18 @@ def _contact_couplings(layout: Layout, model: OfScene) -> Any:
     return layout.struct("measures", contact_coupling.ContactCouplings, shape)
 
 
+def _smooth_points(layout: Layout, model: OfScene) -> Any:
+    return layout.struct("measures", smooth_measures.Points, per_env(model.smooth_count))
+
+
+def _smooth_curvatures(layout: Layout, model: OfScene) -> Any:
+    return layout.struct("measures", smooth_measures.Curvatures, per_env(model.smooth_count))
+
+
+def _smooth_gradients(layout: Layout, model: OfScene) -> Any:
+    return layout.struct("measures", smooth_measures.Gradients, per_env(model.smooth_count))
+
+
 #: How to declare what readings are measured into, by what they need.
 MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {
     "bodies": _bodies,
@@ -91,4 +109,9 @@ MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {
     "reactions": _reactions,
     "coordinates": _coordinates,
     "contact_couplings": _contact_couplings,
+    "smooth_points": _smooth_points,
+    "smooth_curvatures": _smooth_curvatures,
+    "smooth_gradients": _smooth_gradients,
 }
+#: Those of smooth contacts, measured on contacts that were computed before.
+SMOOTH = ("smooth_points", "smooth_curvatures", "smooth_gradients")

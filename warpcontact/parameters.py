@@ -163,6 +163,7 @@ class Upload:
         dtype: Warp type of the elements.
         compute: Returns the content as NumPy array (1 or envs, items, ...).
         device: Device of the array.
+        items: How many items share the only one of the content; ``None``: each has its own.
     """
 
     def __init__(
@@ -172,12 +173,14 @@ class Upload:
         dtype: Any,
         compute: Callable[[], NDArray[Any]],
         device: wp.Device,
+        items: int | None = None,
     ) -> None:
         self.struct = struct
         self.attribute = attribute
         self.dtype = dtype
         self.compute = compute
         self.device = device
+        self.items = items
         self._memory: wp.array | None = None
         self._row_bytes: int | None = None
 
@@ -215,7 +218,7 @@ class Upload:
             self._memory.assign(content)
             return False
         self._memory = wp.array(content, dtype=self.dtype, device=self.device)
-        setattr(self.struct, self.attribute, broadcast(self._memory, envs))
+        setattr(self.struct, self.attribute, broadcast(self._memory, envs, self.items))
         return True
 
 
@@ -233,14 +236,24 @@ class Parameters:
         self.by_name: dict[str, Parameter] = {}
         self.uploads: list[Upload] = []
 
-    def upload(self, struct: Any, attribute: str, dtype: Any, compute: Callable[[], NDArray[Any]]) -> Upload:
-        """Adds an array of ``struct``; reals are rounded to the precision of the device."""
+    def upload(
+        self,
+        struct: Any,
+        attribute: str,
+        dtype: Any,
+        compute: Callable[[], NDArray[Any]],
+        items: int | None = None,
+    ) -> Upload:
+        """Adds an array of ``struct``; reals are rounded to the precision of the device.
+
+        With ``items`` that many share the only one that is computed.
+        """
 
         def content() -> NDArray[Any]:
             values = compute()
             return rounded(attribute, values, self.real) if values.dtype.kind == "f" else values
 
-        upload = Upload(struct, attribute, dtype, content, self.device)
+        upload = Upload(struct, attribute, dtype, content, self.device, items)
         self.uploads.append(upload)
         return upload
 

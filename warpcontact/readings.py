@@ -18,6 +18,8 @@ from warpcontact.status import Status
 
 if TYPE_CHECKING:
     from warpcontact.couplings.coupling_set import CouplingSet
+    from warpcontact.piles.pile import Pile
+    from warpcontact.smooth.contact_sets import SmoothSet
 
 AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
 
@@ -46,7 +48,7 @@ _SLIDER = {
     "displacement": ("coordinates", "displacement", "m", "way from the initial position along the axis"),
     "displacement_rate": ("coordinates", "displacement_rate", "m/s", "velocity along the axis"),
 }
-_CONTACT = {
+CONTACT_READINGS = {
     "gap": ("gap", "m", "signed distance, negative in overlap"),
     "penetration": ("penetration", "m", "depth, 0 without contact"),
     "normal_force": ("normal_force", "N", "normal force"),
@@ -89,8 +91,9 @@ class Reading:
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
         needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, contact
-            ``"points"``, of motions ``"reactions"`` and ``"coordinates"``, or the forces of
-            ``"contact_couplings"``.
+            ``"points"``, of motions ``"reactions"`` and ``"coordinates"``, the forces of
+            ``"contact_couplings"``, of smooth contacts ``"smooth_points"``, ``"smooth_curvatures"`` and
+            ``"smooth_gradients"``, or what is measured of ``"piles"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
         codes: What its numbers stand for.
@@ -126,6 +129,8 @@ def readings_of(
     groups: Sequence[Group],
     contact_couplings: ContactCouplings,
     couplings: "Sequence[CouplingSet]",
+    smooth: "Sequence[SmoothSet]",
+    piles: "Sequence[Pile]",
 ) -> dict[str, Reading]:
     """Returns all readings of a scene by name.
 
@@ -135,6 +140,8 @@ def readings_of(
         groups: What its contacts are computed in.
         contact_couplings: Its contact couplings.
         couplings: Its other couplings.
+        smooth: Its smooth contacts.
+        piles: Its mutual contacts.
     """
     table: dict[str, Reading] = {}
 
@@ -168,7 +175,7 @@ def readings_of(
         place = column("points", "position", items)
         meaning = "point K where the force acts, world"
         add(f"{contact.name}.point", "m", meaning, place, needs=("points",), items=count)
-        for key, (attribute, unit, meaning) in _CONTACT.items():
+        for key, (attribute, unit, meaning) in CONTACT_READINGS.items():
             array = column("contacts", attribute, items)
             codes = Status if key == "status" else None
             add(f"{contact.name}.{key}", unit, meaning, array, needs=("contacts",), items=count, codes=codes)
@@ -195,6 +202,10 @@ def readings_of(
             add(f"{coupling.name}.{key}", unit, meaning, column(part, attribute, number), **options)
     for couplings_of_code in couplings:
         table.update((reading.name, reading) for reading in couplings_of_code.readings())
+    for contacts_of_code in smooth:
+        table.update((reading.name, reading) for reading in contacts_of_code.readings())
+    for pile in piles:
+        table.update((reading.name, reading) for reading in pile.readings())
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
         array = column("bodies", attribute, slice(0, scene.bodies[-1].items.stop))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)

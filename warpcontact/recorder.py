@@ -157,7 +157,7 @@ class _Ring:
 
 
 def moved_elements(model: Environments) -> list[str]:
-    """Returns the parameters of surfaces and points that are no longer those of the scene in environment 0."""
+    """Returns the parameters of surfaces, shapes and points that are not those of the scene in environment 0."""
     scene = model.scene
     first = {
         f"{surface.name}.{key}": getattr(surface, key)
@@ -165,6 +165,9 @@ def moved_elements(model: Environments) -> list[str]:
         for key in ("position", "orientation", "scale")
     }
     first |= {f"{surface.name}.mesh": np.zeros(()) for surface in scene.surfaces if len(surface.meshes) > 1}
+    for shape in scene.shapes:
+        own = {"position": shape.positions, "orientation": shape.orientations, **shape.sizes}
+        first |= {f"{shape.name}.{key}": v[0] if shape.single else v for key, v in own.items()}
     for points in scene.points:
         first[f"{points.name}.position"] = points.positions[0] if points.single else points.positions
     part = model.parts[0]
@@ -284,7 +287,9 @@ class Recorder:
             element = reading.name.rpartition(".")[0]
             dims = ["time", "env"] + ([self._item_dimension(element)] if reading.items else [])
             values = channel.result[: self.taken]
-            if values.ndim > len(dims):
+            if values.ndim == len(dims) + 2:
+                dims += ["row", "column"]
+            elif values.ndim > len(dims):
                 dims.append(AXES[values.shape[-1]][0])
             notes = {"units": reading.unit, "long_name": reading.meaning, **reading.flags}
             variables[reading.name] = (dims, values, notes)

@@ -30,18 +30,32 @@ from warpcontact.elements import (
 )
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
+from warpcontact.piles.adding import MutualContacts
+from warpcontact.piles.elements import MutualContact
 from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of
+from warpcontact.smooth.adding import SmoothContacts
+from warpcontact.smooth.elements import Shape, SmoothContact
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
     from warpcontact.model import Model
     from warpcontact.split_model import SplitModel
 
-_LISTS = ("bodies", "surfaces", "points", "contacts", "contact_couplings", "couplings")
+_LISTS = (
+    "bodies",
+    "surfaces",
+    "points",
+    "contacts",
+    "contact_couplings",
+    "couplings",
+    "shapes",
+    "smooth_contacts",
+    "mutual_contacts",
+)
 
 
-class Scene(Bodies, Couplings):
-    """Bodies, surfaces, points, contacts and couplings of one environment; ``build`` makes many of it.
+class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
+    """Bodies, surfaces, shapes, points, contacts and couplings of one environment; ``build`` makes many of it.
 
     Args:
         gravity: Acceleration of gravity, world axes [m/s²].
@@ -55,6 +69,9 @@ class Scene(Bodies, Couplings):
         self.contacts: list[Contact] = []
         self.contact_couplings: list[ContactCoupling] = []
         self.couplings: list[Coupling] = []
+        self.shapes: list[Shape] = []
+        self.smooth_contacts: list[SmoothContact] = []
+        self.mutual_contacts: list[MutualContact] = []
         self._elements: dict[str, Any] = {}
 
     def add_surface(
@@ -94,7 +111,7 @@ class Scene(Bodies, Couplings):
             ValueError: If a value is out of range; the message names it.
         """
         name = checks.new_name("surface", name, self._elements)
-        body = self._body(f"{name}.body", body)
+        body = self.owned_body(f"{name}.body", body)
         if body is not None and not body.single:
             raise ValueError(f"{name}.body must be one body, from add_body, got the set {body.name!r}")
         several = isinstance(mesh, list | tuple)
@@ -192,7 +209,7 @@ class Scene(Bodies, Couplings):
         points = Points(
             name=name,
             start=sum(p.count for p in self.points),
-            body=self._body(f"{name}.body", body),
+            body=self.owned_body(f"{name}.body", body),
             surface=surface,
             positions=positions,
             areas=areas,
@@ -387,7 +404,8 @@ class Scene(Bodies, Couplings):
             raise ValueError(f"{label} must come from add_surface of this scene, got {checks.element(surface)}")
         return surface
 
-    def _body(self, name: str, body: Body | None) -> Body | None:
+    def owned_body(self, name: str, body: Body | None) -> Body | None:
+        """Returns ``body`` if it is one of this scene, or ``None``; ``name`` is what an error calls it."""
         if body is not None and (not isinstance(body, Body) or self._elements.get(body.name) is not body):
             raise ValueError(f"{name} must be a body of this scene or None (the world), got {body!r}")
         return body

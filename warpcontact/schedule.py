@@ -2,8 +2,8 @@
 
 Each stage reads what earlier ones wrote:
 
-    travel → closest point → couplings → contact force (one launch per law) → wrenches → integrate, motions
-    → sweep → finish → history
+    travel → closest point → couplings → smooth contacts → contact force (one launch per law) → wrenches → piles
+    → integrate, motions → sweep → finish → history
 """
 
 from dataclasses import dataclass
@@ -112,7 +112,9 @@ def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> li
         )
     for couplings in model.couplings:
         launches += couplings.force_stages(span, state, status)
-    sources = (bool(model.couplings), model.pushed)
+    for contacts in model.smooth:
+        launches += contacts.force_stages(span, state, step, status)
+    sources = (bool(model.couplings or model.smooth), model.pushed)
     if not span.ordered:
         kernel = wrenches.clear(real, *sources)
         launches += span.prepare(kernel, model.body_count, [status, a.model, a.ends, a.wrenches])
@@ -140,6 +142,8 @@ def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> li
     if span.ordered:
         kernel = wrenches.add_up(real, *sources)
         launches += span.prepare(kernel, model.body_count, [status, a.model, a.near, a.ends, a.wrenches])
+    for pile in model.piles:
+        launches += pile.force_stages(span, state, step, status)
     return launches
 
 
@@ -296,6 +300,10 @@ def accept_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> 
             )
     for couplings in model.couplings:
         launches += couplings.accept_stages(span)
+    for contacts in model.smooth:
+        launches += contacts.accept_stages(span)
+    for pile in model.piles:
+        launches += pile.accept_stages(span)
     return launches
 
 

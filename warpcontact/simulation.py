@@ -2,12 +2,12 @@
 
 import contextlib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import checks
 from warpcontact.advice import ContactWarning, advice
@@ -132,7 +132,12 @@ class Simulation:
         self.model.reset(env_mask)
 
     def step(self, count: int = 1) -> None:
-        """Takes ``count`` steps without recording."""
+        """Takes ``count`` steps without recording.
+
+        Raises:
+            RuntimeError: If a list of partners of a mutual contact was too short. On a GPU that is said by what
+                waits for it, such as a reading or the end of a run.
+        """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
             raise ValueError(f"count must be a whole number of at least 0, got {count!r}")
         if count == 0:
@@ -153,6 +158,9 @@ class Simulation:
         for done in crew.step(count):
             for part, elapsed in zip(model.parts, before, strict=True):
                 part.elapsed = elapsed + done * self.dt
+        # A GPU is still at work, and is asked when it is waited for.
+        if all(device.is_cpu for device in model.devices):
+            model.check_piles()
 
     @beside_captures()
     def _slices(self) -> list[Slice]:
@@ -223,6 +231,7 @@ class Simulation:
         recorder.take(start)
         frozen = len(self.model.health().frozen)
         failed = self.model.failed_lines()
+        unsolved = self.model.unsolved_contacts()
         done = 0
         bar_of_run = (
             contextlib.nullcontext(progress)
@@ -254,6 +263,8 @@ class Simulation:
                     RuntimeWarning,
                     stacklevel=2,
                 )
+        for sentence in self._about_unsolved(unsolved):
+            warnings.warn(sentence, RuntimeWarning, stacklevel=2)
         return recorder.finish(
             {
                 "dt": self.dt,
@@ -261,6 +272,20 @@ class Simulation:
                 "frozen_environments": health.frozen.tolist(),
             }
         )
+
+    def _about_unsolved(self, before: Mapping[str, NDArray[np.int32]]) -> list[str]:
+        """Returns what to say about smooth contacts for which more steps failed than ``before``."""
+        sentences = []
+        for contact in self.model.scene.smooth_contacts:
+            failed = np.flatnonzero(self.model.unsolved_contacts()[contact.name] > before[contact.name])
+            if len(failed):
+                sentences.append(
+                    f"{contact.name}: where {contact.shape.name!r} and {contact.other_shape.name!r} meet was not "
+                    f"found in some steps of {len(failed)} of {self.model.envs} environments, the first of them "
+                    f"{self.model.first_env + failed[0]}, and no force acted then; {contact.name}.failures has "
+                    "their number"
+                )
+        return sentences
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"

@@ -8,9 +8,10 @@ from warpcontact.kernels import types
 class Status(IntEnum):
     """State of a contact.
 
-    OPEN: not touching. CONTACT: touching. HIDDEN: the nearest point is not on the active part. FAR: nothing
-    within the search radius. WRONG_SIDE: deeper than ``max_depth``, or come from the inner side with
-    ``entry="latched"``. DISABLED: not enabled.
+    OPEN: not touching. CONTACT: touching. HIDDEN: the nearest point is not on the active part, or beyond the edge
+    of a patch. FAR: nothing within the search radius. WRONG_SIDE: deeper than ``max_depth``, or come from the
+    inner side with ``entry="latched"``. DISABLED: not enabled. NOT_CONVERGED: of a smooth contact, where its
+    surfaces meet was not found; no force acts.
     """
 
     OPEN = types.OPEN
@@ -19,6 +20,7 @@ class Status(IntEnum):
     FAR = types.FAR
     WRONG_SIDE = types.WRONG_SIDE
     DISABLED = types.DISABLED
+    NOT_CONVERGED = types.UNSOLVED
 
 
 class CouplingStatus(IntEnum):

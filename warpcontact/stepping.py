@@ -52,7 +52,8 @@ def slice_size(model: "Model | PartDraft", envs: int, on_cpu: int, threads: int)
     """
     if model.device.is_cuda:
         return envs
-    per_slice = CONTACT_BYTES * model.contact_count + BODY_BYTES * model.body_count
+    per_slice = CONTACT_BYTES * (model.contact_count + model.smooth_count) + BODY_BYTES * model.body_count
+    per_slice += sum(pile.bytes_near for pile in model.piles)
     return max(1, min(CACHE_BYTES // per_slice, LARGEST_SLICE, -(-on_cpu // threads)))
 
 

@@ -1,4 +1,4 @@
-"""warpcontact: Kelvin–Voigt contact with tanh friction on the triangles of the surface."""
+"""warpcontact: Kelvin–Voigt contact with tanh friction on the triangles of the surface, and between spheres."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from works import Work
 
 from warpcontact.benchmark.simulation import simulation
 
-WORKS = ("W1", "W2p8", "W2p64")
+WORKS = ("W1", "W2p8", "W2p64", "W3")
 PACKAGES = ("warpcontact", "warp-lang", "numpy")
 wp.config.log_level = wp.LOG_ERROR
 

@@ -9,6 +9,7 @@ import warp as wp
 from warpcontact.benchmark.works import DAMPING, DT, FRICTION, SLIP_SPEED, STIFFNESS, Work
 from warpcontact.elements import Template
 from warpcontact.kernels import frictions, laws
+from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.meshes import Mesh
 from warpcontact.scene import Scene
 from warpcontact.simulation import Simulation
@@ -32,11 +33,17 @@ def simulation(work: Work, envs: int, device: str, precision: str = "float32", *
     )
     scene = Scene()
     ground = scene.add_surface(Mesh(work.surface.vertices, work.surface.faces), name="ground")
-    body = scene.add_body(work.mass, [work.inertia] * 3, name="body")
+    start = work.start(envs)
+    if len(start[0]) > 1:
+        body = scene.add_bodies(start[0], work.mass, [work.inertia] * 3, name="body")
+        scene.add_mutual_contact(scene.add_shape(body, Sphere(work.radius)), template, name="pile")
+    else:
+        body = scene.add_body(work.mass, [work.inertia] * 3, name="body")
+        start = start[:, 0]
     points = scene.add_point(body, (0, 0, 0)) if work.points is None else scene.add_points(body, work.points)
     scene.add_contact(points, ground, template, radius=work.radius, name="touch", **options)
     model = scene.build(envs=envs, device=device, precision=precision)
-    model["body.position"] = work.start(envs)[:, 0]
+    model["body.position"] = start
     return Simulation(model, dt=DT, **stepping)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array
-from warpcontact.couplings.elements import Coupling
+from warpcontact.kernels.types import WORLD
 from warpcontact.parameters import Field, pack
 from warpcontact.readings import Reading
 from warpcontact.status import CouplingStatus
@@ -69,6 +69,14 @@ class CouplingSet(ABC):
     def count(self) -> int:
         """Number of its couplings."""
         return len(self.couplings)
+
+    def end_points(self) -> list[int]:
+        """Returns the points of its ends, two for each coupling."""
+        return [point.start for one in self.couplings for point in (one.point_a, one.point_b)]
+
+    def end_bodies(self) -> list[int]:
+        """Returns what its ends are fixed to likewise, bodies by number or ``WORLD``."""
+        return [WORLD if body is None else body.index for one in self.couplings for body in one.bodies]
 
     def _add_settings(
         self,
@@ -159,14 +167,12 @@ def _column_of_ends(number: int) -> Callable[[SimpleNamespace], wp.array]:
     return lambda arrays: arrays.ends.force[:, number]
 
 
-def ends_by_body(couplings: Sequence[Coupling], bodies: int) -> tuple[list[int], list[int]]:
-    """Returns where the ends of each body start in a list (bodies + 1), and the list; ends as numbered there."""
-    lists: list[list[int]] = [[] for _ in range(bodies)]
-    for number, coupling in enumerate(couplings):
-        for place, body in enumerate(coupling.bodies):
-            if body is not None:
-                lists[body.index].append(2 * number + place)
-    starts = [0]
-    for own in lists:
-        starts.append(starts[-1] + len(own))
-    return starts, [end for own in lists for end in own]
+def ends_by_body(numbers: NDArray[np.int32], bodies: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns where the ends of each body start in a list (bodies + 1), and the list, in the order of the ends.
+
+    ``numbers`` are the bodies of all ends, or ``WORLD``.
+    """
+    held = np.flatnonzero(numbers >= 0)
+    order = np.argsort(numbers[held], kind="stable")
+    starts = np.searchsorted(numbers[held][order], np.arange(bodies + 1))
+    return starts, held[order]

@@ -3,11 +3,9 @@
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import warp as wp
-
 from warpcontact.couplings.bushings import BushingSet
 from warpcontact.couplings.catenaries import CatenarySet
-from warpcontact.couplings.coupling_set import CouplingSet, ends_by_body
+from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import Bushing, Catenary, Coupling, SpringDamper
 from warpcontact.couplings.springs import SpringSet
 
@@ -25,7 +23,7 @@ SETS: dict[type[Coupling], type[CouplingSet]] = {
 
 
 def make_sets(
-    scene: "Scene", arrays: SimpleNamespace, layout: "Layout", parameters: "Parameters", types: SimpleNamespace
+    scene: "Scene", layout: "Layout", parameters: "Parameters", types: SimpleNamespace
 ) -> list[CouplingSet]:
     """Declares the arrays of all couplings, and adds their parameters."""
     sorted_: dict[tuple[type[Coupling], Any], list[Coupling]] = {}
@@ -37,9 +35,4 @@ def make_sets(
     for (kind, _), own in sorted_.items():
         sets.append(SETS[kind](own, first, layout, parameters, types))
         first += len(own)
-    couplings = [coupling for own in sorted_.values() for coupling in own]
-    points = [point.start for coupling in couplings for point in (coupling.point_a, coupling.point_b)]
-    starts, ends = ends_by_body(couplings, sum(body.count for body in scene.bodies))
-    for name, values in (("end_point", points), ("body_end_start", starts), ("body_end", ends)):
-        layout.content("couplings", arrays.model, name, values, wp.int32)
     return sets

@@ -16,8 +16,11 @@ from warpcontact.experiment.schema import (
     ContactOptions,
     ContactSettings,
     CouplingOptions,
+    MutualContactSettings,
     PointSettings,
     PointsSettings,
+    ShapeSettings,
+    SmoothContactSettings,
     SurfaceContactSettings,
     SurfaceSettings,
     TemplateSettings,
@@ -30,6 +33,7 @@ from warpcontact.surface_contact import sample_of
 _BODY = ("body", ("body", "bodies"))
 _POINTS = ("point", ("point", "points"))
 _SURFACE = ("surface", ("surface",))
+_SHAPE = ("shape", ("shape",))
 _TEMPLATE = ("template", ("template",))
 
 
@@ -74,6 +78,9 @@ class Assembler:
             "bushing": lambda path, entry: self._coupling(scene.add_bushing, path, entry, problems),
             "catenary": lambda path, entry: self._coupling(scene.add_catenary, path, entry, problems),
             "contact_coupling": lambda path, entry: self._contact_coupling(scene, path, entry, problems),
+            "shape": lambda path, entry: self._shape(scene, path, entry, problems),
+            "smooth_contact": lambda path, entry: self._smooth_contact(scene, path, entry, problems),
+            "mutual_contact": lambda path, entry: self._mutual_contact(scene, path, entry, problems),
         }
         for section, path, entry in self.parts:
             try:
@@ -180,10 +187,38 @@ class Assembler:
         options = entry.model_dump(exclude={*references, "range", "friction"})
         return scene.add_contact_coupling(targets[0], targets[1], entry.range.make(), friction, **options)
 
+    def _shape(self, scene: Scene, path: str, entry: ShapeSettings, problems: Problems) -> Any:
+        body = self._find(f"{path}.body", entry.body, _BODY, problems)
+        return scene.add_shape(body, entry.form.make(), **entry.model_dump(exclude={"body", "form"}))
+
+    def _smooth_contact(self, scene: Scene, path: str, entry: SmoothContactSettings, problems: Problems) -> Any:
+        references = {"shape": _SHAPE, "other_shape": _SHAPE, "template": _TEMPLATE}
+        targets = self._find_all(path, entry, references, problems)
+        return scene.add_smooth_contact(*targets, **entry.model_dump(exclude=set(references)))
+
+    def _mutual_contact(self, scene: Scene, path: str, entry: MutualContactSettings, problems: Problems) -> Any:
+        def find(key: str, name: str, kind: tuple[str, tuple[str, ...]] = _SHAPE) -> Any:
+            try:
+                return self._find(f"{path}.{key}", name, kind, problems)
+            except _Unresolved:
+                return None
+
+        # All are looked up before giving up.
+        shapes = [find(f"shapes[{i}]", name) for i, name in enumerate(entry.shapes)]
+        pairs: list[Any] = [
+            [find(f"exclude[{i}][{k}]", name) for k, name in enumerate(pair)]
+            for i, pair in enumerate(entry.exclude)
+        ]
+        template = find("template", entry.template, _TEMPLATE)
+        if any(found is None for found in (*shapes, *(shape for pair in pairs for shape in pair), template)):
+            raise _Unresolved
+        options = entry.model_dump(exclude={"shapes", "template", "exclude"})
+        return scene.add_mutual_contact(shapes, template, exclude=pairs, **options)
+
     def _find_all(
         self,
         path: str,
-        entry: ContactOptions | CouplingOptions | ContactCouplingSettings,
+        entry: ContactOptions | CouplingOptions | ContactCouplingSettings | SmoothContactSettings,
         references: Mapping[str, tuple[str, tuple[str, ...]]],
         problems: Problems,
     ) -> list[Any]:

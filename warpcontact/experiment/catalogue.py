@@ -31,6 +31,7 @@ from warpcontact.experiment.errors import shown, suggestion
 from warpcontact.experiment.own import OwnFiles, blame
 from warpcontact.kernels import frictions, laws, motions, springs
 from warpcontact.kernels.formula import ROWS, Formula, unit_vectors
+from warpcontact.kernels.smooth import shapes
 from warpcontact.kernels.touch import Parts
 
 #: Meshes that need no file, by the name of their generator.
@@ -214,12 +215,13 @@ def _kind_of(allowed: Any) -> Any:
     return Annotated[tuple[float, ...], q.numbers(shape, allowed=allowed, check=check)]
 
 
-#: What the formulas of a template, of a spring-damper and of a body are, by their keys.
+#: What the formulas of a template, a spring-damper, a body and a shape are, by their keys.
 FORMULAS: dict[str, Any] = {
     **{part: laws.Law if part == "law" else frictions.Friction for part in Parts._fields},
     "spring": springs.Spring,
     "damper": springs.Damper,
     "motion": motions.Motion,
+    "form": shapes.Shape,
 }
 #: The classes that come with the library, by what they are and by name.
 CATALOGUES: dict[Any, dict[str, Any]] = {
@@ -228,6 +230,7 @@ CATALOGUES: dict[Any, dict[str, Any]] = {
     springs.Spring: {spring.__name__: spring for spring in springs.SPRINGS},
     springs.Damper: {damper.__name__: damper for damper in springs.DAMPERS},
     motions.Motion: {motion.__name__: motion for motion in motions.CATALOGUE},
+    shapes.Shape: {shape.__name__: shape for shape in shapes.CATALOGUE},
 }
 _SHAPE_MODELS = {name: _shape_model(name, make) for name, make in SHAPES.items()}
 

@@ -318,6 +318,8 @@ def default_readings(model: Environments) -> list[str]:
     """Returns the readings of an experiment that names none: what tells most of each element, and the energy."""
     scene = model.scene
     told = [(contact.name, ("gap", "normal_force")) for contact in scene.contacts if contact.points.single]
+    told += [(contact.name, ("gap", "normal_force")) for contact in scene.smooth_contacts if contact.single]
+    told += [(contact.name, ("contacts", "max_penetration")) for contact in scene.mutual_contacts]
     told += [(coupling.name, _TOLD[type(coupling)]) for coupling in scene.couplings]
     told += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
     # Of sets what they sum up to: a value of each is for those who ask for it.

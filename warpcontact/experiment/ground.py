@@ -13,6 +13,8 @@ from warpcontact.checks import Array
 from warpcontact.frames import placed
 from warpcontact.recorder import Recording
 from warpcontact.scene import Surface
+from warpcontact.smooth.elements import Shape
+from warpcontact.smooth.tessellate import tessellate
 
 # Direction of the light on the ground, from the upper left.
 LIGHT = np.array([-0.5, 0.5, 0.7]) / np.linalg.norm([-0.5, 0.5, 0.7])
@@ -58,11 +60,32 @@ class Ground:
         vertices = placed(first["scale"] * mesh.vertices, first["position"], first["orientation"])
         return cls(vertices[mesh.faces], surface.active[which], shared)
 
+    @classmethod
+    def of_shape(cls, recording: Recording, shape: Shape, reach: float) -> "Ground":
+        """Returns ``shape`` with pose and sizes as recorded, or else as in the scene.
 
-def grounds_of(recording: Recording) -> list[Ground]:
-    """Returns the visible surfaces of the world."""
-    fixed = [surface for surface in recording.scene.surfaces if surface.body is None and surface.visible]
-    return [Ground.of(recording, surface) for surface in fixed]
+        ``reach`` is half the side of the square that is drawn of a half-space [m].
+        """
+        first = {"position": shape.positions[0], "orientation": shape.orientations[0]}
+        first |= {key: values[0] for key, values in shape.sizes.items()}
+        shared = True
+        for key in first:
+            if (recorded := recording.get(f"{shape.name}.{key}")) is not None:
+                values = recorded.transpose("env", ...).values
+                first[key] = values[0]
+                shared &= bool((values == values[:1]).all())
+        position, orientation = first.pop("position"), first.pop("orientation")
+        vertices, faces = tessellate(shape.kind, first, reach)
+        return cls(placed(vertices, position, orientation)[faces], np.ones(len(faces), dtype=bool), shared)
+
+
+def grounds_of(recording: Recording, reach: float) -> list[Ground]:
+    """Returns the visible surfaces and shapes of the world; ``reach``: see ``Ground.of_shape``."""
+    scene = recording.scene
+    fixed = [surface for surface in scene.surfaces if surface.body is None and surface.visible]
+    shapes = [shape for shape in scene.shapes if shape.body is None and shape.visible]
+    grounds = [Ground.of(recording, surface) for surface in fixed]
+    return grounds + [Ground.of_shape(recording, shape, reach) for shape in shapes]
 
 
 def draw_from_above(axes: Any, ground: Ground, lower: Array, upper: Array) -> None:

@@ -25,10 +25,11 @@ from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.smooth.base import Shape
 from warpcontact.kernels.springs import Damper, Spring
 
 #: What a user's class may be.
-KINDS: tuple[type[Formula], ...] = (Law, Friction, Spring, Damper, Motion)
+KINDS: tuple[type[Formula], ...] = (Law, Friction, Spring, Damper, Motion, Shape)
 
 # Modules by file and content: experiments of an unchanged file share its classes, and so its compiled kernels.
 _MODULES: dict[tuple[Path, bytes], ModuleType] = {}
@@ -99,7 +100,7 @@ class OwnFiles:
             raise ValueError(f": {file} has no {_words(bases)} {name!r}{hint}")
         if not _is_formula(given, bases):
             kinds = [kind for kind in KINDS if _is_formula(given, (kind,))]
-            derived = " or ".join(f"wc.{base.__name__}" for base in bases)
+            derived = " or ".join("wc.Patch" if base is Shape else f"wc.{base.__name__}" for base in bases)
             fact = f"a {_words(kinds)} and no {_words(bases)}" if kinds else f"no class derived from {derived}"
             raise ValueError(f": {name!r} in {file} is {fact}")
         if lacking := given.missing_function():

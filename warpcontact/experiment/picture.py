@@ -53,7 +53,9 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
     """
     envs, times = recording.sizes["env"], recording["time"].values
     plane, lower, upper = _extent(recording)
-    grounds = grounds_of(recording)
+    # Of a half-space as much as the tracks need, wherever on it they are.
+    reach = float(np.abs([lower, upper]).max() + np.max(upper - lower)) or 1.0
+    grounds = grounds_of(recording, reach)
     shapes = _coupling_shapes(recording)
     window = _window(recording.scene, grounds, shapes, lower, upper, plane)
     width, height = window[1] - window[0]
@@ -207,6 +209,8 @@ def _window(
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Returns the lower left and upper right corner of what is shown: the tracks with some room around them."""
     radius = max((float(contact.radius.max()) for contact in scene.contacts), default=0.0)
+    sizes = [values for shape in scene.shapes if shape.body is not None for values in shape.sizes.values()]
+    radius = max([radius, *(float(np.abs(values).max()) for values in sizes)])
     spans = [np.ptp(ground.corners[..., plane].reshape(-1, 2), axis=0).max() for ground in grounds]
     lengths = [np.ptp(shape[:, plane], axis=0).max() for shape in shapes]
     # A drop straight down still needs some ground to be seen on, and what hangs on a line some of it.

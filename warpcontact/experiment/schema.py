@@ -27,6 +27,7 @@ from warpcontact.experiment.catalogue import (
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.kernels import laws
 from warpcontact.kernels.frictions import Frictionless
+from warpcontact.smooth.elements import ALL
 from warpcontact.surface_contact import SIDES
 
 Row = TypeVar("Row")
@@ -188,6 +189,54 @@ class SurfaceContactSettings(ContactOptions):
     samples: Annotated[Any, q.amounts] = 500
     seed: int = Field(default=0, ge=0)
     sides: Annotated[str, q.one_of(SIDES)] = "first"
+
+
+class ShapeSettings(Section):
+    """``[[shape]]``: a shape of analytic form on a body, or on the world; of a set of bodies one on each."""
+
+    name: Name
+    form: FormulaTable = Field(description="{ type = …, and its parameters }")
+    body: str | None = None
+    position: Position = ORIGIN
+    orientation: Quaternion = NO_ROTATION
+    group: int = Field(default=1, ge=0, le=ALL)
+    mask: int = Field(default=ALL, ge=0, le=ALL)
+    color: Color | None = None
+    visible: bool = True
+
+
+class SmoothContactSettings(Section):
+    """``[[smooth_contact]]``: the contact of two shapes."""
+
+    name: Name
+    shape: str = Field(description="the name of a shape")
+    other_shape: str = Field(description="the name of a shape")
+    template: str = Field(description="the name of a template")
+    kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
+    max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
+    torsion_radius: Annotated[float | None, q.numbers((), allowed=limits_of.TORSION_RADIUS)] = None
+    share: Annotated[float, q.numbers((), allowed=limits_of.SHARE)] = 1.0
+    enabled: bool = True
+    color: Color | None = None
+    visible: bool = True
+
+
+class MutualContactSettings(Section):
+    """``[[mutual_contact]]``: every two of many spheres and capsules touch."""
+
+    name: Name
+    shapes: Rows[str] = Field(description="the names of shapes", min_length=1)
+    template: str = Field(description="the name of a template")
+    exclude: Rows[Rows[str]] = ()
+    skin: Annotated[float | None, q.numbers((), allowed=limits_of.RANGE)] = None
+    partners: int | None = Field(default=None, ge=1)
+    kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
+    max_depth: Annotated[float | None, q.numbers((), allowed=limits_of.MAX_DEPTH)] = None
+    torsion_radius: Annotated[float | None, q.numbers((), allowed=limits_of.TORSION_RADIUS)] = None
+    share: Annotated[float, q.numbers((), allowed=limits_of.SHARE)] = 1.0
+    enabled: bool = True
+    color: Color | None = None
+    visible: bool = True
 
 
 class ImpactSettings(Section):
@@ -369,6 +418,9 @@ class Settings(Section):
     contact: Rows[ContactSettings] = ()
     surface_contact: Rows[SurfaceContactSettings] = ()
     contact_coupling: Rows[ContactCouplingSettings] = ()
+    shape: Rows[ShapeSettings] = ()
+    smooth_contact: Rows[SmoothContactSettings] = ()
+    mutual_contact: Rows[MutualContactSettings] = ()
     spring_damper: Rows[SpringDamperSettings] = ()
     bushing: Rows[BushingSettings] = ()
     catenary: Rows[CatenarySettings] = ()
@@ -388,6 +440,9 @@ SECTIONS: dict[str, type[Section]] = {
     "contact": ContactSettings,
     "surface_contact": SurfaceContactSettings,
     "contact_coupling": ContactCouplingSettings,
+    "shape": ShapeSettings,
+    "smooth_contact": SmoothContactSettings,
+    "mutual_contact": MutualContactSettings,
     "spring_damper": SpringDamperSettings,
     "bushing": BushingSettings,
     "catenary": CatenarySettings,
@@ -395,7 +450,7 @@ SECTIONS: dict[str, type[Section]] = {
 
 
 #: Those with laws, frictions, springs and motions.
-FORMULA_SECTIONS = ("body", "bodies", "template", "contact_coupling", "spring_damper")
+FORMULA_SECTIONS = ("body", "bodies", "template", "contact_coupling", "shape", "spring_damper")
 #: Keys of sections that may name a file with rows.
 ROW_KEYS: dict[str, tuple[str, ...]] = {
     "bodies": (

@@ -18,6 +18,7 @@ from warpcontact.experiment.schema import FORMULA_SECTIONS
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.laws import Hooke
 from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.smooth.shapes import Shape, Sphere
 from warpcontact.kernels.springs import Damper, Linear, Spring
 from warpcontact.scene import Scene, Template
 
@@ -72,7 +73,10 @@ def _classes(scene: Scene) -> set[type[Formula]]:
     """Returns the classes of all formulas in ``scene``."""
     formulas = [f for contact in scene.contacts for f in contact.template.formulas.values()]
     formulas += [f for coupling in scene.couplings for f in coupling.formulas.values()]
-    return {type(formula) for formula in (*formulas, *(body.motion for body in scene.bodies))}
+    formulas += [f for contact in scene.smooth_contacts for f in contact.formulas.values()]
+    formulas += [f for contact in scene.mutual_contacts for f in contact.formulas.values()]
+    kinds = {kind for contact in scene.smooth_contacts for kind in contact.kinds}
+    return kinds | {type(formula) for formula in (*formulas, *(body.motion for body in scene.bodies))}
 
 
 def _own_formulas(parts: Parts) -> Iterator[tuple[str, int, str, Formula]]:
@@ -90,6 +94,13 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
     if isinstance(formula, Motion):
         scene = Scene()
         scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), motion=formula)
+        _, failure = _built(scene, precision)
+        return None if failure is None else _told(failure, cls)
+    if isinstance(formula, Shape):
+        scene = Scene()
+        ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+        shapes = scene.add_shape(ball, Sphere(1.0)), scene.add_shape(None, formula)
+        scene.add_smooth_contact(*shapes, Template(law=Hooke(stiffness=1.0)))
         _, failure = _built(scene, precision)
         return None if failure is None else _told(failure, cls)
     values = {name: np.full((1, 1), value) for name, value in formula.parameters(area=1.0).items()}

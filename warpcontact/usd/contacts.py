@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.scene import Contact
+from warpcontact.smooth.elements import SmoothContact
 from warpcontact.usd.author import (
     attribute_name,
     attribute_type,
@@ -91,7 +92,7 @@ class ForceLines:
         force: The force, (time, env, item, 3), world [N]; zero where there is none.
     """
 
-    def __init__(self, contact: Contact, start: Array, force: Array) -> None:
+    def __init__(self, contact: Contact | SmoothContact, start: Array, force: Array) -> None:
         self.contact = contact
         # A failed environment may hold NaN, which must not get into the geometry.
         good = np.all(np.isfinite(force) & np.isfinite(start), axis=-1, keepdims=True)
@@ -99,7 +100,7 @@ class ForceLines:
         self.start = np.where(np.isfinite(start), start, 0.0)
 
     @classmethod
-    def of(cls, replay: Replay, contact: Contact) -> "ForceLines | None":
+    def of(cls, replay: Replay, contact: Contact | SmoothContact) -> "ForceLines | None":
         """Returns the lines, or ``None`` unless normal force, normal and point were recorded."""
         shape = (len(replay.codes), len(replay.envs), contact.count)
         parts = {}

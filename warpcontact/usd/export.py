@@ -16,6 +16,7 @@ from warpcontact.usd import geometry, physics
 from warpcontact.usd.author import identifiers, mark, pose_attributes, series, write_samples
 from warpcontact.usd.contacts import WIDTH, ForceLines, Readings, length_scale
 from warpcontact.usd.couplings import CouplingCurve
+from warpcontact.usd.forms import FormPlacement, FormSwarm
 from warpcontact.usd.replay import Replay
 from warpcontact.usd.surfaces import Placement, define_shapes, define_surfaces
 from warpcontact.usd.swarms import Swarm, swarms_of
@@ -111,10 +112,25 @@ class _Export:
         self.placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
         self.size = geometry.scene_size(replay, list(self.placements.values()), self.spheres)
         self.poses = {body.name: replay.pose(body) for body in scene.bodies}
-        named: list[Any] = [*scene.bodies, *scene.contacts, *scene.contact_couplings, *scene.couplings]
+        forms = [FormPlacement.of(replay, shape) for shape in scene.shapes]
+        self.forms = [form for form in forms if form.shape.single]
+        self.form_swarms = [
+            FormSwarm(form, self.poses[form.shape.body.name])
+            for form in forms
+            if form.shape.body is not None and not form.shape.single
+        ]
+        self.size = max([self.size, *(2.0 * form.reach for form in forms if form.shape.body is not None)])
+        named: list[Any] = [
+            *scene.bodies,
+            *scene.contacts,
+            *scene.contact_couplings,
+            *scene.couplings,
+            *scene.smooth_contacts,
+        ]
         self.swarms = swarms_of(scene, self.spheres, self.poses)
         self.readings = {name: Readings(replay, name) for name in ("scene", *(element.name for element in named))}
-        self.lines = [line for contact in scene.contacts if (line := ForceLines.of(replay, contact))]
+        pushing: list[Any] = [*scene.contacts, *scene.smooth_contacts]
+        self.lines = [line for contact in pushing if (line := ForceLines.of(replay, contact))]
         self.curves = [CouplingCurve(replay, coupling) for coupling in scene.couplings]
         self.force_scale = length_scale(self.lines, self.size) if force_scale is None else force_scale
 
@@ -134,6 +150,9 @@ class _Export:
         prototype.SetTypeName("Xform")
         self.readings["scene"].declare(prototype)
         define_surfaces(self.stage, surfaces, self.placements, self.names)
+        for form in self.forms:
+            if form.shape.body is None and form.shared:
+                form.write(self.stage, f"{surfaces}/{self.names[form.shape.name]}", 0, self.size)
         define_shapes(self.stage, _SHAPES, self.placements, self.names)
         self._prototype()
         paths = [self._environment(row) for row in range(len(self.replay.envs))]
@@ -144,7 +163,8 @@ class _Export:
     def _forces(self) -> list[str]:
         """Returns the names of the contacts and of their couplings."""
         scene = self.replay.scene
-        return [contact.name for contact in scene.contacts] + [one.name for one in scene.contact_couplings]
+        forces: list[Any] = [*scene.contacts, *scene.contact_couplings, *scene.smooth_contacts]
+        return [one.name for one in forces]
 
     def _metadata(self) -> None:
         from pxr import UsdGeom, UsdPhysics, Vt
@@ -201,9 +221,15 @@ class _Export:
             geometry.define_spheres(self.stage, f"{path}/{self.names[group.name]}", group, width)
         for swarm in self.swarms:
             swarm.declare(self.stage, self._swarm_path(_PROTOTYPE, swarm), POINT * self.size)
-        if scene.contacts:
+        for form in self.forms:
+            if form.shape.body is not None and form.shared:
+                form.write(self.stage, self._form_path(_PROTOTYPE, form), 0, self.size)
+        for moving in self.form_swarms:
+            moving.declare(self.stage, self._form_path(_PROTOTYPE, moving.placement), self.size)
+        if scene.contacts or scene.smooth_contacts:
             UsdGeom.Scope.Define(self.stage, f"{_PROTOTYPE}/contacts")
-        for contact in scene.contacts:
+        touching: list[Any] = [*scene.contacts, *scene.smooth_contacts]
+        for contact in touching:
             prim = UsdGeom.Scope.Define(self.stage, self._contact_path(_PROTOTYPE, contact.name)).GetPrim()
             mark(prim, contact.name)
             self.readings[contact.name].declare(prim)
@@ -253,6 +279,13 @@ class _Export:
                     UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
                 shape = f"{_SHAPES}/{self.names[name]}_{int(placement.mesh[row])}"
                 placement.write(stage, self._surface_path(path, name), row, shape)
+        for form in self.forms:
+            if not form.shared:
+                if form.shape.body is None:
+                    UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
+                form.write(stage, self._form_path(path, form), row, self.size)
+        for moving in self.form_swarms:
+            moving.write(stage.GetPrimAtPath(self._form_path(path, moving.placement)), replay.codes, row)
         for swarm in self.swarms:
             swarm.write(stage.GetPrimAtPath(self._swarm_path(path, swarm)), replay.codes, row)
         for group in self.spheres:
@@ -292,6 +325,10 @@ class _Export:
     def _surface_path(self, env: str, name: str) -> str:
         body = self.placements[name].surface.body
         return f"{f'{env}/Surfaces' if body is None else self._path(env, body)}/{self.names[name]}"
+
+    def _form_path(self, env: str, form: FormPlacement) -> str:
+        body, name = form.shape.body, self.names[form.shape.name]
+        return f"{f'{env}/Surfaces' if body is None else self._path(env, body)}/{name}"
 
     def _contact_path(self, env: str, contact: str) -> str:
         return f"{env}/contacts/{self.names[contact]}"

@@ -1,0 +1,115 @@
+"""What kernels of a pile read and write: its shapes, who is near whom, and the touches.
+
+A pile is shapes that all touch each other. Every shape has a list of the shapes near it, its partners. A pair is
+in two lists; one of the two shapes owns it, has it among the first of its list, and keeps its record. Of a pair
+the first is the shape with the lower number.
+"""
+
+import functools
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import warp as wp
+from warpcontact.kernels.types import structs
+
+# Bits of a record: touches in the state that forces were computed of; did so in the last accepted step.
+TOUCHES = 1
+TOUCHED = 2
+
+#: Partner or slot that there is none of.
+NONE = -1
+
+
+class Form(NamedTuple):
+    """What kernels of a pile are compiled for.
+
+    Attributes:
+        placed: Whether any shape has its middle elsewhere than at the centre of mass of its body.
+        long: Whether any shape is a capsule.
+        fixed: Whether the lists are those of all pairs, the same in all environments.
+    """
+
+    placed: bool
+    long: bool
+    fixed: bool
+
+
+@wp.func
+def owns(one: int, other: int):
+    """Whether shape ``one`` owns its pair with ``other``: the lower number of every second pair."""
+    return (((one + other) & 1) == 1) == (one < other)
+
+
+@functools.cache
+def pile_structs(real: type) -> SimpleNamespace:
+    """Returns the structs of a pile for ``real``."""
+    vec3 = structs(real).vec3
+
+    @wp.struct
+    class Settings:
+        kappa: real  # contact point K = S + kappa (D − S) [-]
+        max_depth: real  # deepest penetration that still counts as contact [m]
+        torsion_radius: real  # arm at which torsion acts [m]; < 0: that of the overlap
+        share: real  # factor on forces and couples [-]
+        skin: real  # shapes closer than this are partners [m]
+        cell: real  # edge of a cell: no two shapes that are partners are farther apart [m]
+        enabled: wp.int32  # 0 or 1
+
+    @wp.struct
+    class Shapes:
+        body: wp.array(dtype=wp.int32)  # [shape] that it is fixed to
+        kind: wp.array(dtype=wp.int32)  # [shape] row of ``allowed``
+        allowed: wp.array2d(dtype=wp.int32)  # [kind, kind] whether they touch
+        offset: wp.array2d(dtype=vec3)  # [env, shape] its middle, B [m]
+        axis: wp.array2d(dtype=vec3)  # [env, shape] from there to the middle of an end, B [m]; 0: a sphere
+        radius: wp.array2d(dtype=real)  # [env, shape] [m]
+        settings: wp.array2d(dtype=Settings)  # [env, 0]
+        entry_start: wp.array(dtype=wp.int32)  # [shape + 1] first entry of its list
+        slot_start: wp.array(dtype=wp.int32)  # [shape + 1] first of the records that it owns
+        carrier_body: wp.array(dtype=wp.int32)  # [carrier] bodies that have a shape
+        carrier_start: wp.array(dtype=wp.int32)  # [carrier + 1] first of its shapes in the list
+        carrier_shape: wp.array(dtype=wp.int32)  # shapes by body
+
+    @wp.struct
+    class Lists:
+        """A cache: it changes no result. What a shape owns comes first, both parts in the order of partners."""
+
+        owned: wp.array2d(dtype=wp.int32)  # [env, shape] how many partners it owns
+        count: wp.array2d(dtype=wp.int32)  # [env, shape] how many it has
+        partner: wp.array2d(dtype=wp.int32)  # [env, entry]
+        slot: wp.array2d(dtype=wp.int32)  # [env, entry] record of the pair; NONE: it did not fit
+
+    @wp.struct
+    class Touches:
+        """Records of pairs; of those that do not touch only the bits tell anything."""
+
+        entry_speed: wp.array2d(dtype=real)  # [env, slot] as of the history, if TOUCHED [m/s]
+        approach_speed: wp.array2d(dtype=real)  # [env, slot] dδ/dt at K [m/s]
+        gap: wp.array2d(dtype=real)  # [env, slot] [m]
+        normal_force: wp.array2d(dtype=real)  # [env, slot] [N]
+        normal: wp.array2d(dtype=vec3)  # [env, slot] out of the second, towards the first, W
+        arm: wp.array2d(dtype=vec3)  # [env, slot] to K from the centre of mass of the first, W [m]
+        force: wp.array2d(dtype=vec3)  # [env, slot] on the first, W [N]
+        torque_1: wp.array2d(dtype=vec3)  # [env, slot] on it, about its centre of mass, W [N·m]
+        torque_2: wp.array2d(dtype=vec3)  # [env, slot] on the second, about its own, W [N·m]
+        bits: wp.array2d(dtype=wp.int32)  # [env, slot] TOUCHES, TOUCHED
+        busy: wp.array2d(dtype=wp.int32)  # [env, shape] whether any bits are set of what it owns
+
+    @wp.struct
+    class Grid:
+        """What lists are made with."""
+
+        stale: wp.array(dtype=wp.int32)  # [env] whether they are to be made anew
+        known: wp.array(dtype=wp.int32)  # [env] whether there are any
+        made: wp.array(dtype=wp.int32)  # [env] how often they were made since reset
+        missing: wp.array(dtype=wp.int32)  # [env] by how many entries a list was too short, at most
+        base: wp.array2d(dtype=vec3)  # [env, shape] where it was when they were made, in two parts, W [m]
+        rest: wp.array2d(dtype=vec3)  # [env, shape]
+        axis: wp.array2d(dtype=vec3)  # [env, shape] likewise, W [m]
+        cell: wp.array2d(dtype=wp.vec3i)  # [env, shape] that it was in
+        head: wp.array2d(dtype=wp.int32)  # [env, bucket] a shape in it
+        link: wp.array2d(dtype=wp.int32)  # [env, shape] another in the same bucket
+        key: wp.array2d(dtype=wp.int32)  # [env, entry] partner, more by the number of shapes if not owned
+        keys: wp.array2d(dtype=wp.int32)  # [env, shape] how many
+
+    return SimpleNamespace(Settings=Settings, Shapes=Shapes, Lists=Lists, Touches=Touches, Grid=Grid)

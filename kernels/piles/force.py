@@ -1,0 +1,314 @@
+"""What shapes of a pile do to each other: touches of the pairs that a shape owns, and their sum for each body.
+
+The distance comes first, with little traffic; what a touch does is computed by ``touch.py``. A pure function of
+model, state and history, whichever pairs beside those that touch are in the lists.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels import touch
+from warpcontact.kernels.memory import memory_struct
+from warpcontact.kernels.piles import meeting
+from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, pile_structs
+from warpcontact.kernels.touch import Parts, group_structs, touch_structs
+from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
+
+
+@functools.cache
+def _start_memory(parts: Parts, real: type) -> wp.Function:
+    """Returns the function ``(memory, env, slot, dt)`` that empties the memory of a pair that did not touch."""
+    _, Memory = group_structs(parts, real)
+    law, friction, rolling, torsion = (bool(part.memories) for part in parts)
+    LawMemory, FrictionMemory = memory_struct(parts.law, real), memory_struct(parts.friction, real)
+    RollingMemory, TorsionMemory = memory_struct(parts.rolling, real), memory_struct(parts.torsion, real)
+
+    @wp.func
+    def start_memory(memory: Memory, env: int, slot: int, dt: real):
+        if wp.static(law):
+            of_law = LawMemory()
+            of_law.elapsed = dt
+            memory.law[env, slot] = of_law
+        if wp.static(friction):
+            of_friction = FrictionMemory()
+            of_friction.elapsed = dt
+            memory.friction[env, slot] = of_friction
+        if wp.static(rolling):
+            of_rolling = RollingMemory()
+            of_rolling.elapsed = dt
+            memory.rolling[env, slot] = of_rolling
+        if wp.static(torsion):
+            of_torsion = TorsionMemory()
+            of_torsion.elapsed = dt
+            memory.torsion[env, slot] = of_torsion
+
+    return start_memory
+
+
+@functools.cache
+def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp.Kernel:
+    """Returns the kernel of the touches that a shape owns; items: shapes.
+
+    Args:
+        parts: The classes of law and frictions.
+        form: What is in the pile.
+        real: Precision.
+        moves: Whether bodies that are not free oppose to a force what their motions let them.
+        alone: Whether one thread has all shapes of an environment, one after the other. It adds what touches do to
+            the wrenches; else ``add`` does.
+    """
+    t = structs(real)
+    vec3, quat, Model, State, Wrenches = t.vec3, t.quat, t.Model, t.State, t.Wrenches
+    p = pile_structs(real)
+    Shapes, Lists, Touches, Grid, Settings = p.Shapes, p.Lists, p.Touches, p.Grid, p.Settings
+    Coefficients, Memory = group_structs(parts, real)
+    Place = touch_structs(real).Place
+    act = touch.functions(parts, real, moves).act
+    start_memory = _start_memory(parts, real)
+    found = meeting.functions(form, real)
+    Spot, Pair, spot, nearest = found.Spot, found.Pair, found.spot, found.nearest
+    placed, long, fixed, oriented = form.placed, form.long, form.fixed, parts.oriented
+    remembers = any(part.memories for part in parts)
+
+    @wp.func
+    def touch_of(
+        model: Model,
+        state: State,
+        shapes: Shapes,
+        settings: Settings,
+        touches: Touches,
+        coefficients: Coefficients,
+        remembered: Memory,
+        kept: Memory,
+        dt: real,
+        env: int,
+        slot: int,
+        first: int,
+        second: int,
+        spot_1: Spot,
+        spot_2: Spot,
+        pair: Pair,
+        distance: real,
+        radius_1: real,
+        radius_2: real,
+        bits: int,
+        wrenches: Wrenches,
+    ):
+        """Computes the touch of two shapes into its record."""
+        n_W = vec3(real(0.0), real(0.0), real(1.0))
+        if distance > real(0.0):
+            n_W = pair.apart / distance
+        gap = distance - radius_1 - radius_2
+        place = Place()
+        place.body_1 = shapes.body[first]
+        place.body_2 = shapes.body[second]
+        # S on the second, D on the first; K between them.
+        place.arm_1 = (-(radius_1 + (real(1.0) - settings.kappa) * gap)) * n_W
+        place.arm_2 = (radius_2 + settings.kappa * gap) * n_W
+        if wp.static(placed):
+            place.arm_1 += spot_1.rest - state.body_position_remainder[env, place.body_1]
+            place.arm_2 += spot_2.rest - state.body_position_remainder[env, place.body_2]
+        if wp.static(long):
+            place.arm_1 += pair.s * spot_1.axis
+            place.arm_2 += pair.t * spot_2.axis
+        place.normal = n_W
+        place.penetration = -gap
+        place.radius = radius_1 * radius_2 / (radius_1 + radius_2)
+        entry_speed = real(-1.0)
+        if (bits & TOUCHED) != 0:
+            entry_speed = touches.entry_speed[env, slot]
+        else:
+            if wp.static(remembers):
+                # Not of the history: nothing is known of a pair that did not touch, whether it was listed or not.
+                start_memory(remembered, env, slot, dt)
+        q_WS = quat()
+        if wp.static(oriented):
+            q_WS = state.body_orientation[env, place.body_2]
+        acts = act(
+            model, state, env, place, entry_speed, dt, coefficients, remembered, kept, slot,
+            settings.torsion_radius, q_WS,
+        )  # fmt: skip
+        normal_force = settings.share * acts.normal_force
+        force = normal_force * n_W + settings.share * acts.friction_force
+        torque = settings.share * acts.torque
+        touches.approach_speed[env, slot] = acts.approach_speed
+        touches.gap[env, slot] = gap
+        touches.normal_force[env, slot] = normal_force
+        touches.normal[env, slot] = n_W
+        touches.arm[env, slot] = place.arm_1
+        touches.force[env, slot] = force
+        touches.bits[env, slot] = bits | TOUCHES
+        torque_1 = wp.cross(place.arm_1, force) + torque
+        torque_2 = wp.cross(place.arm_2, force) + torque
+        if wp.static(alone):
+            one = place.body_1
+            other = place.body_2
+            wrenches.force[env, one] = wrenches.force[env, one] + force
+            wrenches.torque[env, one] = wrenches.torque[env, one] + torque_1
+            wrenches.force[env, other] = wrenches.force[env, other] - force
+            wrenches.torque[env, other] = wrenches.torque[env, other] - torque_2
+        else:
+            touches.torque_1[env, slot] = torque_1
+            touches.torque_2[env, slot] = -torque_2
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    def pile_force(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        shapes: Shapes,
+        lists: Lists,
+        grid: Grid,
+        remembered: Memory,
+        step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]; 0: the force of this instant
+        coefficients: Coefficients,
+        touches: Touches,
+        kept: Memory,
+        wrenches: Wrenches,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            shape = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            if wp.static(not fixed):  # noqa: SIM102  Warp would look at both sides
+                if shape == 0:
+                    grid.stale[env] = 0
+                    grid.known[env] = 1
+            owned = lists.owned[env, shape]
+            if owned == 0:
+                continue
+            own = spot(shapes, state, env, shape)
+            radius = shapes.radius[env, shape]
+            settings = shapes.settings[env, 0]
+            entry = shapes.entry_start[shape]
+            slot = shapes.slot_start[shape]
+            stop = entry + owned
+            busy = touches.busy[env, shape]
+            now = wp.int32(0)
+            while entry < stop:
+                # The next that touches, so that threads side by side compute touches together.
+                touching = wp.bool(False)
+                partner = wp.int32(NONE)
+                bits = wp.int32(0)
+                first = shape
+                spot_1 = own
+                spot_2 = own
+                radius_1 = radius
+                radius_2 = radius
+                pair = Pair()
+                distance = real(0.0)
+                while entry < stop and not touching:
+                    partner = lists.partner[env, entry]
+                    radius_2 = shapes.radius[env, partner]
+                    reach = radius + radius_2
+                    spot_2 = spot(shapes, state, env, partner)
+                    near = wp.bool(True)
+                    if wp.static(long):
+                        # By the spheres around capsules first; with room for rounding.
+                        around = (own.base - spot_2.base) + (own.rest - spot_2.rest)
+                        beyond = real(1.0001) * (reach + wp.length(own.axis) + wp.length(spot_2.axis))
+                        near = wp.length_sq(around) < beyond * beyond
+                    if near:
+                        pair = nearest(own, spot_2)
+                        squared = wp.length_sq(pair.apart)
+                        if squared < reach * reach:
+                            distance = wp.sqrt(squared)
+                            touching = reach - distance <= settings.max_depth and settings.enabled != 0
+                            touching = touching and distance < reach
+                    if busy != 0:
+                        bits = touches.bits[env, slot] & TOUCHED
+                        now = now | bits
+                        if not touching:
+                            touches.bits[env, slot] = bits
+                    entry += 1
+                    slot += 1
+                if touching:
+                    now = now | TOUCHES
+                    if partner < shape:
+                        # The first is the lower; the same bits as if it had been taken first.
+                        first = partner
+                        partner = shape
+                        spot_1 = spot_2
+                        spot_2 = own
+                        radius_1 = radius_2
+                        radius_2 = radius
+                        pair = nearest(spot_1, spot_2)
+                        distance = wp.length(pair.apart)
+                    touch_of(
+                        model, state, shapes, settings, touches, coefficients, remembered, kept, step[env, 0],
+                        env, slot - 1, first, partner, spot_1, spot_2, pair, distance, radius_1, radius_2, bits,
+                        wrenches,
+                    )  # fmt: skip
+            if now != busy:
+                touches.busy[env, shape] = now
+
+    return pile_force
+
+
+@functools.cache
+def add(real: type, alone: bool) -> wp.Kernel:
+    """Returns the kernel that adds to the wrench of each body what touches of its shapes do, in their order.
+
+    The same bits in every run. Items: carriers. ``alone``: whether every body of the pile has one shape.
+    """
+    t = structs(real)
+    vec3, Wrenches = t.vec3, t.Wrenches
+    p = pile_structs(real)
+    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
+
+    @wp.struct
+    class Sum:
+        force: vec3  # W [N]
+        torque: vec3  # about the centre of mass, W [N·m]
+        touching: wp.int32
+
+    @wp.func
+    def add_shape(total: Sum, shapes: Shapes, lists: Lists, touches: Touches, env: int, shape: int):
+        start = shapes.entry_start[shape]
+        slot = shapes.slot_start[shape]
+        owned = lists.owned[env, shape]
+        for k in range(lists.count[env, shape]):
+            record = slot + k
+            if k >= owned:
+                record = lists.slot[env, start + k]
+                if record < 0:
+                    continue
+            if (touches.bits[env, record] & TOUCHES) == 0:
+                continue
+            total.touching += 1
+            if shape < lists.partner[env, start + k]:
+                total.force += touches.force[env, record]
+                total.torque += touches.torque_1[env, record]
+            else:
+                total.force -= touches.force[env, record]
+                total.torque += touches.torque_2[env, record]
+        return total
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    def add_pile(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        shapes: Shapes,
+        lists: Lists,
+        touches: Touches,
+        wrenches: Wrenches,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            carrier = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            total = Sum()
+            if wp.static(alone):
+                total = add_shape(total, shapes, lists, touches, env, carrier)
+            else:
+                for place in range(shapes.carrier_start[carrier], shapes.carrier_start[carrier + 1]):
+                    total = add_shape(total, shapes, lists, touches, env, shapes.carrier_shape[place])
+            if total.touching > 0:
+                body = shapes.carrier_body[carrier]
+                wrenches.force[env, body] = wrenches.force[env, body] + total.force
+                wrenches.torque[env, body] = wrenches.torque[env, body] + total.torque
+
+    return add_pile

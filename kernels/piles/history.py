@@ -1,0 +1,97 @@
+"""Advances what a pile remembers of its touches, once per accepted step and nowhere else."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.piles.base import TOUCHED, TOUCHES, pile_structs
+from warpcontact.kernels.touch import Parts, group_structs
+from warpcontact.kernels.types import ENV_ACTIVE, Work
+
+
+@functools.cache
+def copy_memory(parts: Parts, real: type) -> wp.Function:
+    """Returns ``(source, source_slot, target, target_slot, env)``, which copies what a pair remembers."""
+    _, Memory = group_structs(parts, real)
+    law, friction, rolling, torsion = (bool(part.memories) for part in parts)
+
+    @wp.func
+    def copy(source: Memory, source_slot: int, target: Memory, target_slot: int, env: int):
+        if wp.static(law):
+            target.law[env, target_slot] = source.law[env, source_slot]
+        if wp.static(friction):
+            target.friction[env, target_slot] = source.friction[env, source_slot]
+        if wp.static(rolling):
+            target.rolling[env, target_slot] = source.rolling[env, source_slot]
+        if wp.static(torsion):
+            target.torsion[env, target_slot] = source.torsion[env, source_slot]
+
+    return copy
+
+
+@functools.cache
+def advance(parts: Parts, real: type) -> wp.Kernel:
+    """Returns the kernel that takes touches into the history; items: shapes."""
+    p = pile_structs(real)
+    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
+    _, Memory = group_structs(parts, real)
+    copy = copy_memory(parts, real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def advance_pile(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        shapes: Shapes,
+        lists: Lists,
+        touches: Touches,
+        kept: Memory,
+        memory: Memory,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            shape = task % work.items
+            if status[env] != ENV_ACTIVE or touches.busy[env, shape] == 0:
+                continue
+            start = shapes.slot_start[shape]
+            for slot in range(start, start + lists.owned[env, shape]):
+                bits = touches.bits[env, slot]
+                if bits == 0:
+                    continue
+                if (bits & TOUCHES) == 0:
+                    touches.bits[env, slot] = 0
+                    continue
+                speed = wp.max(touches.approach_speed[env, slot], real(0.0))
+                if bits == TOUCHES:
+                    touches.bits[env, slot] = TOUCHES | TOUCHED
+                    touches.entry_speed[env, slot] = speed
+                elif speed > touches.entry_speed[env, slot]:
+                    touches.entry_speed[env, slot] = speed
+                copy(kept, slot, memory, slot, env)
+
+    return advance_pile
+
+
+@functools.cache
+def forget() -> wp.Kernel:
+    """Returns the kernel that empties the history of chosen environments. Launch with dim (env, slot or shape)."""
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def forget_pile(
+        mask: wp.array(dtype=wp.bool),
+        bits: wp.array2d(dtype=wp.int32),
+        busy: wp.array2d(dtype=wp.int32),
+        known: wp.array(dtype=wp.int32),
+        made: wp.array(dtype=wp.int32),
+        missing: wp.array(dtype=wp.int32),
+    ):
+        env, slot = wp.tid()
+        if mask[env]:
+            if slot < bits.shape[1]:
+                bits[env, slot] = 0
+            if slot < busy.shape[1]:
+                busy[env, slot] = 0
+            if slot == 0:
+                known[env] = 0
+                made[env] = 0
+                missing[env] = 0
+
+    return forget_pile

@@ -1,0 +1,94 @@
+"""The structs of smooth contacts: shapes on a device, settings, what is found of a contact and remembered."""
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import coefficient_struct, named_struct
+from warpcontact.kernels.smooth.base import Seed, Shape
+from warpcontact.kernels.types import structs
+
+
+@wp.struct
+class Mount:
+    """Where a shape is on what carries it."""
+
+    position: wp.vec3d  # origin of its frame in B, or in W of one fixed to the world [m]
+    orientation: wp.quatd  # its frame → B (or W)
+
+
+@wp.struct
+class Members:
+    """What smooth contacts are made of: [contact]."""
+
+    shape_a: wp.array(dtype=wp.int32)  # among the shapes of its kind
+    shape_b: wp.array(dtype=wp.int32)
+    body_a: wp.array(dtype=wp.int32)  # or WORLD
+    body_b: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Settings:
+    """Parameters of a smooth contact."""
+
+    kappa: wp.float64  # K = P_b + kappa (P_a − P_b) [-]
+    max_depth: wp.float64  # deepest penetration that still counts as contact [m]
+    torsion_radius: wp.float64  # arm at which torsion acts [m]; < 0: that of the overlap
+    share: wp.float64  # factor on forces and couples [-]
+    enabled: wp.int32  # 0 or 1
+
+
+@wp.struct
+class Seeds:
+    """Where the next search starts."""
+
+    seed: wp.array2d(dtype=Seed)  # [env, contact]
+
+
+@functools.cache
+def shapes_struct(kind: type[Shape]) -> Any:
+    """Returns the struct of arrays [env, shape] of one kind: ``coefficients`` and ``mount``."""
+    coefficients = coefficient_struct(kind, wp.float64)
+    fields = (("coefficients", wp.array2d(dtype=coefficients)), ("mount", wp.array2d(dtype=Mount)))
+    return named_struct(f"{kind.__name__}Shapes", fields)
+
+
+@functools.cache
+def contact_structs(real: type) -> SimpleNamespace:
+    """Returns the structs of smooth contacts in one precision. Normals point out of shape b, towards shape a."""
+    t = structs(real)
+    vec3, quat = t.vec3, t.quat
+
+    @wp.struct
+    class Smooth:
+        gap: wp.array2d(dtype=real)  # [env, contact] < 0 in overlap [m]
+        penetration: wp.array2d(dtype=real)  # [env, contact] 0 unless status is CONTACT [m]
+        normal: wp.array2d(dtype=vec3)  # [env, contact] W
+        arm_a: wp.array2d(dtype=vec3)  # [env, contact] to K from the origin of B of shape a, W [m]
+        arm_b: wp.array2d(dtype=vec3)  # [env, contact] likewise; of a shape of the world from its own origin
+        status: wp.array2d(dtype=wp.int32)  # [env, contact] OPEN, CONTACT, …
+        converged: wp.array2d(dtype=wp.int32)  # [env, contact] 1: the gap is that of a root
+        iterations: wp.array2d(dtype=wp.int32)  # [env, contact]
+        residual: wp.array2d(dtype=real)  # [env, contact] [-]
+        failures: wp.array2d(dtype=wp.int32)  # [env, contact] steps without a solution since reset
+        # Only looked at by some laws and frictions
+        curvature_1: wp.array2d(dtype=real)  # [env, contact] of the gap, the smaller principal one [1/m]
+        curvature_2: wp.array2d(dtype=real)  # [env, contact] the larger [1/m]
+        radius: wp.array2d(dtype=real)  # [env, contact] of rolling and of a patch of contact [m]
+        orientation: wp.array2d(dtype=quat)  # [env, contact] frame of b → W
+        # Of the force
+        approach_speed: wp.array2d(dtype=real)  # [env, contact] dδ/dt at K, 0 unless CONTACT [m/s]
+        slip_speed: wp.array2d(dtype=real)  # [env, contact] tangential, at K, 0 unless CONTACT [m/s]
+        normal_force: wp.array2d(dtype=real)  # [env, contact] [N]
+        friction_force: wp.array2d(dtype=vec3)  # [env, contact] on the body of a, W [N]
+        torque: wp.array2d(dtype=vec3)  # [env, contact] of rolling and torsion on the body of a, W [N·m]
+        # History
+        entry_speed: wp.array2d(dtype=real)  # [env, contact] approach speed at entry [m/s]; < 0: not touching
+
+    return SimpleNamespace(Smooth=Smooth)
+
+
+#: Arrays that are only there if a law or a friction looks at them.
+OF_CURVATURE = ("curvature_1", "curvature_2", "radius")
+OF_DIRECTION = ("orientation",)

@@ -1,0 +1,44 @@
+"""Points of shapes, to draw them."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.formula import coefficient_struct
+from warpcontact.kernels.smooth.base import Shape
+
+
+@functools.cache
+def support_points(kind: type[Shape]) -> wp.Kernel:
+    """Returns the kernel of the points of a convex shape farthest along unit vectors. Launch with dim vector."""
+    Coefficients = coefficient_struct(kind, wp.float64)
+    support = kind.support
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def farthest_points(
+        coefficients: wp.array2d(dtype=Coefficients),
+        normals: wp.array(dtype=wp.vec3d),
+        points: wp.array(dtype=wp.vec3d),
+    ):
+        number = wp.tid()
+        points[number] = support(coefficients[0, 0], normals[number])
+
+    return farthest_points
+
+
+@functools.cache
+def patch_points(kind: type[Shape]) -> wp.Kernel:
+    """Returns the kernel of the points of a patch at given parameters. Launch with dim point."""
+    Coefficients = coefficient_struct(kind, wp.float64)
+    position = kind.position
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def points_of_patch(
+        coefficients: wp.array2d(dtype=Coefficients),
+        parameters: wp.array(dtype=wp.vec2d),
+        points: wp.array(dtype=wp.vec3d),
+    ):
+        number = wp.tid()
+        u = parameters[number]
+        points[number] = position(coefficients[0, 0], u[0], u[1])
+
+    return points_of_patch

@@ -1,0 +1,112 @@
+"""Shapes and smooth contacts in experiment files: their words, errors, variations, and patches of one's own."""
+
+import numpy as np
+import pytest
+
+import warpcontact as wc
+
+BOWL = '''
+from typing import Any
+
+import warp as wp
+import warpcontact as wc
+
+
+class Bowl(wc.Patch):
+    """z = (x² + y²)/(2 R)."""
+
+    depth: float = wc.parameter("m", "radius R at the bottom", above=0.0)
+
+    u_range = (-1.0, 1.0)
+    v_range = (-1.0, 1.0)
+
+    @wp.func
+    def position(p: Any, u: Any, v: Any):
+        return wp.vec3d(u, v, (u * u + v * v) / (wp.float64(2.0) * p.depth))
+'''
+STUDY = {
+    "envs": 3,
+    "duration": 0.02,
+    "dt": 1e-3,
+    "body": [
+        {"name": "ball", "mass": 1.0, "inertia": [0.01] * 3, "position": [0.0, 0.0, 0.2]},
+        {"name": "egg", "mass": 1.0, "inertia": [0.01] * 3, "position": [2.0, 0.0, 0.2]},
+    ],
+    "shape": [
+        {"name": "sphere", "body": "ball", "form": {"type": "Sphere", "radius": 0.1}},
+        {"name": "oval", "body": "egg", "form": {"type": "Ellipsoid", "semi_axes": [0.2, 0.1, 0.1]}},
+        {"name": "bowl", "form": {"type": "bowls.py:Bowl", "depth": 1.0}},
+        {"name": "floor", "form": {"type": "Plane"}, "group": 2, "mask": 1},
+    ],
+    "template": [{"name": "soft", "law": {"type": "Hooke", "stiffness": 1000.0}}],
+    "smooth_contact": [
+        {"name": "in_bowl", "shape": "sphere", "other_shape": "bowl", "template": "soft"},
+        {"name": "on_floor", "shape": "oval", "other_shape": "floor", "template": "soft", "max_depth": 0.5},
+    ],
+    "variation": {
+        "sphere.radius": {"values": [0.05, 0.1, 0.15]},
+        "oval.semi_axes": {"values": [[0.2, 0.1, 0.1], [0.1, 0.2, 0.15], [0.1, 0.1, 0.19]]},
+        "on_floor.law.stiffness": {"linspace": [500.0, 1000.0]},
+    },
+    "record": {"every": 0.01},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("study")
+    (path / "bowls.py").write_text(BOWL, encoding="utf-8")
+    (path / "broken.py").write_text(BOWL.replace("p.depth)", "p.dept)"), encoding="utf-8")
+    return path
+
+
+def test_shapes_of_an_experiment_are_varied_recorded_and_kept_with_its_results(folder, device):
+    run = wc.Experiment.from_dict(STUDY, folder).run(folder / "out", device=device)
+    data = run.recording
+    np.testing.assert_allclose(data["in_bowl.gap"].values[0], [0.15, 0.1, 0.05], rtol=1e-6)
+    np.testing.assert_allclose(data["on_floor.gap"].values[0], [0.1, 0.05, 0.01], rtol=1e-6)
+    assert {"in_bowl.normal_force", "on_floor.normal_force", "scene.kinetic_energy"} <= set(data.data_vars)
+    again = wc.Experiment.from_toml(folder / "out" / "experiment.toml").run(folder / "again", device=device)
+    np.testing.assert_array_equal(again.recording["in_bowl.gap"].values, data["in_bowl.gap"].values)
+    assert (folder / "out" / "bowls.py").read_text(encoding="utf-8") == BOWL
+
+
+BAD_FORMS = [
+    ({"type": "Sphere", "radius": -0.1}, ".form.radius must be greater than 0, got -0.1 m"),
+    ({"type": "Sphere"}, ".form.radius is missing: radius r [m]"),
+    ({"type": "Spher", "radius": 1.0}, ".form.type must be one of Sphere, Plane, "),
+    ({"type": "Hooke", "stiffness": 1.0}, "; that is a law"),
+    ("Sphere", ".form must be a table, got 'Sphere'; write form = { type = 'Sphere', … }"),
+    (
+        {"type": "RoundedBox", "half_extents": [0.1, 0.1, 0.1], "radius": 0.2},
+        "must be less than every half extent",
+    ),
+    ({"type": "bowls.py:Bow", "depth": 1.0}, ".form.type: bowls.py has no shape 'Bow'; did you mean 'Bowl'?"),
+    ({"type": "broken.py:Bowl", "depth": 1.0}, "does not compile"),
+]
+
+
+@pytest.mark.parametrize(("form", "message"), BAD_FORMS)
+def test_forms_are_refused_with_their_key(folder, form, message):
+    study = STUDY | {"shape": [*STUDY["shape"], {"name": "other", "form": form}]}
+    with pytest.raises(wc.ExperimentError) as error:
+        wc.Experiment.from_dict(study, folder)
+    assert "shape[4]" in str(error.value)
+    assert message in str(error.value)
+
+
+def test_errors_of_shapes_and_contacts_are_told_at_once(folder):
+    study = STUDY | {
+        "shape": [*STUDY["shape"], {"name": "x", "body": "bal", "form": {"type": "Plane"}, "group": -1}],
+        "smooth_contact": [
+            *STUDY["smooth_contact"],
+            {"name": "y", "shape": "sphere", "other_shape": "flor", "template": "soft", "kappa": 2.0},
+            {"name": "z", "shape": "bowl", "other_shape": "floor", "template": "soft"},
+        ],
+    }
+    with pytest.raises(wc.ExperimentError) as error:
+        wc.Experiment.from_dict(study, folder)
+    text = str(error.value)
+    assert "shape[4] ('x').group must be at least 0, got -1" in text
+    assert "smooth_contact[2] ('y').kappa must be at least 0 and at most 1, got 2" in text
+    assert "smooth_contact[3] ('z'): both shapes are fixed to the world" in text

@@ -1,0 +1,269 @@
+"""Spheres and capsules of a pile touch as closed forms say, keep momentum, and find every pair there is."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import warpcontact as wc
+
+RADIUS, MASS, STIFFNESS = 0.1, 0.5, 1.0e5
+INERTIA = [0.4 * MASS * RADIUS**2] * 3
+ELASTIC = wc.Template(law=wc.laws.Hooke(stiffness=STIFFNESS))
+
+
+def spheres(positions, velocities, template=ELASTIC, *, gravity=(0, 0, 0), form=None, **options):
+    """Returns a scene of equal bodies in a pile."""
+    scene = wc.Scene(gravity=gravity)
+    balls = scene.add_bodies(positions, MASS, INERTIA, linear_velocities=velocities, name="ball")
+    shape = scene.add_shape(balls, wc.shapes.Sphere(RADIUS) if form is None else form, name="shape")
+    scene.add_mutual_contact(shape, template, name="pile", **options)
+    return scene
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_head_on_impact_has_the_depth_and_time_of_a_spring(device, precision):
+    """Two masses on a spring: depth v √(m/2k), touching for π √(m/2k), velocities exchanged."""
+    speed = 1.0
+    time = np.sqrt(0.5 * MASS / STIFFNESS)
+    scene = spheres([[0, 0, 0], [2.1 * RADIUS, 0, 0]], [[speed, 0, 0], [0, 0, 0]])
+    model = scene.build(device=device, precision=precision)
+    dt = time / 400
+    recording = wc.Simulation(model, dt=dt).run(
+        0.0208, record=["pile.max_penetration", "pile.contacts", "pile.force", "ball.linear_velocity"]
+    )
+    # The step samples the depth; semi-implicit Euler is of second order in the depth of a spring.
+    assert recording["pile.max_penetration"].max() == pytest.approx(speed * time, rel=1e-3)
+    touched = float(recording["pile.contacts"].sum()) * dt
+    assert touched == pytest.approx(np.pi * time, abs=2 * dt)
+    np.testing.assert_allclose(
+        recording["ball.linear_velocity"][-1, 0], [[0, 0, 0], [speed, 0, 0]], atol=2e-3 * speed
+    )
+    forces = recording["pile.force"].values[:, 0]
+    np.testing.assert_array_equal(forces[:, 0], -forces[:, 1])
+
+
+def test_dissipative_impact_has_the_restitution_of_its_law(device):
+    """A law with restitution gives it to spheres as to meshes: e of the relative speed, the same momentum."""
+    restitution, speed = 0.6, 0.5
+    law = wc.laws.HuntCrossley(stiffness=1e7, exponent=1.5, restitution=restitution)
+    wall = wc.Scene(gravity=(0, 0, 0))
+    floor = wall.add_surface(wc.meshes.box((2, 2, 0.2)), position=(0, 0, -0.1))
+    ball = wall.add_body(
+        MASS, INERTIA, position=(0, 0, 1.05 * RADIUS), linear_velocity=(0, 0, -speed), name="ball"
+    )
+    wall.add_contact(wall.add_point(ball, (0, 0, 0)), floor, wc.Template(law=law), radius=RADIUS)
+    at_wall = wall.build(device=device, precision="float64")
+    # Against an equal sphere at the opposite speed: the wall is where they meet, and half as stiff a spring acts.
+    twice = wc.laws.HuntCrossley(stiffness=1e7 / 2**1.5, exponent=1.5, restitution=restitution)
+    pair = spheres(
+        [[0, 0, 0], [0, 0, 2.1 * RADIUS]], [[0, 0, speed], [0, 0, -speed]], wc.Template(law=twice)
+    ).build(device=device, precision="float64")
+    for model in (at_wall, pair):
+        wc.Simulation(model, dt=2e-6).step(20_000)
+    out = at_wall.reading("ball.linear_velocity")[0, 2]
+    velocities = pair.reading("ball.linear_velocity")[0, :, 2]
+    # Alike but for the speed that the law takes its damping from: twice the speed, half the penetration of each.
+    np.testing.assert_allclose(velocities, [-out, out], rtol=1e-3)
+
+
+def test_oblique_impact_with_sticking_friction_follows_the_closed_form(device):
+    """Rigid spheres that stick: the tangential impulse is 1/7 m v_t for two equal ones, and makes them spin."""
+    # So slow that the line of centres turns by little.
+    normal_speed, slip = 0.02, 0.1
+    template = wc.Template(
+        law=wc.laws.Hooke(stiffness=1e6), friction=wc.frictions.Tanh(mu=2.0, velocity_scale=1e-4)
+    )
+    scene = spheres([[0, 0, 0], [0, 0, 2.0001 * RADIUS]], [[0, 0, normal_speed], [slip, 0, 0]], template)
+    model = scene.build(device=device, precision="float64")
+    wc.Simulation(model, dt=2e-6).step(10_000)
+    velocity = model.reading("ball.linear_velocity")[0]
+    spin = model.reading("ball.angular_velocity")[0]
+    # Impulse J stops the slip at K: slip = J (2/m + 2 R²/I).
+    impulse = slip / (2 / MASS + 2 * RADIUS**2 / INERTIA[0])
+    np.testing.assert_allclose(velocity[:, 0], [impulse / MASS, slip - impulse / MASS], rtol=5e-3)
+    np.testing.assert_allclose(spin[:, 1], [impulse * RADIUS / INERTIA[0]] * 2, rtol=5e-3)
+
+
+def test_chain_keeps_momentum_and_energy(device):
+    """A sphere that hits a chain: momentum to rounding, energy to what the step leaves of it."""
+    count = 6
+    positions = np.zeros((count, 3))
+    positions[:, 0] = 2.0 * RADIUS * np.arange(count)
+    positions[0, 0] -= 0.01
+    velocities = np.zeros((count, 3))
+    velocities[0, 0] = 1.0
+    model = spheres(positions, velocities).build(device=device, precision="float64")
+    wc.Simulation(model, dt=4e-6).step(10_000)
+    assert model.reading("scene.linear_momentum")[0] == pytest.approx([MASS, 0, 0], abs=1e-13)
+    assert model.reading("scene.kinetic_energy")[0] == pytest.approx(0.5 * MASS, rel=1e-4)
+    # Most of it goes to the last: with linear springs the others follow slowly.
+    assert model.reading("ball.linear_velocity")[0, -1, 0] > 0.9
+
+
+def cloud(capsules, count=120, seed=5):
+    """Returns positions, orientations, forms and sizes of a random cloud with radii 1:5."""
+    rng = np.random.default_rng(seed)
+    radii = 0.03 * 5 ** rng.uniform(0, 1, count)
+    half = np.where(np.arange(count) % 2 == 0, 2.0 * radii, 0.5 * radii) if capsules else np.zeros(count)
+    positions = np.array([3.0, -7.0, 100.0]) + rng.uniform(-0.5, 0.5, (count, 3))
+    turns = rng.normal(size=(count, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    forms = [
+        wc.shapes.Capsule(float(r), float(h)) if capsules else wc.shapes.Sphere(float(r))
+        for r, h in zip(radii, half, strict=True)
+    ]
+    return positions, turns, forms, radii, half
+
+
+def segments_apart(c, g, d, h):
+    """Returns the distance of segments c ± g and d ± h: of the lines if they are nearest inside, or at an end."""
+
+    def to_end(p, middle, half):
+        length = half @ half
+        t = np.clip((p - middle) @ half / length, -1, 1) if length else 0.0
+        return np.linalg.norm(p - middle - t * half)
+
+    ends = [distance for s in (-1, 1) for distance in (to_end(c + s * g, d, h), to_end(d + s * h, c, g))]
+    (s, t), *_ = np.linalg.lstsq(np.stack([g, -h], 1), d - c, rcond=None)
+    if max(abs(s), abs(t)) <= 1:
+        ends.append(np.linalg.norm(c + s * g - d - t * h))
+    return min(ends)
+
+
+def gaps_of(positions, axes, radii):
+    """Returns the gaps of all pairs by a search over the segments."""
+    return {
+        (i, j): segments_apart(positions[i], axes[i], positions[j], axes[j]) - radii[i] - radii[j]
+        for i, j in itertools.combinations(range(len(radii)), 2)
+    }
+
+
+@pytest.mark.parametrize("capsules", [False, True])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_finds_the_pairs_of_a_search_over_all(device, capsules, precision):
+    """A cloud of radii 1:5 that moves through itself: the pairs, gaps and points are those of brute force."""
+    positions, turns, forms, radii, half = cloud(capsules)
+    scene = wc.Scene(gravity=(0, 0, 0))
+    rng = np.random.default_rng(1)
+    balls = scene.add_bodies(
+        positions, MASS, INERTIA, turns, rng.normal(size=positions.shape), 5 * rng.normal(size=positions.shape),
+        name="ball",
+    )  # fmt: skip
+    shape = scene.add_shape(balls, forms, name="shape")
+    # So soft that they pass through each other.
+    soft = wc.Template(law=wc.laws.Hooke(stiffness=1e-3))
+    scene.add_mutual_contact(shape, soft, name="pile", skin=0.02, partners=len(radii) - 1)
+    model = scene.build(device=device, precision=precision)
+    sim = wc.Simulation(model, dt=1e-3)
+    # A float32 tells places a hundred metres away to 4 µm at best once; remainders keep differences finer.
+    within = 2e-6 if precision == "float32" else 1e-12
+    for _ in range(3):
+        sim.step(40)
+        places = model.reading("ball.position")[0]
+        q = model.reading("ball.orientation")[0].astype(np.float64)
+        x, y, z, w = q.T
+        axes = half[:, None] * np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 1)
+        expected = gaps_of(places, axes, radii)
+        found = model.touching("pile")
+        pairs = list(zip(found["shape_1"].values.tolist(), found["shape_2"].values.tolist(), strict=True))
+        deep = {pair for pair, gap in expected.items() if gap < -within}
+        assert deep <= set(pairs)
+        assert all(expected[pair] < within for pair in pairs)
+        np.testing.assert_allclose(found["gap"], [expected[pair] for pair in pairs], atol=within)
+        assert model.reading("pile.contacts")[0] == len(pairs) > 50
+        assert model.reading("pile.coordination")[0].sum() == 2 * len(pairs)
+    assert model.piles[0].grid.made.numpy()[0] > 5
+
+
+def test_parallel_capsules_touch_in_the_middle_of_where_they_overlap(device):
+    """Side by side the closest points are many; the force acts in their middle, and does not turn them."""
+    form = wc.shapes.Capsule(RADIUS, 0.3)
+    scene = spheres([[0, 0, 0], [1.9 * RADIUS, 0, 0.2]], [[0, 0, 0]] * 2, form=form)
+    model = scene.build(device=device, precision="float64")
+    touch = model.touching("pile")
+    np.testing.assert_allclose(touch["point"][0], [0.95 * RADIUS, 0, 0.1], atol=1e-15)
+    np.testing.assert_allclose(touch["normal"][0], [-1, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(touch["gap"], [-0.1 * RADIUS], rtol=1e-12)
+    # End to end they overlap nowhere; their caps meet.
+    ends = spheres([[0, 0, 0], [0, 0, 0.6 + 1.9 * RADIUS]], [[0, 0, 0]] * 2, form=form)
+    touch = ends.build(device=device, precision="float64").touching("pile")
+    np.testing.assert_allclose(touch["point"][0], [0, 0, 0.3 + 0.95 * RADIUS], atol=1e-15)
+
+
+def test_kappa_places_the_force_between_the_surfaces(device):
+    """K goes from the surface of the second shape to that of the first."""
+    scene = spheres([[0, 0, 0], [1.9 * RADIUS, 0, 0]], [[0, 0, 0]] * 2, kappa=0.0)
+    model = scene.build(envs=3, device=device, precision="float64")
+    model["pile.kappa"] = [0.0, 0.5, 1.0]
+    np.testing.assert_allclose(
+        model.touching("pile")["point"][:, 0], np.array([0.9, 0.95, 1.0]) * RADIUS, atol=1e-15
+    )
+
+
+def test_sphere_and_capsule_on_one_body_touch_others_alone(device):
+    """Several shapes of a body act on it together and never on each other."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    pin = scene.add_body(MASS, INERTIA, name="pin")
+    rod = scene.add_shape(pin, wc.shapes.Capsule(RADIUS, 0.5), name="rod")
+    knob = scene.add_shape(pin, wc.shapes.Sphere(2 * RADIUS), position=(0, 0, 0.5), name="knob")
+    ball = scene.add_body(MASS, INERTIA, position=(2.9 * RADIUS, 0, 0.5), name="ball")
+    bead = scene.add_shape(ball, wc.shapes.Sphere(RADIUS), name="bead")
+    scene.add_mutual_contact([rod, knob, bead], ELASTIC, name="pile")
+    model = scene.build(device=device, precision="float64")
+    touch = model.touching("pile")
+    assert [(a, b) for a, b in zip(touch["name_1"].values, touch["name_2"].values, strict=True)] == [
+        ("knob", "bead")
+    ]
+    assert touch["body_1"].values.tolist() == ["pin"]
+    force = STIFFNESS * 0.1 * RADIUS
+    np.testing.assert_allclose(model.reading("pin.force")[0], [-force, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(model.reading("pin.torque")[0], [0, -0.5 * force, 0], atol=1e-9)
+    np.testing.assert_allclose(model.reading("ball.force")[0], [force, 0, 0], atol=1e-9)
+
+
+def test_groups_masks_and_exclusions_keep_pairs_apart(device):
+    """Two shapes touch if each is in a group that the other's mask has, and they are not excluded."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    groups = [(1, 0xFFFFFFFF), (2, 1), (2, 1), (4, 4), (1, 0xFFFFFFFF)]
+    shapes = []
+    for number, (group, mask) in enumerate(groups):
+        body = scene.add_body(MASS, INERTIA, position=(0.001 * number, 0, 0), name=f"b{number}")
+        shapes.append(scene.add_shape(body, wc.shapes.Sphere(RADIUS), group=group, mask=mask, name=f"s{number}"))
+    scene.add_mutual_contact(shapes, ELASTIC, name="pile", exclude=[(shapes[4], shapes[1])])
+    touch = scene.build(device=device).touching("pile")
+    pairs = list(zip(touch["shape_1"].values.tolist(), touch["shape_2"].values.tolist(), strict=True))
+    assert pairs == [(0, 1), (0, 2), (0, 4), (2, 4)]
+
+
+def test_radii_may_differ_between_environments(device):
+    """A larger radius touches, in its environment alone."""
+    scene = spheres([[0, 0, 0], [2.1 * RADIUS, 0, 0]], [[0, 0, 0]] * 2)
+    model = scene.build(envs=2, device=device, precision="float64")
+    model["shape.radius"] = [[RADIUS, RADIUS], [RADIUS, 1.2 * RADIUS]]
+    assert model.reading("pile.contacts").tolist() == [0, 1]
+    assert model.reading("pile.max_penetration")[1] == pytest.approx(0.1 * RADIUS, rel=1e-12)
+    assert model.reading("pile.normal_force")[1] == pytest.approx(STIFFNESS * 0.1 * RADIUS, rel=1e-12)
+    assert model.reading("pile.max_normal_force").tolist() == model.reading("pile.normal_force").tolist()
+
+
+def test_what_cannot_be_is_refused(device):
+    """Each error names the entry, what was given and what is allowed."""
+    scene = wc.Scene()
+    body = scene.add_body(MASS, INERTIA, name="body")
+    other = scene.add_body(MASS, INERTIA, name="other")
+    box = scene.add_shape(body, wc.shapes.Cylinder(0.1, 0.2), name="drum")
+    fixed = scene.add_shape(None, wc.shapes.Sphere(0.1), name="fixed")
+    one, two = (scene.add_shape(b, wc.shapes.Sphere(0.1), name=f"s_{b.name}") for b in (body, other))
+    for shapes, options, words in (
+        ([one, box], {}, "'drum' is a Cylinder; mutual contacts are of spheres and capsules"),
+        ([one, fixed], {}, "'fixed' is fixed to the world"),
+        ([one, one], {}, "'s_body' is listed more than once"),
+        ([one], {}, "shapes must be at least 2, got 1"),
+        ([one, two], {"skin": 0.0}, r"skin must be > 0 m|skin must be"),
+        ([one, two], {"partners": 0}, "partners must be a whole number of at least 1, got 0"),
+        ([one, two], {"exclude": [(one, box)]}, "exclude of 'pile' must be pairs of its shapes"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            scene.add_mutual_contact(shapes, ELASTIC, name="pile", **options)
+    assert scene.mutual_contacts == []

@@ -1,0 +1,205 @@
+"""Lists of partners change no result: not how often they are made, nor slices, threads or looks between."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import warpcontact as wc
+from warpcontact.piles import pile
+
+COUNT = 60
+#: Remembers: a spring in the tangent plane, and the speed at which a contact began.
+TEMPLATE = wc.Template(
+    law=wc.laws.LankaraniNikravesh(stiffness=2e5, exponent=1.5, restitution=0.6),
+    friction=wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=5e3, damping=1.0),
+)
+
+
+def scene(skin=0.02, **options):
+    """Returns spheres of radii 1:3 that fly into each other."""
+    rng = np.random.default_rng(3)
+    radii = rng.uniform(0.05, 0.15, COUNT)
+    positions = rng.uniform(-0.6, 0.6, (COUNT, 3))
+    made = wc.Scene(gravity=(0, 0, 0))
+    spin = 5 * rng.normal(size=(COUNT, 3))
+    balls = made.add_bodies(positions, 0.5, [0.002] * 3, (0, 0, 0, 1), -3 * positions, spin, name="ball")
+    shape = made.add_shape(balls, [wc.shapes.Sphere(float(radius)) for radius in radii], name="shape")
+    made.add_mutual_contact(shape, TEMPLATE, name="pile", skin=skin, **({"partners": 40} | options))
+    return made
+
+
+def bits(model):
+    """Returns the state of all bodies."""
+    state = model.state
+    arrays = (state.body_position, state.body_orientation, state.body_linear_velocity, state.body_angular_velocity)
+    return np.concatenate([array.numpy() for array in arrays], axis=-1)
+
+
+STEPS, DT = 1000, 2e-4
+
+
+@pytest.fixture(scope="module", params=["float32", "float64"])
+def run(request, device):
+    """A model after its steps, with the states at the end."""
+    model = scene().build(envs=3, device=device, precision=request.param)
+    # Environments differ.
+    velocity = model["ball.linear_velocity"]
+    model["ball.linear_velocity"] = velocity * np.array([1.0, 0.9, 1.1])[:, None, None]
+    start = model.state.body_linear_velocity.numpy().copy()
+    sim = wc.Simulation(model, dt=DT, deterministic=True)
+    sim.step(STEPS)
+    return model, bits(model).copy(), start
+
+
+def again(run, made, device, **options):
+    """Returns the states at the end of the same run of another scene, and its model."""
+    model = made.build(envs=3, device=device, precision=run[0].precision)
+    model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
+    wc.Simulation(model, dt=DT, deterministic=True, **options).step(STEPS)
+    return bits(model), model
+
+
+def test_any_skin_gives_the_same_bits(run, device):
+    """A wide skin keeps lists long, a narrow one makes them anew: what is remembered goes with the pairs."""
+    end, wide = again(run, scene(skin=0.15), device)
+    np.testing.assert_array_equal(end, run[1])
+    often, seldom = (model.piles[0].grid.made.numpy().min() for model in (run[0], wide))
+    assert often > 5 * seldom > 0
+
+
+def test_lists_of_all_pairs_give_the_same_bits(run, device, monkeypatch):
+    """Few shapes have lists of all pairs that are never made anew."""
+    monkeypatch.setattr(pile, "FEW", COUNT)
+    end, model = again(run, scene(), device)
+    assert model.piles[0].fixed
+    np.testing.assert_array_equal(end, run[1])
+
+
+def test_slices_and_threads_give_the_same_bits(run, device, monkeypatch):
+    """One environment a slice, on one thread, and without graphs."""
+    monkeypatch.setattr("warpcontact.stepping.LARGEST_SLICE", 1)
+    end, _ = again(run, scene(), device, threads=1, graphs=False)
+    np.testing.assert_array_equal(end, run[1])
+
+
+def test_an_environment_alone_gives_the_same_bits(run, device):
+    """Others beside it change nothing."""
+    model = scene().build(device=device, precision=run[0].precision)
+    model["ball.linear_velocity"] = run[0]["ball.linear_velocity"][1:2]
+    wc.Simulation(model, dt=DT, deterministic=True).step(STEPS)
+    np.testing.assert_array_equal(bits(model)[0], run[1][1])
+
+
+def test_a_look_at_another_state_changes_nothing(run, device):
+    """Forces of a state that is only tried, far from that of the lists, leave the history as it was."""
+    model = scene().build(envs=3, device=device, precision=run[0].precision)
+    model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
+    sim = wc.Simulation(model, dt=DT, deterministic=True)
+    for _ in range(4):
+        sim.step(STEPS // 4)
+        position = model.state.body_position
+        here = position.numpy().copy()
+        assert model.reading("pile.contacts").min() > 0
+        position.assign(here * 50)
+        assert model.reading("pile.contacts").max() == 0
+        position.assign(here)
+    np.testing.assert_array_equal(bits(model), run[1])
+
+
+def test_reset_goes_back_to_the_start(run, device):
+    """An environment that is reset runs as it did; the others go on."""
+    model = scene().build(envs=3, device=device, precision=run[0].precision)
+    model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
+    sim = wc.Simulation(model, dt=DT, deterministic=True)
+    sim.step(STEPS // 2)
+    model.reset(np.array([False, True, False]))
+    sim.step(STEPS // 2)
+    half = bits(model)
+    np.testing.assert_array_equal(half[[0, 2]], run[1][[0, 2]])
+    sim.step(STEPS // 2)
+    np.testing.assert_array_equal(bits(model)[1], run[1][1])
+
+
+def test_split_over_devices_gives_the_same_bits(run, device):
+    """Parts of a model have their environments' piles, and are read as one."""
+    model = scene().build(envs=3, device=[device, device], precision=run[0].precision)
+    model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
+    wc.Simulation(model, dt=DT, deterministic=True).step(STEPS)
+    np.testing.assert_array_equal(np.concatenate([bits(part) for part in model.parts]), run[1])
+    assert model.touching("pile").equals(run[0].touching("pile"))
+
+
+def test_momentum_stays_to_rounding(run):
+    """Forces and couples are opposite at one point: linear and angular momentum stay."""
+    model = run[0]
+    mass, inertia = 0.5, 0.002
+    # Velocities are rounded at every step in the precision of the model.
+    within = 2e-4 if model.precision == "float32" else 1e-11
+    velocity, spin = model["ball.linear_velocity"], model["ball.angular_velocity"]
+    linear = mass * velocity.sum(axis=1)
+    angular = (mass * np.cross(model["ball.position"], velocity) + inertia * spin).sum(axis=1)
+    np.testing.assert_allclose(model.reading("scene.linear_momentum"), linear, atol=within)
+    np.testing.assert_allclose(model.reading("scene.angular_momentum"), angular, atol=within)
+    changed = np.linalg.norm(model.reading("ball.linear_velocity") - velocity, axis=-1)
+    assert np.mean(changed > 0.5) > 0.8
+
+
+def test_a_failed_environment_is_frozen_and_the_others_go_on(run, device):
+    """A state that turns non-finite stops its environment alone."""
+    model = scene().build(envs=3, device=device, precision=run[0].precision)
+    model["ball.linear_velocity"] = run[0]["ball.linear_velocity"]
+    velocity = model.state.body_linear_velocity
+    broken = velocity.numpy().copy()
+    broken[1, 5] = np.nan
+    velocity.assign(broken)
+    wc.Simulation(model, dt=DT, deterministic=True).step(STEPS)
+    assert model.health().frozen.tolist() == [1]
+    np.testing.assert_array_equal(bits(model)[[0, 2]], run[1][[0, 2]])
+
+
+def test_a_list_that_is_too_short_is_an_error(device):
+    """Partners that do not fit are missed by no one: the next look says so, and what helps."""
+    model = scene(skin=0.15, partners=2).build(device=device)
+    with pytest.raises(RuntimeError, match=r"pile: a shape had \d+ partners more.*larger partners=.*smaller skin"):
+        model.reading("pile.contacts")
+    with pytest.raises(RuntimeError, match="partners more"):
+        wc.Simulation(model, dt=DT).run(2 * DT)
+
+
+def test_radii_that_need_longer_lists_are_refused(device):
+    """Room for partners is made for the radii of the scene; others that need more are an error, and not taken."""
+    model = scene(partners=None).build(device=device)
+    radii = model["shape.radius"]
+    smaller = radii.copy()
+    smaller[0, :40] = 0.02
+    with pytest.raises(ValueError, match=r"pile: with these radii 'shape\[\d+\]' may have \d+ partners.*room for"):
+        model["shape.radius"] = smaller
+    np.testing.assert_array_equal(model["shape.radius"], radii)
+
+
+def test_steps_that_are_taken_again_in_parts_give_the_same_bits(device):
+    """A step that a swept point crosses a surface in is tried first: lists made for it change nothing."""
+    places = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), axis=-1).reshape(-1, 3) * 0.045 + [0, 0, 0.1]
+    fast = np.arange(64)[:, None] % 3 == 0
+    ends = []
+    for skin in (0.003, 0.03):
+        made = wc.Scene()
+        balls = made.add_bodies(places, 0.1, [1.6e-5] * 3, linear_velocities=fast * [0.3, 0.1, -20.0], name="ball")
+        floor = made.add_surface(wc.meshes.grid((4, 4), (8, 8)))
+        stiff = wc.Template(
+            law=wc.laws.LankaraniNikravesh(stiffness=1e6, exponent=1.5, restitution=0.6),
+            friction=TEMPLATE.friction,
+        )
+        made.add_contact(made.add_point(balls, (0, 0, 0)), floor, stiff, swept=True, name="floor")
+        shape = made.add_shape(balls, wc.shapes.Sphere(0.02))
+        made.add_mutual_contact(shape, stiff, skin=skin, partners=40, name="pile")
+        model = made.build(device=device)
+        sim = wc.Simulation(model, dt=2e-4, crossing_steps=4, deterministic=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", wc.ContactWarning)  # the step is too long for this floor, on purpose
+            sim.step(600)
+        assert model.reading("floor.crossings").sum() > 10
+        assert model.health().good
+        ends.append(bits(model))
+    np.testing.assert_array_equal(*ends)

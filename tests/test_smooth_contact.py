@@ -1,0 +1,369 @@
+"""Contacts of two smooth shapes in a scene: against worked numbers, closed forms, and the same on a mesh."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+from scenes import square
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import warpcontact as wc
+
+NAMES = ("separated", "penetrating", "deep")
+RUBBER = wc.Template(
+    law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7),
+    friction=wc.frictions.CundallStrack(mu_static=0.4, mu_dynamic=0.4, stiffness=2e4, damping=5.0),
+    rolling=wc.frictions.Tanh(mu=0.01, velocity_scale=1e-2),
+    torsion=wc.frictions.Tanh(mu=0.4, velocity_scale=1e-2),
+)
+STEEL = wc.Template(law=wc.laws.HuntCrossley(stiffness=1e7, exponent=1.5, restitution=1.0))
+READINGS = ("gap", "normal", "normal_force", "friction_force", "torque", "slip_speed", "approach_speed", "point")
+
+
+@pytest.fixture(scope="module")
+def oracle(shared):
+    return json.loads((shared / "spec" / "oracle_kinematics.json").read_text())
+
+
+@pytest.mark.parametrize(("precision", "tolerance"), [("float32", 2e-6), ("float64", 1e-12)])
+def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision, tolerance):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    i, j = (scene.add_body(1.0, (1.0, 1.0, 1.0), name=name) for name in "ij")
+    first = scene.add_shape(i, wc.shapes.Ellipsoid((1.0, 0.6, 0.4)))
+    second = scene.add_shape(j, wc.shapes.Ellipsoid((0.8, 0.5, 0.3)))
+    scene.add_smooth_contact(second, first, wc.Template(law=wc.laws.Hooke(stiffness=1.0)), name="touch")
+    model = scene.build(3, device, precision)
+    model["j.position"] = [oracle[name]["c_j"] for name in NAMES]
+    velocity = oracle["separated"]["velocity"]
+    for body in "ij":
+        turns = [oracle[name][f"A_{body}"] for name in NAMES]
+        model[f"{body}.orientation"] = Rotation.from_matrix(turns).as_quat()
+        model[f"{body}.linear_velocity"] = velocity[f"v_{body}"]
+        model[f"{body}.angular_velocity"] = velocity[f"w_{body}"]
+    for quantity, key in (("gap", "gap"), ("point_a", "P_j"), ("point_b", "P_i"), ("normal", "n_i")):
+        known = [oracle[name][key] for name in NAMES]
+        np.testing.assert_allclose(model.reading(f"touch.{quantity}"), known, rtol=0, atol=tolerance)
+    # Approach at K is that of the points, whichever: they lie on one normal.
+    rates = [-oracle[name]["velocity"]["gap_rate"] for name in NAMES[1:]]
+    np.testing.assert_allclose(model.reading("touch.approach_speed")[1:], rates, rtol=0, atol=tolerance)
+    assert model.reading("touch.status").tolist() == [wc.Status.OPEN, wc.Status.CONTACT, wc.Status.CONTACT]
+    assert model.reading("touch.converged").tolist() == [1, 1, 1]
+    np.testing.assert_allclose(model.reading("touch.normal_force")[0], 0.0)
+    depths = [-oracle[name]["gap"] for name in NAMES[1:]]
+    np.testing.assert_allclose(model.reading("touch.normal_force")[1:], depths, rtol=tolerance * 10)
+
+
+def test_derivatives_are_differences_of_the_readings(device):
+    model = two_ellipsoids(device, "float64", envs=1)
+    model["b.position"] = (0.05, 0.03, 0.29)
+    for quantity in ("gap", "normal", "point_a", "point_b"):
+        # By what carries the first shape, b: positions, then turns about its centre of mass.
+        for key, given in (("position", model["b.position"]), ("orientation", model["b.orientation"])):
+            by = "position" if key == "position" else "rotation"
+            known = model.reading(f"touch.{quantity}_by_{by}_a")[0]
+            for axis, way in enumerate(np.eye(3)):
+                ends = []
+                for step in (-1e-5, 1e-5):
+                    if key == "position":
+                        model["b.position"] = given + step * way
+                    else:
+                        turned = Rotation.from_rotvec(step * way) * Rotation.from_quat(given)
+                        model["b.orientation"] = turned.as_quat()
+                    ends.append(model.reading(f"touch.{quantity}")[0])
+                model[f"b.{key}"] = given
+                # Central differences: the square of the step, and the rounding of a reading over it.
+                difference = (ends[1] - ends[0]) / 2e-5
+                np.testing.assert_allclose(known[..., axis], difference, rtol=1e-6, atol=1e-7)
+    axes = model["shape_a.semi_axes"]
+    for axis, way in enumerate(np.eye(3)):
+        ends = []
+        for step in (-1e-5, 1e-5):
+            model["shape_a.semi_axes"] = axes + step * way
+            ends.append(model.reading("touch.gap")[0])
+        model["shape_a.semi_axes"] = axes
+        known = model.reading("touch.gap_by_semi_axes_b")[0, axis]
+        assert known == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=1e-6, abs=1e-7)
+    recording = wc.Simulation(model, dt=1e-4).run(
+        1e-3, ["touch.point_a_by_rotation_b", "touch.gap_by_semi_axes_a"]
+    )
+    assert recording["touch.point_a_by_rotation_b"].dims == ("time", "env", "row", "column")
+
+
+def sphere_on_plane(smooth, device, precision, envs=1):
+    scene = wc.Scene()
+    moving = {"linear_velocity": (1.0, 0.2, 0), "angular_velocity": (0, 3.0, 5.0)}
+    ball = scene.add_body(0.5, (5e-4, 5e-4, 5e-4), (0, 0, 0.06), **moving, name="ball")
+    if smooth:
+        sphere = scene.add_shape(ball, wc.shapes.Sphere(0.05), name="sphere")
+        scene.add_smooth_contact(
+            sphere, scene.add_shape(None, wc.shapes.Plane(), name="floor"), RUBBER, name="touch"
+        )
+    else:
+        ground = scene.add_surface(square(10.0))
+        scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, RUBBER, radius=0.05, name="touch")
+    return scene.build(envs, device, precision)
+
+
+def test_a_sphere_on_a_plane_is_that_on_a_flat_mesh(device):
+    runs = []
+    for smooth in (True, False):
+        sim = wc.Simulation(sphere_on_plane(smooth, device, "float64"), dt=2e-4)
+        # It falls, slides, twists and rolls, all by formulas of which one remembers.
+        names = [f"touch.{name}" for name in READINGS]
+        runs.append(sim.run(0.5, [*names, "ball.angular_velocity"], every=1e-2))
+    smooth, mesh = runs
+    assert (smooth["touch.normal_force"] > 0).sum() > 20
+    for name in (*names, "ball.angular_velocity"):
+        # Both take the same numbers through the same formulas; the mesh rounds its corners once more.
+        scale = float(np.abs(mesh[name]).max())
+        np.testing.assert_allclose(smooth[name], mesh[name], rtol=0, atol=1e-9 * scale, err_msg=name)
+
+
+def spheres(positions, velocities, radius, device, template=STEEL, precision="float64", envs=1):
+    """Returns the model of spheres in a row, each in contact with the next."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    shapes = []
+    for number, (x, v) in enumerate(zip(positions, velocities, strict=True)):
+        inertia = (0.4 * radius**2,) * 3
+        body = scene.add_body(1.0, inertia, (x, 0, 0), linear_velocity=(v, 0, 0), name=f"ball_{number}")
+        shapes.append(scene.add_shape(body, wc.shapes.Sphere(radius), name=f"sphere_{number}"))
+    for number, (shape, other) in enumerate(itertools.pairwise(shapes)):
+        scene.add_smooth_contact(shape, other, template, name=f"touch_{number}")
+    return scene.build(envs, device, precision)
+
+
+def test_the_impact_of_two_spheres_keeps_momentum_and_gives_the_restitution(device):
+    model = spheres((-0.1001, 0.1001), (1.0, -0.5), 0.1, device, envs=3)
+    wanted = np.array([1.0, 0.7, 0.3])
+    model["touch_0.law.restitution"] = wanted
+    energy, momentum = (model.reading(f"scene.{name}") for name in ("kinetic_energy", "linear_momentum"))
+    sim = wc.Simulation(model, dt=1e-5)
+    sim.step(1000)
+    assert (model.reading("touch_0.gap") > 0).all()
+    velocity = [model.reading(f"ball_{number}.linear_velocity")[:, 0] for number in range(2)]
+    # Steps are 1/350 of the contact; semi-implicit Euler is off by their square.
+    np.testing.assert_allclose((velocity[1] - velocity[0]) / 1.5, wanted, atol=2e-3)
+    np.testing.assert_allclose(model.reading("scene.linear_momentum"), momentum, atol=1e-12)
+    np.testing.assert_allclose(model.reading("scene.kinetic_energy")[0], energy[0], rtol=1e-4)
+
+
+def test_a_chain_of_spheres_keeps_momentum_and_energy(device):
+    radius = 0.1
+    model = spheres(2 * radius * np.arange(5) - [1e-4, 0, 0, 0, 0], (1.0, 0, 0, 0, 0), radius, device)
+    sim = wc.Simulation(model, dt=5e-6)
+    sim.step(6000)
+    assert model.reading("scene.linear_momentum")[0, 0] == pytest.approx(1.0, abs=1e-12)
+    # Symplectic steps of 1/700 of a contact.
+    assert model.reading("scene.kinetic_energy")[0] == pytest.approx(0.5, rel=1e-4)
+    # They touch at once: the last does not take all of the speed, as it would in impacts of two after one another.
+    last = model.reading("ball_4.linear_velocity")[0, 0]
+    assert last == pytest.approx(chain_of_hertz_springs(5)[-1], abs=1e-4)
+    assert last < 0.99
+
+
+def chain_of_hertz_springs(count):
+    """Returns the velocities of balls of 1 kg that just touch, after the first came with 1 m/s."""
+
+    def rates(_, state):
+        x, v = np.split(state, 2)
+        force = 1e7 * np.maximum(x[:-1] - x[1:], 0.0) ** 1.5
+        return np.concatenate([v, np.append(0.0, force) - np.append(force, 0.0)])
+
+    start = np.zeros(2 * count)
+    start[count] = 1.0
+    return solve_ivp(rates, (0.0, 0.1), start, rtol=1e-10, atol=1e-13, max_step=1e-4).y[count:, -1]
+
+
+def test_meshes_of_a_sphere_come_to_the_smooth_one(device):
+    errors = []
+    place = np.array([0.2, 0.15, 1.09])
+    for level in (2, 3, 4):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        ball = scene.add_body(1.0, (0.1, 0.1, 0.1), name="ball")
+        template = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
+        meshed = scene.add_surface(wc.meshes.icosphere(1.0, level))
+        scene.add_contact(scene.add_point(ball, (0, 0, 0)), meshed, template, radius=0.2, name="mesh")
+        shapes = [scene.add_shape(body, wc.shapes.Sphere(r)) for body, r in ((ball, 0.2), (None, 1.0))]
+        scene.add_smooth_contact(*shapes, template, name="smooth")
+        model = scene.build(20, device, "float64")
+        turns = Rotation.random(20, random_state=1)
+        model["ball.position"] = turns.apply(place)
+        error = np.abs(model.reading("mesh.gap") - model.reading("smooth.gap"))
+        # To the millimetre of the facets; of the sphere exactly.
+        np.testing.assert_allclose(model.reading("smooth.gap"), np.linalg.norm(place) - 1.2, atol=1e-14)
+        errors.append(error.mean())
+    # Half the edge, a quarter of the error.
+    np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 2.0, atol=0.2)
+
+
+def two_ellipsoids(device, precision="float32", envs=4):
+    """Two ellipsoids that collide obliquely, spin, stick, slide and part."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    moving = {"linear_velocity": (0.5, 0.1, -2.0), "angular_velocity": (2, 1, 5)}
+    bodies = [
+        scene.add_body(1.0, (0.02, 0.03, 0.04), (0, 0, 0), name="a"),
+        scene.add_body(0.5, (0.01, 0.03, 0.02), (0.25, 0.1, 0.42), **moving, name="b"),
+    ]
+    axes = ((0.3, 0.2, 0.2), (0.25, 0.15, 0.1))
+    shapes = [
+        scene.add_shape(body, wc.shapes.Ellipsoid(size), name=f"shape_{body.name}")
+        for body, size in zip(bodies, axes, strict=True)
+    ]
+    template = wc.Template(
+        law=wc.laws.HuntCrossley(stiffness=1e5, exponent=1.5, restitution=0.7),
+        friction=wc.frictions.CundallStrack(mu_static=0.4, mu_dynamic=0.4, stiffness=2e4, damping=5.0),
+    )
+    scene.add_smooth_contact(shapes[1], shapes[0], template, name="touch")
+    model = scene.build(envs, device, precision)
+    model["shape_a.semi_axes"] = np.array(axes[0]) * np.linspace(0.99, 1.0, envs)[:, None]
+    return model
+
+
+def state_of(model):
+    return {name: array.numpy().copy() for name, array in vars(model.state).items()}
+
+
+def test_forces_are_equal_and_opposite(device):
+    model = two_ellipsoids(device, "float64")
+    names = ("linear_momentum", "angular_momentum")
+    before = {name: model.reading(f"scene.{name}") for name in names}
+    recording = wc.Simulation(model, dt=1e-4).run(0.2, ["touch.normal_force", "touch.friction_force"])
+    assert (recording["touch.normal_force"].max("time") > 0).all()
+    assert (np.abs(recording["touch.friction_force"]).max(("time", "axis")) > 0).all()
+    np.testing.assert_allclose(model.reading("scene.linear_momentum"), before["linear_momentum"], atol=1e-12)
+    # The rotation of a step is integrated to second order; a couple left over would be of the size of the impact.
+    np.testing.assert_allclose(model.reading("scene.angular_momentum"), before["angular_momentum"], atol=1e-4)
+
+
+def test_graphs_slices_and_threads_do_not_matter(device):
+    runs = []
+    for options in ({}, {"graphs": False}, {"threads": 1}, {"threads": 2, "distance_cache": False}):
+        model = two_ellipsoids(device, envs=5)
+        wc.Simulation(model, dt=1e-4, deterministic=True, **options).step(1500)
+        runs.append(state_of(model))
+    for name, values in runs[0].items():
+        assert np.isfinite(values).all()
+        for other in runs[1:]:
+            np.testing.assert_array_equal(values, other[name], err_msg=name)
+    alone = two_ellipsoids(device, envs=1)
+    alone["shape_a.semi_axes"] = (0.3, 0.2, 0.2)
+    wc.Simulation(alone, dt=1e-4).step(1500)
+    np.testing.assert_array_equal(state_of(alone)["body_position"][0], runs[0]["body_position"][-1])
+
+
+def test_a_reset_forgets_in_the_environments_of_the_mask(device):
+    model = two_ellipsoids(device)
+    sim = wc.Simulation(model, dt=1e-4)
+    sim.step(1075)
+    stretched = model.reading("touch.friction.spring")
+    assert (np.abs(stretched).max(axis=1) > 0).all()
+    sim.reset([True, False, True, False])
+    np.testing.assert_array_equal(model.reading("touch.friction.spring")[::2], 0.0)
+    np.testing.assert_array_equal(model.reading("touch.friction.spring")[1::2], stretched[1::2])
+    sim.reset()
+    sim.step(1500)
+    again = two_ellipsoids(device)
+    wc.Simulation(again, dt=1e-4).step(1500)
+    for name, values in state_of(model).items():
+        np.testing.assert_array_equal(values, state_of(again)[name], err_msg=name)
+
+
+def test_sets_have_a_contact_each(device):
+    scene = wc.Scene()
+    grains = scene.add_bodies([(x, 0.0, 0.1) for x in range(4)], mass=1.0, inertia=(1.0, 1.0, 1.0), name="grains")
+    others = scene.add_bodies([(x, 0.1, 0.1) for x in range(4)], mass=1.0, inertia=(1.0, 1.0, 1.0))
+    radii = np.array([0.05, 0.1, 0.12, 0.2])
+    sizes = scene.add_shape(grains, [wc.shapes.Sphere(radius) for radius in radii], name="sizes")
+    alike = scene.add_shape(others, wc.shapes.Sphere(0.05))
+    floor = scene.add_shape(None, wc.shapes.Plane())
+    template = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
+    scene.add_smooth_contact(sizes, floor, template, name="on_floor")
+    scene.add_smooth_contact(floor, alike, template, name="under")
+    scene.add_smooth_contact(sizes, alike, template, name="pairs")
+    model = scene.build(2, device, "float64")
+    np.testing.assert_allclose(model.reading("on_floor.gap"), [0.1 - radii] * 2, atol=1e-15)
+    np.testing.assert_allclose(model.reading("pairs.gap"), [0.05 - radii] * 2, atol=1e-15)
+    np.testing.assert_allclose(model.reading("under.gap"), 0.05)
+    np.testing.assert_allclose(model.reading("under.normal"), np.broadcast_to([0, 0, -1.0], (2, 4, 3)))
+    np.testing.assert_allclose(
+        model.reading("grains.force")[..., 2], 1e3 * np.maximum(radii - 0.1, 0.0) * [[1], [1]]
+    )
+    model["sizes.radius"] = [[0.1] * 4, [0.11] * 4]
+    np.testing.assert_allclose(model.reading("on_floor.gap"), [[0.0] * 4, [-0.01] * 4], atol=1e-15)
+    wc.Simulation(model, dt=1e-3).run(0.01, ["pairs.gap", "on_floor.point"])
+
+
+def test_status_tells_what_is_not_counted(device):
+    model = sphere_on_plane(True, device, "float32", envs=4)
+    model["ball.position"] = [(0, 0, 0.06), (0, 0, 0.045), (0, 0, 0.01), (0, 0, 0.045)]
+    model["touch.max_depth"] = 0.02
+    model["touch.enabled"] = [True, True, True, False]
+    codes = [wc.Status.OPEN, wc.Status.CONTACT, wc.Status.WRONG_SIDE, wc.Status.DISABLED]
+    assert model.reading("touch.status").tolist() == codes
+    np.testing.assert_array_equal(model.reading("touch.normal_force") > 0, [False, True, False, False])
+    np.testing.assert_allclose(model.reading("touch.gap"), [0.01, -0.005, -0.04, np.nan], rtol=1e-5)
+
+
+def test_places_far_from_the_origin_keep_the_gap(device):
+    gaps = []
+    for far in (0.0, 3.0e6):
+        model = sphere_on_plane(True, device, "float32")
+        model["floor.position"] = (far, -far, far)
+        model["ball.position"] = (far, -far, far + 0.0499)
+        gaps.append(model.reading("touch.gap")[0])
+    assert gaps[0] == pytest.approx(-1e-4, rel=1e-5)
+    # What two floats of single precision leave of 3000 km, 2^-48 of it.
+    assert gaps[1] == pytest.approx(gaps[0], abs=2e-8)
+
+
+def test_input_is_refused_with_its_name():
+    scene = wc.Scene()
+    body = scene.add_body(1.0, (1.0, 1.0, 1.0), name="body")
+    grains = scene.add_bodies(np.zeros((3, 3)), mass=1.0, inertia=(1.0, 1.0, 1.0), name="grains")
+    ball, floor = (
+        scene.add_shape(body, wc.shapes.Sphere(0.1), name="ball"),
+        scene.add_shape(None, wc.shapes.Plane()),
+    )
+    several, few = (
+        scene.add_shape(bodies, wc.shapes.Sphere(0.1))
+        for bodies in (grains, scene.add_bodies(np.zeros((2, 3)), mass=1.0, inertia=(1.0, 1.0, 1.0)))
+    )
+    template = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
+    with pytest.raises(TypeError, match=r"form of 'x' must be an instance of a class of wc\.shapes, got 0\.1"):
+        scene.add_shape(body, 0.1, name="x")
+    with pytest.raises(ValueError, match=r"x.position must be 3 numbers"):
+        scene.add_shape(body, wc.shapes.Sphere(0.1), (0, 0), name="x")
+    with pytest.raises(ValueError, match=r"form of 'x' must be one form or 3, one for each body, got a list of 2"):
+        scene.add_shape(grains, [wc.shapes.Sphere(0.1)] * 2, name="x")
+    with pytest.raises(ValueError, match="of one class for all bodies, got Sphere and Plane"):
+        scene.add_shape(grains, [wc.shapes.Sphere(0.1), wc.shapes.Plane(), wc.shapes.Sphere(0.1)])
+    with pytest.raises(ValueError, match=r"x.mask must be a whole number from 0 to 0xffffffff"):
+        scene.add_shape(body, wc.shapes.Sphere(0.1), name="x", mask=-1)
+    with pytest.raises(ValueError, match="both shapes are fixed to body 'body'"):
+        scene.add_smooth_contact(ball, scene.add_shape(body, wc.shapes.Plane()), template)
+    with pytest.raises(ValueError, match="two sets of shapes must be of one size, got 3"):
+        scene.add_smooth_contact(several, few, template)
+    with pytest.raises(
+        ValueError, match=r"other_shape of 'x' must come from add_shape of this scene, got Body 'body'"
+    ):
+        scene.add_smooth_contact(ball, body, template, name="x")
+    with pytest.raises(TypeError, match=r"template of 'x' must be a wc\.Template"):
+        scene.add_smooth_contact(ball, floor, template.law, name="x")
+    with pytest.raises(ValueError, match=r"x.kappa must be at least 0 and at most 1, got 2"):
+        scene.add_smooth_contact(ball, floor, template, kappa=2.0, name="x")
+    with pytest.raises(ValueError, match=r"x.torsion_radius is given, but its template has no torsion"):
+        scene.add_smooth_contact(ball, floor, template, torsion_radius=0.1, name="x")
+    area = wc.Template(law=wc.laws.ElasticFoundation(stiffness=1e6))
+    with pytest.raises(ValueError, match="was given no area"):
+        scene.add_smooth_contact(ball, floor, area)
+    assert scene.smooth_contacts == []
+    scene.add_smooth_contact(ball, floor, template, name="touch")
+    model = scene.build(2, "cpu")
+    with pytest.raises(ValueError, match=r"ball.radius must be greater than 0"):
+        model["ball.radius"] = -1.0
+    with pytest.raises(KeyError, match="reading"):
+        model["touch.gap"]
+    with pytest.raises(KeyError, match=r"there are|did you mean|has"):
+        model["touch.law.restitution"]

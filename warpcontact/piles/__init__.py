@@ -1,0 +1,1 @@
+"""Piles: many spheres and capsules that all touch each other."""

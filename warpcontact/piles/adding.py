@@ -1,0 +1,147 @@
+"""How mutual contacts are added to a scene. All input is checked here."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact import checks
+from warpcontact.checks import limits
+from warpcontact.elements import KAPPA, MAX_DEPTH, SHARE, TORSION_RADIUS, Template
+from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.smooth.capsule import Capsule
+from warpcontact.kernels.smooth.sphere import Sphere
+from warpcontact.piles.elements import MutualContact
+from warpcontact.smooth.elements import Shape
+
+#: Forms that a pile may have.
+FORMS = (Sphere, Capsule)
+# Of the mean radius: lists that are longer are made less often.
+SKIN = 0.3
+
+
+class MutualContacts:
+    """The mutual contacts of a ``Scene``, and how to add them."""
+
+    mutual_contacts: list[MutualContact]
+    _elements: dict[str, Any]
+
+    def add_mutual_contact(
+        self,
+        shapes: Shape | Sequence[Shape],
+        template: Template,
+        *,
+        exclude: Iterable[tuple[Shape, Shape]] = (),
+        skin: float | None = None,
+        partners: int | None = None,
+        kappa: float = 0.5,
+        max_depth: float | None = None,
+        torsion_radius: float | None = None,
+        share: float = 1.0,
+        enabled: bool = True,
+        name: str | None = None,
+        color: ArrayLike | None = None,
+        visible: bool = True,
+    ) -> MutualContact:
+        """Lets every two of many spheres and capsules touch, but for those on one body.
+
+        Shapes are numbered in the order in which they are given. Of two that touch, the first is the one with the
+        lower number: normals point towards it, and forces are those on its body.
+
+        Args:
+            shapes: From ``add_shape``, spheres and capsules on bodies, one each or on every body of a set. Two
+                touch if each is in a group that the mask of the other has.
+            template: Law and friction. R of rolling and of patches of contact is that of the pair,
+                1/R = 1/R₁ + 1/R₂.
+            exclude: Pairs of ``shapes`` that do not touch. Of a set that is each of its shapes, and a set paired
+                with itself has none that touch.
+            skin: Shapes closer than this are remembered as partners, and looked for again when one has moved by
+                half of it [m]; ``None``: 0.3 mean radii. It changes no result.
+            partners: Most partners of one shape; ``None``: as many of the smallest shapes as there is room for
+                around it. There is no such limit for up to 32 shapes.
+            kappa: Where the force acts: K = P₂ + κ (P₁ − P₂), from 0 at the surface of the second shape to 1 at
+                that of the first.
+            max_depth: Deepest penetration that still counts as contact [m]; ``None``: any.
+            torsion_radius: Arm at which the template's torsion acts [m]; ``None``: that of the overlap of a
+                sphere of radius R under the pressure of Hertz, (3π/16) √(R δ).
+            share: Factor on forces and couples.
+            enabled: Whether it acts.
+            name: Name in parameters and readings; made up if not given.
+            color: Colour of its arrows, RGB in 0…1.
+            visible: Whether its arrows are drawn.
+
+        Raises:
+            ValueError: If a value is out of range, or a shape is not a sphere or capsule on a body.
+        """
+        name = checks.new_name("mutual_contact", name, self._elements)
+        given = (shapes,) if isinstance(shapes, Shape) else tuple(shapes)
+        for shape in given:
+            if not isinstance(shape, Shape) or self._elements.get(shape.name) is not shape:
+                raise ValueError(
+                    f"shapes of {name!r} must come from add_shape of this scene, got {checks.element(shape)}"
+                )
+            if shape.kind not in FORMS:
+                raise ValueError(
+                    f"{name}: shape {shape.name!r} is a {shape.kind.__name__}; mutual contacts are of spheres and "
+                    "capsules, add_smooth_contact is for others"
+                )
+            if shape.body is None:
+                raise ValueError(
+                    f"{name}: shape {shape.name!r} is fixed to the world; put it on a body with "
+                    "motion=wc.motions.Fixed()"
+                )
+        if len(set(given)) < len(given):
+            twice = next(shape.name for shape in given if given.count(shape) > 1)
+            raise ValueError(f"{name}: shape {twice!r} is listed more than once")
+        if sum(shape.count for shape in given) < 2:
+            raise ValueError(f"{name}: shapes must be at least 2, got {len(given)}")
+        if not isinstance(template, Template):
+            raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
+        if torsion_radius is not None and isinstance(template.torsion, Frictionless):
+            raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
+        for part, formula in template.formulas.items():
+            if formula.takes_area:
+                raise ValueError(
+                    f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and "
+                    f"shapes have none; give the {part} an area"
+                )
+        excluded = tuple(_pair(name, pair, given) for pair in exclude)
+        if partners is not None and (
+            isinstance(partners, bool) or not isinstance(partners, int | np.integer) or partners < 1
+        ):
+            raise ValueError(f"{name}.partners must be a whole number of at least 1, got {partners!r}")
+        radii = np.concatenate([shape.sizes["radius"] for shape in given])
+        contact = MutualContact(
+            name=name,
+            shapes=given,
+            template=template,
+            excluded=excluded,
+            skin=float(
+                checks.numbers(
+                    f"{name}.skin", SKIN * radii.mean() if skin is None else skin, (), limits("m", above=0.0)
+                )
+            ),
+            partners=None if partners is None else int(partners),
+            kappa=checks.numbers(f"{name}.kappa", kappa, (), KAPPA),
+            max_depth=checks.numbers(
+                f"{name}.max_depth", math.inf if max_depth is None else max_depth, (), MAX_DEPTH
+            ),
+            torsion_radius=None
+            if torsion_radius is None
+            else checks.numbers(f"{name}.torsion_radius", torsion_radius, (), TORSION_RADIUS),
+            share=checks.numbers(f"{name}.share", share, (), SHARE),
+            enabled=np.array(float(checks.switch(f"{name}.enabled", enabled))),
+            color=checks.color(f"{name}.color", color),
+            visible=checks.switch(f"{name}.visible", visible),
+        )
+        self.mutual_contacts.append(contact)
+        self._elements[name] = contact
+        return contact
+
+
+def _pair(name: str, pair: Any, shapes: tuple[Shape, ...]) -> tuple[Shape, Shape]:
+    if not isinstance(pair, list | tuple) or len(pair) != 2 or any(shape not in shapes for shape in pair):
+        raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {pair!r}")
+    return pair[0], pair[1]

@@ -1,0 +1,398 @@
+"""Smooth contacts on a device, sorted by the code of their forces, and within by the kinds of their shapes."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact import checks
+from warpcontact import elements as limits_of
+from warpcontact.arrays import fixed, per_env
+from warpcontact.groups import compile_forces, memory_view
+from warpcontact.kernels import reset
+from warpcontact.kernels.formula import Formula, coefficient_struct
+from warpcontact.kernels.memory import memory_struct
+from warpcontact.kernels.smooth import detect, force, history, measures
+from warpcontact.kernels.smooth.base import Shape as Form
+from warpcontact.kernels.smooth.records import (
+    OF_CURVATURE,
+    OF_DIRECTION,
+    Members,
+    Seeds,
+    Settings,
+    contact_structs,
+)
+from warpcontact.kernels.touch import Parts, group_structs
+from warpcontact.parameters import Field, pack
+from warpcontact.readings import CONTACT_READINGS, Reading
+from warpcontact.smooth.elements import SmoothContact
+from warpcontact.smooth.measures import has_curvatures
+from warpcontact.smooth.shape_sets import ShapeSet
+from warpcontact.status import Status
+
+if TYPE_CHECKING:
+    from warpcontact.arrays import Layout
+    from warpcontact.parameters import Parameters, Upload
+    from warpcontact.scene import Scene
+    from warpcontact.schedule import Span
+
+_RANGES = {
+    "kappa": limits_of.KAPPA,
+    "max_depth": limits_of.MAX_DEPTH,
+    "torsion_radius": limits_of.TORSION_RADIUS,
+    "share": limits_of.SHARE,
+    "enabled": limits_of.ENABLED,
+}
+# name: (array, unit, what it is), beside those of every contact
+_READINGS = {
+    "iterations": ("iterations", "-", "iterations in the search of where the surfaces meet"),
+    "residual": ("residual", "-", "what is left of its equations"),
+    "converged": ("converged", "-", "1: where they meet was found; 0: it was not, and no force acts"),
+    "failures": ("failures", "-", "steps in which it was not found, since reset"),
+}
+# name: (measure, array, unit, what it is)
+_MEASURES = {
+    "point": ("smooth_points", "point", "m", "point K where the force acts, world"),
+    "point_a": ("smooth_points", "point_a", "m", "where the first surface meets the other, world"),
+    "point_b": ("smooth_points", "point_b", "m", "where the other surface meets the first, world"),
+}
+# Likewise, where the curvatures of both shapes are known
+_CURVATURES = {
+    "curvature_1": ("smooth_curvatures", "curvature_1", "1/m", "smaller principal curvature of the gap"),
+    "curvature_2": ("smooth_curvatures", "curvature_2", "1/m", "larger principal curvature of the gap"),
+}
+
+
+# Of what by what, and the units by positions [1/m of it] and rotations
+_DERIVED = {"gap": ("-", "m"), "normal": ("1/m", "-"), "point_a": ("-", "m"), "point_b": ("-", "m")}
+_GRADIENTS = {
+    f"{what}_by_{by}_{side}": (
+        "smooth_gradients",
+        f"{what}_by_{by}_{side}",
+        units[by == "rotation"],
+        f"derivative by the {by} of what carries the {which} shape, world axes",
+    )
+    for what, units in _DERIVED.items()
+    for by in ("position", "rotation")
+    for side, which in (("a", "first"), ("b", "other"))
+}
+
+
+class SmoothSet:
+    """Smooth contacts that share the code of law and frictions.
+
+    Args:
+        contacts: The contacts; those of the same kinds of shapes side by side.
+        first: Number of the first item among all smooth contacts of the scene.
+        first_end: Number of its first end; of a contact of the set with number i they are two from
+            ``first_end`` + 2 i on, that of ``shape`` first.
+        shapes: The shapes of the scene by kind.
+        layout: Where to declare arrays.
+        parameters: Where to add parameters.
+        real: Precision.
+        moves: Whether any body of the scene is not free.
+
+    Attributes:
+        parts: The classes of law and frictions.
+        kernel: The force kernel.
+        count: Number of contacts, items of sets each.
+    """
+
+    def __init__(
+        self,
+        contacts: Sequence[SmoothContact],
+        first: int,
+        first_end: int,
+        shapes: Mapping[type[Form], ShapeSet],
+        layout: "Layout",
+        parameters: "Parameters",
+        real: type,
+        moves: bool,
+    ) -> None:
+        self.parts: Parts = contacts[0].parts
+        self.first = first
+        self.first_end = first_end
+        self.shapes = shapes
+        self.real = real
+        starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
+        self.items = {
+            contact: slice(start, start + contact.count) for contact, start in zip(contacts, starts, strict=False)
+        }
+        self.count: int = starts[-1]
+        self.ranges = _ranges(self.items)
+        self.curved, self.oriented = force.looks_at_curvature(self.parts), self.parts.oriented
+        # Only a mass depends on how bodies may move.
+        self.kernel = force.kernel(self.parts, real, moves and self.parts.law.needs_mass)
+        self._declare(layout)
+        self._add_settings(parameters)
+        for part, formula in self.parts._asdict().items():
+            self._add_formula(parameters, part, formula)
+
+    def _declare(self, layout: "Layout") -> None:
+        each, nothing = per_env(self.count), fixed(1, 1)
+        absent = ((OF_CURVATURE, self.curved), (OF_DIRECTION, self.oriented))
+        apart: dict[str, Any] = {name: nothing for names, there in absent if not there for name in names}
+        self.smooth = layout.struct("smooth contacts", contact_structs(self.real).Smooth, each, **apart)
+        self.held, self.found = (layout.struct("smooth contacts", Seeds, each) for _ in range(2))
+        self.members = Members()
+        bodies = {
+            key: np.concatenate([_each(getattr(contact, key).body_numbers, contact) for contact in self.items])
+            for key in ("shape", "other_shape")
+        }
+        numbers = {
+            key: np.concatenate(
+                [_each(self.shapes[one.kind].numbers(one), contact) for contact, one in self._sides(key)]
+            )
+            for key in ("shape", "other_shape")
+        }
+        self.bodies = np.stack([bodies["shape"], bodies["other_shape"]], axis=1)
+        for key, suffix in (("shape", "a"), ("other_shape", "b")):
+            layout.content("smooth contacts", self.members, f"shape_{suffix}", numbers[key], wp.int32)
+            layout.content("smooth contacts", self.members, f"body_{suffix}", bodies[key], wp.int32)
+        Coefficients, Memory = group_structs(self.parts, self.real)
+        self.coefficients, self.memory, self.kept = Coefficients(), Memory(), Memory()
+        for part, formula in self.parts._asdict().items():
+            for target in (self.memory, self.kept):
+                # Never looked at if the formula remembers nothing.
+                shape = each if formula.memories else nothing
+                layout.array("smooth contacts", target, part, memory_struct(formula, self.real), shape)
+
+    def _sides(self, key: str) -> Iterator[tuple[SmoothContact, Any]]:
+        return ((contact, getattr(contact, key)) for contact in self.items)
+
+    def _add_settings(self, parameters: "Parameters") -> None:
+        self.settings: Any = None
+        # A torsion radius that is not given follows from the overlap.
+        fields = {
+            key: Field(
+                np.concatenate(
+                    [
+                        np.full(contact.count, -1.0 if (value := getattr(contact, key)) is None else value)
+                        for contact in self.items
+                    ]
+                )
+            )
+            for key in _RANGES
+        }
+
+        def content() -> NDArray[Any]:
+            return pack(Settings, {key: field.values for key, field in fields.items()})
+
+        upload = parameters.upload(self, "settings", Settings, content)
+        for contact, items in self.items.items():
+            for key, allowed in _RANGES.items():
+                if getattr(contact, key) is not None:
+                    convert = checks.switches if key == "enabled" else None
+                    name = f"{contact.name}.{key}"
+                    parameters.add(
+                        name, fields[key], items, allowed, [upload], single=contact.single, convert=convert
+                    )
+
+    def _add_formula(self, parameters: "Parameters", part: str, formula: type[Formula]) -> None:
+        """Adds the parameters of one part, and the array of its coefficients."""
+        struct = coefficient_struct(formula, self.real)
+        fields = {
+            contact: {
+                name: Field(np.full(contact.count, value))
+                for name, value in contact.formulas[part].parameters().items()
+            }
+            for contact in self.items
+        }
+
+        def content() -> NDArray[Any]:
+            names = formula.device_names()
+            if not names:
+                return pack(struct, {"unused": np.zeros((1, self.count))})
+            envs = max(len(field.values) for own in fields.values() for field in own.values())
+            columns: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+            for contact, own in fields.items():
+                values = {name: field.values for name, field in own.items()}
+                computed = formula.coefficients(
+                    dict(zip(values, np.broadcast_arrays(*values.values()), strict=True))
+                )
+                for name, column in columns.items():
+                    column.append(np.broadcast_to(computed[name], (envs, contact.count)))
+            return pack(struct, {name: np.concatenate(parts, axis=1) for name, parts in columns.items()})
+
+        upload: Upload = parameters.upload(self.coefficients, part, struct, content)
+        for contact, own in fields.items():
+            for name, field in own.items():
+                full = f"{contact.name}.{part}.{name}"
+                items = slice(0, contact.count)
+                parameters.add(full, field, items, formula.limits(name), [upload], single=contact.single)
+
+    def memories(self) -> Iterator[tuple[type[Formula], wp.array, wp.array]]:
+        """Iterates over (formula, memory, kept) of the parts that remember anything."""
+        for part, formula in self.parts._asdict().items():
+            if formula.memories:
+                yield formula, getattr(self.memory, part), getattr(self.kept, part)
+
+    def force_stages(self, span: "Span", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
+        """Returns the launches that find where its shapes meet in ``state``, and the forces at its ends.
+
+        ``step`` [env, 0] is what these act over [s]; ``status`` [env] says which environments are active.
+        """
+        a, settings = span.model.arrays, self.settings
+        launches = []
+        for kinds, items in self.ranges:
+            kernel = detect.kernel(*kinds, self.real, self.curved, self.oriented)
+            arrays = (self.shapes[kind].arrays for kind in kinds)
+            inputs = [status, state, items.start, self.members, *arrays, settings]
+            inputs += [self.held, self.found, self.smooth]
+            launches += span.prepare(kernel, items.stop - items.start, inputs)
+        inputs = [status, a.model, state, self.memory, step, self.first_end, self.members, settings]
+        inputs += [self.coefficients, self.smooth, self.kept, a.ends]
+        return launches + span.prepare(self.kernel, self.count, inputs)
+
+    def accept_stages(self, span: "Span") -> list[wp.Launch]:
+        """Returns the launches that remember what an accepted step led to."""
+        status = span.model.arrays.status
+        inputs = [status, self.found, self.held, self.smooth]
+        launches = span.prepare(history.remember(self.real), self.count, inputs)
+        for formula, memory, kept in self.memories():
+            launches += span.prepare(history.advance(formula, self.real), self.count, [status, kept, memory])
+        return launches
+
+    def restart(self, chosen: wp.array, envs: int) -> None:
+        """Empties what the environments of the mask ``chosen`` [env] remember."""
+        shape, device = (envs, self.count), chosen.device
+        wp.launch(history.forget(self.real), dim=shape, inputs=[chosen, self.held, self.smooth], device=device)
+        for formula, memory, _ in self.memories():
+            wp.launch(reset.memory(formula, self.real), dim=shape, inputs=[chosen, memory], device=device)
+
+    def compile(self, device: wp.Device) -> None:
+        """Compiles its kernels, so that a mistake in a user's law or shape shows at once.
+
+        Raises:
+            TypeError: If a law, a friction or a shape does not compile.
+        """
+        for kinds, _ in self.ranges:
+            kernel = detect.kernel(*kinds, self.real, self.curved, self.oriented)
+            try:
+                kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+            except Exception as error:
+                text = str(error).replace("\\n", "\n")
+                given = "\n".join(
+                    f"In {kind.__name__}, p has {', '.join(kind.device_names()) or 'nothing'}." for kind in kinds
+                )
+                raise TypeError(
+                    f"shape {kinds[0].__name__} with shape {kinds[1].__name__} does not compile: {text}\n{given}\n"
+                    "All of a shape is in float64: constants are written as wp.float64(1.5)."
+                ) from error
+        compile_forces(self.parts, self.kernel, device, self.real)
+
+    def failures(self, contact: SmoothContact) -> NDArray[np.int32]:
+        """Returns in how many steps since reset it was not found where ``contact`` is, (envs, items)."""
+        values: NDArray[np.int32] = self.smooth.failures.numpy()[:, self.items[contact]]
+        return values
+
+    def readings(self) -> Iterator[Reading]:
+        """Iterates over what can be measured."""
+        for contact, items in self.items.items():
+            own: int | slice = items.start if contact.single else items
+            several = 0 if contact.single else contact.count
+            for key, (attribute, unit, meaning) in (CONTACT_READINGS | _READINGS).items():
+                text = meaning.replace("the point's body", "the body of its first shape")
+                text = text.replace("out of the surface", "out of its other shape")
+                codes = Status if key == "status" else None
+                array = self._column(attribute, own)
+                name = f"{contact.name}.{key}"
+                yield Reading(name, unit, text, array, needs=("contacts",), items=several, codes=codes)
+            of_curvature = _CURVATURES | _GRADIENTS if has_curvatures(contact.kinds) else {}
+            for key, (measure, attribute, unit, meaning) in (_MEASURES | of_curvature).items():
+                array = _measured(measure, attribute, _shifted(own, self.first))
+                yield Reading(f"{contact.name}.{key}", unit, meaning, array, needs=(measure,), items=several)
+            if of_curvature:
+                yield from self._by_sizes(contact, _shifted(own, self.first), several)
+            for part, formula in contact.formulas.items():
+                for key, memory in formula.memories.items():
+                    frame = ", axes of its other shape" if memory.tangent else ""
+                    meaning = f"{memory.meaning}, as of the last step{frame}"
+                    array = self._remembered(part, key, own)
+                    yield Reading(f"{contact.name}.{part}.{key}", memory.unit, meaning, array, items=several)
+
+    def _by_sizes(self, contact: SmoothContact, items: int | slice, several: int) -> Iterator[Reading]:
+        """Iterates over the derivatives of the gap by the sizes of both shapes."""
+        for side, shape in (("a", contact.shape), ("b", contact.other_shape)):
+            first = 0
+            for size, width in measures.size_widths(shape.kind):
+                meaning = f"derivative of the gap by {size} of {shape.name}"
+                array = _part(f"gap_by_sizes_{side}", first, width, items)
+                name = f"{contact.name}.gap_by_{size}_{side}"
+                yield Reading(name, "-", meaning, array, needs=("smooth_gradients",), items=several)
+                first += width
+
+    def _column(self, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+        return lambda _: getattr(self.smooth, attribute)[:, items]
+
+    def _remembered(self, part: str, key: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+        return lambda _: memory_view(getattr(self.memory, part), key)[:, items]
+
+
+def _measured(measure: str, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+    return lambda arrays: getattr(getattr(arrays, measure), attribute)[:, items]
+
+
+def _part(attribute: str, first: int, width: int, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
+    """Returns what gives ``width`` of the numbers of each entry of an array, from ``first`` on, as a view."""
+
+    def part(arrays: SimpleNamespace) -> wp.array:
+        whole = getattr(arrays.smooth_gradients, attribute)
+        return wp.array(
+            ptr=whole.ptr + 8 * first,
+            dtype=wp.float64 if width == 1 else wp.vec3d,
+            shape=whole.shape,
+            strides=whole.strides,
+            device=whole.device,
+            copy=False,
+        )[:, items]
+
+    return part
+
+
+def _shifted(items: int | slice, first: int) -> int | slice:
+    return slice(first + items.start, first + items.stop) if isinstance(items, slice) else first + items
+
+
+def _each(numbers: NDArray[np.int32], contact: SmoothContact) -> NDArray[np.int32]:
+    return np.broadcast_to(numbers, contact.count)
+
+
+def _ranges(items: Mapping[SmoothContact, slice]) -> list[tuple[tuple[type[Form], type[Form]], slice]]:
+    """Returns the contacts of each pair of kinds, which lie side by side."""
+    ranges: list[tuple[tuple[type[Form], type[Form]], slice]] = []
+    for contact, own in items.items():
+        if ranges and ranges[-1][0] == contact.kinds:
+            ranges[-1] = (contact.kinds, slice(ranges[-1][1].start, own.stop))
+        else:
+            ranges.append((contact.kinds, own))
+    return ranges
+
+
+def sorted_contacts(scene: "Scene") -> list[list[SmoothContact]]:
+    """Returns the smooth contacts of a scene by the code of their forces, and within by kinds, as they appear."""
+    sets: dict[Parts, dict[Any, list[SmoothContact]]] = {}
+    for contact in scene.smooth_contacts:
+        sets.setdefault(contact.parts, {}).setdefault(contact.kinds, []).append(contact)
+    return [[contact for alike in own.values() for contact in alike] for own in sets.values()]
+
+
+def make_smooth_sets(
+    scene: "Scene",
+    shapes: Mapping[type[Form], ShapeSet],
+    layout: "Layout",
+    parameters: "Parameters",
+    real: type,
+    moves: bool,
+) -> list[SmoothSet]:
+    """Declares the arrays of all smooth contacts, and adds their parameters. Their ends follow the couplings'."""
+    sets: list[SmoothSet] = []
+    first = 0
+    for own in sorted_contacts(scene):
+        first_end = 2 * (len(scene.couplings) + first)
+        sets.append(SmoothSet(own, first, first_end, shapes, layout, parameters, real, moves))
+        first += sets[-1].count
+    return sets

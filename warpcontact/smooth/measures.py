@@ -1,0 +1,50 @@
+"""What is measured of smooth contacts only when it is asked for."""
+
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from warpcontact.kernels.smooth import measures
+from warpcontact.kernels.smooth.base import Shape as Form
+from warpcontact.kernels.smooth.curvature import relative
+
+if TYPE_CHECKING:
+    from warpcontact.model import Model
+    from warpcontact.smooth.contact_sets import SmoothSet
+
+
+def measure(name: str, model: "Model") -> None:
+    """Computes the measure ``name`` of all smooth contacts, as they were computed last."""
+    for own in model.smooth:
+        for kinds, items in own.ranges:
+            if name == "smooth_points":
+                kernel, inputs = _points(model, own, kinds, items.start)
+            elif has_curvatures(kinds):
+                make = measures.curvatures if name == "smooth_curvatures" else measures.gradients
+                kernel, inputs = make(*kinds, own.real), _inputs(model, own, kinds, items.start)
+            else:
+                continue
+            shape, outputs = (model.envs, items.stop - items.start), [getattr(model.arrays, name)]
+            wp.launch(kernel, dim=shape, inputs=inputs, outputs=outputs, device=model.device)
+
+
+def has_curvatures(kinds: tuple[type[Form], type[Form]]) -> bool:
+    """Whether the curvatures of a pair of kinds are known, which those of a user's own shape need not be."""
+    try:
+        relative(*kinds)
+    except TypeError:
+        return False
+    return True
+
+
+def _points(
+    model: "Model", own: "SmoothSet", kinds: tuple[type[Form], type[Form]], first: int
+) -> tuple[wp.Kernel, list[Any]]:
+    mounts = own.shapes[kinds[1]].arrays.mount
+    inputs = [model.arrays.state, first, own.first, own.members, mounts, own.settings, own.smooth]
+    return measures.points(own.real), inputs
+
+
+def _inputs(model: "Model", own: "SmoothSet", kinds: tuple[type[Form], type[Form]], first: int) -> list[Any]:
+    arrays = [own.shapes[kind].arrays for kind in kinds]
+    return [model.arrays.state, first, own.first, own.members, *arrays, own.held]
