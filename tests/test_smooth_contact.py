@@ -2,12 +2,15 @@
 
 import itertools
 import json
+from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 from scenes import square
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from warpcontact.kernels.smooth import base
 
 import warpcontact as wc
 
@@ -316,6 +319,74 @@ def test_places_far_from_the_origin_keep_the_gap(device):
     assert gaps[0] == pytest.approx(-1e-4, rel=1e-5)
     # What two floats of single precision leave of 3000 km, 2^-48 of it.
     assert gaps[1] == pytest.approx(gaps[0], abs=2e-8)
+
+
+def test_a_step_too_long_and_a_start_in_overlap_are_warned_of():
+    model = sphere_on_plane(True, "cpu", "float32", envs=2)
+    model["ball.position"] = [(0, 0, 0.06), (0, 0, 0.03)]
+    with pytest.warns(wc.ContactWarning) as said:
+        wc.Simulation(model, dt=5e-3).step(1)
+    texts = [str(one.message) for one in said]
+    assert any("touch: dt = 0.005 s is too long: a contact takes" in text for text in texts)
+    assert any("touch: starts 0.02 m deep in the surface in environment 1" in text for text in texts)
+
+
+class Odd(wc.shapes.Shape):
+    """What says of itself that it is a ball, with a support function that has no maximum."""
+
+    radius: float = wc.parameter("m", "radius", above=0.0)
+
+    @wp.func
+    def support(p: Any, n: wp.vec3d):
+        return wp.vec3d(p.radius * n[1], -p.radius * n[0], wp.float64(0.0))
+
+    @wp.func
+    def expand(p: Any, n: wp.vec3d):
+        found = base.Expansion()
+        found.point = wp.vec3d(p.radius * n[1], -p.radius * n[0], wp.float64(0.0))
+        return found
+
+    @wp.func
+    def margin(p: Any):
+        return wp.float64(0.0)
+
+    @wp.func
+    def rolling(p: Any):
+        return wp.float64(0.0)
+
+    @wp.func
+    def extents(p: Any):
+        return wp.vec3d(p.radius, p.radius, p.radius)
+
+    @wp.func
+    def centre(p: Any):
+        return wp.vec3d()
+
+    @wp.func
+    def inner(p: Any):
+        return p.radius
+
+
+def test_what_is_not_found_gives_no_force_and_is_told(device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    body = scene.add_body(1.0, (1.0, 1.0, 1.0), (0.1, 0.05, 0.3), name="body")
+    egg = scene.add_shape(body, wc.shapes.Ellipsoid((0.3, 0.2, 0.1)), name="egg")
+    odd = scene.add_shape(None, Odd(0.3), name="odd")
+    scene.add_smooth_contact(egg, odd, wc.Template(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
+    model = scene.build(2, device)
+    model["touch.enabled"] = [False, True]
+    with pytest.warns(
+        RuntimeWarning, match="'egg' and 'odd' meet was not found in some steps of 1 of 2 environments"
+    ):
+        recording = wc.Simulation(model, dt=1e-4).run(
+            1e-3, ["touch.status", "touch.normal_force", "touch.failures"]
+        )
+    assert (recording["touch.status"].sel(env=1) == wc.Status.NOT_CONVERGED).all()
+    assert (recording["touch.normal_force"] == 0.0).all()
+    assert recording["touch.failures"].values[-1].tolist() == [0, 10]
+    assert "touch.curvature_1" not in model.reading_names
+    model.reset()
+    assert model.reading("touch.failures").tolist() == [0, 0]
 
 
 def test_input_is_refused_with_its_name():
