@@ -100,7 +100,9 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
     def held(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, n: vec3d, kinks: view_of.Rows, first: int, second: int):
         """The unit vector next to n that is across one edge or two."""
         if wp.static(A.bent or B.bent):
-            for _ in range(4):
+            # To a variable, so that it stays a loop: unrolled, GPUs take minutes to compile it.
+            rounds = wp.int32(4)
+            for _ in range(rounds):
                 view = look(p_a, p_b, x, R, n)
                 k = view.kinks[first] - view.at[first] * n
                 step = -(view.at[first] / wp.dot(k, k)) * k
@@ -145,17 +147,22 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         axis_2 = vec3d()
         more = real(0.0)
         more_2 = real(0.0)
-        for i in range(6):
+        powers_a = vec3d(one, one, one)
+        powers_b = vec3d(one, one, one)
+        if wp.static(A.steep):
+            powers_a = A.steepness(p_a)
+        if wp.static(B.steep):
+            powers_b = B.steepness(p_b)
+        axes = wp.int32(6)
+        for i in range(axes):
             w = vec3d()
             power = real(1.0)
             if i < 3:
-                if wp.static(A.steep):
-                    w = vec3d(R[0, i], R[1, i], R[2, i])
-                    power = A.steepness(p_a)[i]
+                w = vec3d(R[0, i], R[1, i], R[2, i])
+                power = powers_a[i]
             else:
-                if wp.static(B.steep):
-                    w[i - 3] = one
-                    power = B.steepness(p_b)[i - 3]
+                w[i - 3] = one
+                power = powers_b[i - 3]
             u = wp.dot(n, w)
             change = wp.dot(d, w)
             if power < real(0.9) and wp.abs(u) > ACROSS and wp.abs(change) > second * wp.abs(u):
@@ -288,10 +295,11 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 crossed = zero
                 crossed_at = zero
                 passed = tied
-                for _ in range(wp.static(count)):
+                many = wp.int32(count)
+                for _ in range(many):
                     nearest = wp.int32(-1)
                     at = part
-                    for i in range(wp.static(count)):
+                    for i in range(many):
                         rate = flat[i, 0] * d[0] + flat[i, 1] * d[1]
                         ahead = (passed >> i) & 1 == 0 and view.at[i] * rate < zero
                         if ahead and wp.abs(view.at[i]) < at * wp.abs(rate):

@@ -33,6 +33,8 @@ ALIKE = wp.constant(real(0.999))
 SAME = wp.constant(real(0.9998))
 # Rounding of g, of the size of the pair.
 NOISE = wp.constant(real(1.0e-14))
+# Cells of the finest in one of those that climbs start from as long as none has arrived.
+COARSE = wp.constant(around.EDGE * around.EDGE // 4)
 NOTHING = wp.constant(real(-wp.inf))
 
 
@@ -126,6 +128,9 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
             while left and not searching and climbs < CLIMBS:
                 n, left, cell = next_direction(p_a, p_b, x, R, apart, inner, -gap, cell)
                 if left:
+                    if not met:
+                        # No bound yet, and so a start all around.
+                        cell = ((cell - 1) // COARSE + 1) * COARSE
                     searching = wp.dot(n, best.normal) < ALIKE
                     for k in range(KNOWN):
                         if k < climbs and wp.dot(n, known[k]) > SAME:

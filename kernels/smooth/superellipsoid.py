@@ -94,7 +94,8 @@ class Superellipsoid(Shape):
         found = Expansion()
         found.point = wp.cw_mul(signed, wp.vec3d(by_flat * by_x, by_flat * by_y, by_z))
         exponents = wp.vec3d(p.exponents[1], p.exponents[1], p.exponents[0])
-        for i in range(3):
+        axes = wp.int32(3)
+        for i in range(axes):
             if wp.abs(n[i]) <= ACROSS and exponents[i] < one:
                 beside = n
                 beside[i] = ACROSS
