@@ -49,6 +49,8 @@ SLIDES = wp.constant(real(1.0e-14))
 INSIDE = wp.constant(real(1.0 + 1.0e-9))
 # Of a component of n, the change from which its power is looked at.
 OFF = wp.constant(real(0.2))
+# Cosine of the angle to a pole that counts as beside it.
+BESIDE = wp.constant(real(0.9999))
 TINY = wp.constant(real(1.0e-300))
 
 
@@ -191,8 +193,12 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         return d + (more / wp.dot(k, k)) * k
 
     @wp.func
-    def climb(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, start: vec3d, size: real):
-        """Climbs from the unit vector ``start``; ``size`` [m] is that of the pair."""
+    def climb(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, start: vec3d, size: real, to_poles: wp.bool):
+        """Climbs from the unit vector ``start``; ``size`` [m] is that of the pair.
+
+        With ``to_poles`` it may leap to the normal of a disc that is higher, over lower ground or past a summit.
+        Without it ends beside one.
+        """
         n = start
         view = look(p_a, p_b, x, R, n)
         result = Climb()
@@ -324,6 +330,10 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                     other = pole_ahead(n, vec3d(zero, zero, -one), wp.static(int(B.discs == 1)), d_3)
                     if wp.dot(n, other) > wp.dot(n, pole):
                         pole = other
+                if not to_poles:
+                    if wp.dot(n, pole) > BESIDE:
+                        break
+                    pole = vec3d()
             done = wp.bool(False)
             tried = wp.int32(0)
             if wp.static(steep):
@@ -339,7 +349,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                     trial = wp.normalize(n + part * d_3)
                 # What is static stands alone: Warp leaves out nothing else.
                 if wp.static(steep):  # noqa: SIM102
-                    if ordinary and tied == 0 and met < 0 and tried <= WAYS:
+                    if ordinary and (tied == 0 or edge >= 0) and met < 0 and tried <= WAYS:
                         ordinary = False
                         # The normals where the points would go; powers of both.
                         if wp.static(A.steep):  # noqa: SIM102
