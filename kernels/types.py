@@ -78,8 +78,10 @@ SIDES_NOWHERE = 0
 SIDES_EVERYWHERE = 1
 SIDES_ABOVE = 2  # within the walls of the patch
 
-# Faces that are remembered per contact.
-REMEMBERED = 8
+# Faces that are remembered per contact. More of them last longer; where many threads search side by side, with few
+# registers each, sorting them in costs more than that.
+REMEMBERED = 16
+REMEMBERED_IN_QUEUES = 8
 
 # Queues of a GPU.
 QUEUES = 4
@@ -302,9 +304,9 @@ def structs(real: type) -> SimpleNamespace:
         place: wp.array2d(dtype=vec3)  # [env, contact] S
         beyond: wp.array2d(dtype=real)  # [env, contact] all other faces are farther from there
         faces: wp.array2d(dtype=wp.int32)  # [env, contact] how many are remembered
-        face: wp.array2d(dtype=wp.int32)  # [env, contact × REMEMBERED] their rows, the nearest first
-        distance: wp.array2d(dtype=real)  # [env, contact × REMEMBERED] from there
-        direction: wp.array2d(dtype=vec3)  # [env, contact × REMEMBERED] its slope there, unit or zero, S
+        face: wp.array2d(dtype=wp.int32)  # [env, contact × remembered] their rows, the nearest first
+        distance: wp.array2d(dtype=real)  # [env, contact × remembered] from there
+        direction: wp.array2d(dtype=vec3)  # [env, contact × remembered] its slope there, unit or zero, S
 
     @wp.struct
     class Ends:

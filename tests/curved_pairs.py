@@ -73,7 +73,7 @@ def _ellipsoid(p, axes):
     squares = axes**2
     low = -squares.min(-1)
     high = np.linalg.norm(axes * p, axis=-1) + 1.0
-    for _ in range(100):
+    for _ in range(60):
         t = 0.5 * (low + high)
         with np.errstate(divide="ignore"):
             beyond = (((axes * p) / (t[..., None] + squares)) ** 2).sum(-1) > 1.0

@@ -72,6 +72,17 @@ def test_batches_of_sets_are_the_same(folder, device):
         np.testing.assert_array_equal(batches[name].values, whole[name].values)
 
 
+def test_inertia_follows_from_mass_and_radius_of_each_body(folder, device):
+    study = copy.deepcopy(STUDY)
+    study["variation"] |= {
+        "touch.radius": {"linspace": [0.1, 0.2]},
+        "grains.inertia": {"solid_sphere": {"mass": "grains.mass", "radius": "touch.radius"}},
+    }
+    model = wc.Experiment.from_dict(study, folder).model(device=device)
+    expected = 0.4 * np.array(study["variation"]["grains.mass"]["values"]) * np.linspace(0.1, 0.2, 3)[:, None] ** 2
+    np.testing.assert_allclose(model["grains.inertia"], expected[..., None, None] * np.eye(3), rtol=1e-12)
+
+
 def test_nothing_is_recorded_of_each_body_unless_asked_for():
     scene = wc.Scene()
     slider = wc.motions.Slider(axis=(0, 0, 1))

@@ -1,4 +1,4 @@
-"""Curvatures of shapes and pairs: against differences of the distance, closed forms, and Hertz stiffness from them."""
+"""Curvatures of shapes and pairs: differences of the distance, closed forms, and Hertz stiffness from them."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,9 @@ def curvatures(shape, points, normals, device, u=None):
     u = np.zeros((len(points), 2)) if u is None else u
     given = [wp.array(v, dtype=wp.vec3d, device=device) for v in (points, normals)]
     out = wp.zeros(len(points), dtype=Curvature, device=device)
-    wp.launch(each, len(points), [packed(shape), *given, wp.array(u, dtype=wp.vec2d, device=device), out], device=device)
+    wp.launch(
+        each, len(points), [packed(shape), *given, wp.array(u, dtype=wp.vec2d, device=device), out], device=device
+    )
     return out.numpy()
 
 

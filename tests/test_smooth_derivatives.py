@@ -64,7 +64,10 @@ def turn(axis, angle):
 def product(p, q):
     """Quaternion of the rotation q and then p."""
     return np.concatenate(
-        [p[3] * q[..., :3] + q[..., 3:] * p[:3] + np.cross(p[:3], q[..., :3]), (p[3] * q[..., 3] - q[..., :3] @ p[:3])[:, None]],
+        [
+            p[3] * q[..., :3] + q[..., 3:] * p[:3] + np.cross(p[:3], q[..., :3]),
+            (p[3] * q[..., 3] - q[..., :3] @ p[:3])[:, None],
+        ],
         axis=1,
     )
 
@@ -108,8 +111,8 @@ def test_derivatives_by_the_poses_are_central_differences(a, b, device):
     # Differences of the gap, to 1e-15, by 2e-5; of the points, which are known to 1e-12 or so; and 1e-10 of the
     # third derivative, which is up to 1/(curvature)² on sharp ends.
     np.testing.assert_allclose(exact["gap"], differences(met["gap"]).T, atol=1e-8)
-    for name in seen:
-        expected = np.moveaxis(differences(seen[name]), 0, -1)
+    for name, values in seen.items():
+        expected = np.moveaxis(differences(values), 0, -1)
         np.testing.assert_allclose(exact[name], expected, atol=2e-6 * np.abs(expected).max(), err_msg=name)
 
 

@@ -193,8 +193,8 @@ def _add_ends(
 
 def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int, records: bool) -> Any:
     shapes = {name: per_env(sets) for name in t.Cache.vars if name.startswith("set_")}
-    faces = per_env(contacts * types.REMEMBERED)
     queued = layout.device.is_cuda
+    faces = per_env(contacts * (types.REMEMBERED_IN_QUEUES if queued else types.REMEMBERED))
     return layout.struct(
         "cache",
         t.Cache,

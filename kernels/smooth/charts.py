@@ -1,7 +1,7 @@
 """Charts: surfaces by two parameters, with first and second derivatives.
 
-A chart has an axis for a pole, 0, 1 or 2 (x, y or z), as far as the surface needs one: where it is singular, another
-pole is not. Its tangents are right-handed, u × v points out of the surface.
+A chart has an axis for a pole, 0, 1 or 2 (x, y or z), as far as the surface needs one: where it is singular,
+another pole is not. Its tangents are right-handed, u × v points out of the surface.
 """
 
 import functools
@@ -93,11 +93,13 @@ def longitude_and_latitude(direction: vec3d, pole: wp.int32):
 
 @wp.func
 def ellipsoid_jet(p: Any, pole: wp.int32, u: real, v: real):
+    """Of an ellipsoid."""
     return spherical(p.semi_axes, one, one, pole, u, v)
 
 
 @wp.func
 def ellipsoid_place(p: Any, x: vec3d):
+    """Where a point of an ellipsoid is on its chart, and the best pole."""
     direction = wp.cw_div(x, p.semi_axes)
     pole = best_pole(direction)
     u, v = longitude_and_latitude(direction, pole)
@@ -106,11 +108,13 @@ def ellipsoid_place(p: Any, x: vec3d):
 
 @wp.func
 def sphere_jet(p: Any, pole: wp.int32, u: real, v: real):
+    """Of a sphere."""
     return spherical(vec3d(p.radius, p.radius, p.radius), one, one, pole, u, v)
 
 
 @wp.func
 def sphere_place(p: Any, x: vec3d):
+    """Where a point of a sphere is on its chart, and the best pole."""
     pole = best_pole(x)
     u, v = longitude_and_latitude(x, pole)
     return u, v, pole
@@ -118,11 +122,13 @@ def sphere_place(p: Any, x: vec3d):
 
 @wp.func
 def superellipsoid_jet(p: Any, pole: wp.int32, u: real, v: real):
+    """Of a superellipsoid: regular within each octant."""
     return spherical(p.semi_axes, p.exponents[0], p.exponents[1], 2, u, v)
 
 
 @wp.func
 def superellipsoid_place(p: Any, x: vec3d):
+    """Where a point of a superellipsoid is on its chart."""
     d = wp.cw_div(x, p.semi_axes)
     cosine = wp.pow(wp.abs(d[0]), one / p.exponents[1])
     sine = wp.pow(wp.abs(d[1]), one / p.exponents[1])
@@ -136,6 +142,7 @@ def superellipsoid_place(p: Any, x: vec3d):
 
 @wp.func
 def torus_jet(p: Any, pole: wp.int32, u: real, v: real):
+    """Of a torus: u around the axis, v around the tube."""
     c = wp.cos(u)
     s = wp.sin(u)
     out = p.minor_radius * wp.cos(v)
@@ -153,6 +160,7 @@ def torus_jet(p: Any, pole: wp.int32, u: real, v: real):
 
 @wp.func
 def torus_place(p: Any, x: vec3d):
+    """Where a point of a torus is on its chart."""
     across = wp.sqrt(x[0] * x[0] + x[1] * x[1])
     return wp.atan2(x[1], x[0]), wp.atan2(x[2], across - p.major_radius), 2
 

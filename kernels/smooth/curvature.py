@@ -2,11 +2,11 @@
 
 Curvatures are those of normal sections, positive where the material is convex: 1/r of a sphere, −1/r of its mould.
 Across a sharp edge the curvature is infinite, along it that of the edge in the plane of the normal; at a tip and a
-sharp corner both are. Flat faces have none. What lies between two of these, as the seam of a capsule, has that of one
-side.
+sharp corner both are. Flat faces have none. What lies between two of these, as the seam of a capsule, has that of
+one side.
 
-The gap of a pair along a displacement t in the tangent plane opens by ½ t·(S_a + S_b) t: the principal values of the
-sum are the relative curvatures, A + B = ½ (κ₁ + κ₂) in Hertz's words.
+The gap of a pair along a displacement t in the tangent plane opens by ½ t·(S_a + S_b) t: the principal values of
+the sum are the relative curvatures, A + B = ½ (κ₁ + κ₂) in Hertz's words.
 """
 
 import functools
@@ -153,7 +153,7 @@ def of_capsule(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 @wp.func
 def of_cylinder(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a cylinder: its mantle, its ends, and the rim between them."""
-    if wp.abs(n[2]) >= one - CLOSE * CLOSE:
+    if wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= CLOSE:
         return round_of(zero, n)
     if wp.abs(n[2]) <= CLOSE:
         return of_revolution(point, n, zero)
@@ -163,7 +163,7 @@ def of_cylinder(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 @wp.func
 def of_cone(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a cone: its mantle, its base, the rim between them, and the tip."""
-    if n[2] <= CLOSE * CLOSE - one:
+    if n[2] < zero and wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= CLOSE:
         return round_of(zero, n)
     if point[2] >= (one - CLOSE) * p.height:
         return round_of(sharp, n)
@@ -203,8 +203,8 @@ def of_torus(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 def curvature(A: type[Shape]) -> wp.Function:
     """Returns ``(p, point, n, u, v)``: the ``Curvature`` at a point of the surface, all in the frame of the shape.
 
-    n is the unit normal of the contact: on an edge there are many. u and v are the parameters of a patch, and unused
-    otherwise.
+    n is the unit normal of the contact: on an edge there are many. u and v are the parameters of a patch, and
+    unused otherwise.
 
     Raises:
         TypeError: If it is a shape of which no curvature is known.
@@ -292,15 +292,16 @@ class Bent:
 
 @functools.cache
 def relative(A: type[Shape], B: type[Shape]) -> wp.Function:
-    """Returns ``(p_a, p_b, x, q, meeting)``: the curvatures of a pair, ``Bent``.
+    """Returns ``(p_a, p_b, x, rotation, meeting)``: the curvatures of a pair, ``Bent``.
 
-    The relative ones are positive where the surfaces part from the contact, negative where a hollow is narrower than
-    what lies in it, infinite on edges.
+    The relative ones are positive where the surfaces part from the contact, negative where a hollow is narrower
+    than what lies in it, infinite on edges.
     """
     of_a, of_b = curvature(A), curvature(B)
 
     @wp.func
-    def bent(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, met: Meeting):
+    def bent(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, met: Meeting):
+        q = wp.normalize(rotation)
         found = Bent()
         u = met.seed.u
         point_a = wp.quat_rotate_inv(q, met.point_a - x)

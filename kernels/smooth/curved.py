@@ -4,9 +4,10 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth import ring, sheet
+from warpcontact.kernels.smooth import closed, ring, sheet
 from warpcontact.kernels.smooth.base import Seed, Shape
 from warpcontact.kernels.smooth.patch import Patch
+from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.kernels.smooth.torus import Torus
 
 vec3d = wp.vec3d
@@ -16,8 +17,8 @@ vec3d = wp.vec3d
 def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function of a pair, see ``meet.py``.
 
-    The seed is not needed: all of the surface is looked at every time, so that no step follows a contact that is no
-    longer the deepest, and a state that is loaded again gives the same bits.
+    The seed is not needed: all of the surface is looked at every time, so that no step follows a contact that is
+    no longer the deepest, and a state that is loaded again gives the same bits.
 
     Raises:
         TypeError: If both are patches.
@@ -31,6 +32,11 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
         return sheet.meet(A, B)
     if issubclass(A, Patch):
         return _exchanged(sheet.meet(B, A))
+    if A is Sphere:
+        # The torus knows the point nearest to the centre.
+        return closed.on_sphere(A, B)
+    if B is Sphere:
+        return closed.swapped(closed.on_sphere(B, A), B, A)
     if A is Torus:
         return ring.meet(A, B)
     return _exchanged(ring.meet(B, A))
@@ -40,7 +46,8 @@ def _exchanged(of_pair: wp.Function) -> wp.Function:
     """Returns the function of a pair from that of the same two the other way round."""
 
     @wp.func
-    def met_by(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, seed: Seed):
+    def met_by(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, seed: Seed):
+        q = wp.normalize(rotation)
         met = of_pair(p_b, p_a, wp.quat_rotate_inv(q, -x), wp.quat_inverse(q), Seed())
         point_b = x + wp.quat_rotate(q, met.point_a)
         met.point_a = x + wp.quat_rotate(q, met.point_b)

@@ -6,8 +6,9 @@ slide, p_a and p_b, in the tangent plane,
 
     S_b p_b = dn,  S_a p_a = ω × n − dn,  p_a = p_b + gap dn − v.
 
-Only curvatures are needed. Where one is infinite, on an edge, the equation is that of the radius. The gap changes by
-n·v alone. Where the point is not determined, as of a flat face on a flat face, there are no derivatives of points.
+Only curvatures are needed. Where one is infinite, on an edge, the equation is that of the radius. The gap changes
+by n·v alone. Where the point is not determined, as of a flat face on a flat face, there are no derivatives of
+points.
 
 A size changes the gap by how far the surface comes out along the normal; what the points do has no part in it.
 """
@@ -211,8 +212,8 @@ def of_torus(p: Any, point: vec3d, n: vec3d):
 def growth(A: type[Shape]) -> tuple[tuple[str, ...], wp.Function] | None:
     """Returns how far a surface comes out by its sizes: their names, and ``(p, point, n)``, their derivatives.
 
-    The derivative of the gap is this times −1, at the contact point of the shape and its own outward normal, in its
-    frame. Sizes with three values have three entries. ``None``: it has no sizes; exponents are not among them.
+    The derivative of the gap is this times −1, at the contact point of the shape and its own outward normal, in
+    its frame. Sizes with three values have three entries. ``None``: it has no sizes; exponents are not among them.
     """
     known = {
         Sphere: (("radius",), of_sphere),

@@ -5,10 +5,10 @@ With tangents s_1, s_2 of b and t_1, t_2 of a, N_a = t_1 × t_2 and d from the p
     d·s_1 = d·s_2 = 0,  N_a·s_1 = N_a·s_2 = 0
 
 say that d is normal to both. They are the square form of n_a × n_b = 0 and d × n_b = 0, which are checked in the
-end: where a chart is singular the equations have roots that are none. A pair has several roots: near and far sides,
-normals that face each other or not. Which one it is, is said; which one is wanted, is the caller's to know. Newton's
-method finds roots of either sign of the gap: in overlap the distance is not least there, and no search for the least
-distance would stop.
+end: where a chart is singular the equations have roots that are none. A pair has several roots: near and far
+sides, normals that face each other or not. Which one it is, is said; which one is wanted, is the caller's to know.
+Newton's method finds roots of either sign of the gap: in overlap the distance is not least there, and no search
+for the least distance would stop.
 """
 
 import functools
@@ -103,8 +103,8 @@ def scaled(values: wp.vec4d, size_b: real, size_a: real):
 def solver(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns ``(p_a, p_b, x, q, u, pole_a, pole_b, most)``: the ``Root`` that Newton's method finds from u.
 
-    ``u`` are the parameters of b, then of a, where it begins; ``most`` is how many iterations it may take. A step is
-    halved until the equations have become smaller. Where a chart comes near its pole, another one takes over.
+    ``u`` are the parameters of b, then of a, where it begins; ``most`` is how many iterations it may take. A step
+    is halved until the equations have become smaller. Where a chart comes near its pole, another one takes over.
 
     Raises:
         NoChart: If a shape has none.
@@ -122,12 +122,13 @@ def solver(A: type[Shape], B: type[Shape]) -> wp.Function:
         p_a: Any,
         p_b: Any,
         x: vec3d,
-        q: wp.quatd,
+        rotation: wp.quatd,
         start: wp.vec4d,
         start_pole_a: wp.int32,
         start_pole_b: wp.int32,
         most: wp.int32,
     ):
+        q = wp.normalize(rotation)
         u = start
         pole_a = start_pole_a
         pole_b = start_pole_b
@@ -138,14 +139,14 @@ def solver(A: type[Shape], B: type[Shape]) -> wp.Function:
         iterations = wp.int32(0)
         going = wp.bool(True)
         while going and iterations < most and error > zero:
-            if wp.static(poles_a):
+            if wp.static(poles_a):  # noqa: SIM102  a static branch
                 if wp.abs(wp.cos(u[3])) < NEAR_POLE:
                     u_a, v_a, new_a = place_a(p_a, wp.quat_rotate_inv(q, at.a.x - x))
                     u = wp.vec4d(u[0], u[1], u_a, v_a)
                     pole_a = new_a
                     at = equations(p_a, p_b, x, q, u, pole_a, pole_b)
                     error = scaled(at.values, size_b, size_a)
-            if wp.static(poles_b):
+            if wp.static(poles_b):  # noqa: SIM102  a static branch
                 if wp.abs(wp.cos(u[1])) < NEAR_POLE:
                     u_b, v_b, new_b = place_b(p_b, at.b.x)
                     u = wp.vec4d(u_b, v_b, u[2], u[3])

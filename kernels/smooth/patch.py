@@ -11,8 +11,8 @@ from warpcontact.kernels.smooth.base import Shape
 
 real = wp.float64
 vec3d = wp.vec3d
-# Step of the differences for derivatives that are left out, in terms of the range: sixth order, so that what is cut
-# off and what is rounded are both about 1e-11 of the second derivatives.
+# Step of the differences for derivatives that are left out, in terms of the range: sixth order, so that what is
+# cut off and what is rounded are both about 1e-11 of the second derivatives.
 STEP = 5.0e-3
 
 

@@ -1,15 +1,15 @@
 """Where a torus and another closed shape meet: the point of the core circle that is deepest in it, or nearest.
 
-A torus is all within r of its core circle, so the gap is the least signed distance of the circle from the other shape,
-less r. That distance f(θ) has several minima: all around is looked at, every time, so that the result depends on the
-pose alone and on nothing that came before. As the signed distance from a convex body is a convex function, f + ½ R θ²
-is convex: two neighbouring values and slopes bound f from below in between, and only what can lie lower than the
-least value known is looked at closely.
+A torus is all within r of its core circle, so the gap is the least signed distance of the circle from the other
+shape, less r. That distance f(θ) has several minima: all around is looked at, every time, so that the result
+depends on the pose alone and on nothing that came before. As the signed distance from a convex body is a convex
+function, f + ½ R θ² is convex: two neighbouring values and slopes bound f from below in between, and only what can
+lie lower than the least value known is looked at closely.
 
-Where f has a kink at its least value, the way out of the other shape is as short to two sides, and neither is across
-the tube. Behind a sharp edge, or where the tube pierces a thin part, the contact is then the one whose normal lies
-between the two, across the tube: the circle's farthest point and the shape's are sought from there by Newton's method.
-Where that leads nowhere, no pair of points has facing normals, and this is reported.
+Where f has a kink at its least value, the way out of the other shape is as short to two sides, and neither is
+across the tube. Behind a sharp edge, or where the tube pierces a thin part, the contact is then the one whose
+normal lies between the two, across the tube: the circle's farthest point and the shape's are sought from there by
+Newton's method. Where that leads nowhere, no pair of points has facing normals, and this is reported.
 """
 
 import functools
@@ -183,7 +183,8 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         return met
 
     @wp.func
-    def met_by(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, seed: Any):
+    def met_by(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, seed: Any):
+        q = wp.normalize(rotation)
         values = Values()
         slopes = Values()
         best = seen(p_a, p_b, x, q, zero)
@@ -217,10 +218,11 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         met.point_a = best.center - p_a.minor_radius * met.normal
         met.iterations = iterations
         met.residual = wp.abs(best.slope)
-        if wp.static(rounded):
+        if wp.static(rounded):  # noqa: SIM102  a static branch
             if met.residual > ALLOWED:
                 between = squeezed(p_a, p_b, x, q, best)
-                if between.residual <= ALLOWED:
+                # Across the tube the way out is longer than the shortest; another contact is not meant.
+                if between.residual <= ALLOWED and between.gap <= met.gap:
                     met.normal = between.normal
                     met.gap = between.gap
                     met.point_a = between.point_a

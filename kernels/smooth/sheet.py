@@ -1,15 +1,16 @@
 """Where a patch and a closed shape meet: the place of the patch that is deepest in the shape, or nearest to it.
 
 The signed distance D(u, v) of the patch from the shape is looked at over a grid that covers the patch, every time,
-as far as the shape's size leaves a place to be nearer than those known; from the best of them Newton's method goes on
-to where the normals face each other. The result depends on the pose alone, and on nothing that came before.
+as far as the shape's size leaves a place to be nearer than those known; from the best of them Newton's method goes
+on to where the normals face each other. The result depends on the pose alone, and on nothing that came before.
 
-The least D is the contact as long as the shape is less deep than its own middle. Deeper, the nearest way out of the
-shape is not the one back through the patch. The patch is then lowered along its normals by about the depth: parallel
-surfaces have the same normals, so the contact is that with the lowered patch, its gap less by what it was lowered.
+The least D is the contact as long as the shape is less deep than its own middle. Deeper, the nearest way out of
+the shape is not the one back through the patch. The patch is then lowered along its normals by about the depth:
+parallel surfaces have the same normals, so the contact is that with the lowered patch, its gap less by what it was
+lowered.
 
-Beyond an edge of the patch there is no contact: as at the border of a mesh, the place nearest to the shape decides.
-Nor is there of a shape that lies wholly behind the tangent plane where it would touch.
+Beyond an edge of the patch there is no contact: as at the border of a mesh, the place nearest to the shape
+decides. Nor is there of a shape that lies wholly behind the tangent plane where it would touch.
 """
 
 import functools
@@ -37,10 +38,12 @@ STARTS = 4
 LOWERINGS = wp.constant(wp.int32(8))
 # By how much more than it is deep, in terms of the shape's size.
 MARGIN = wp.constant(real(0.02))
-STEPS = wp.constant(wp.int32(80))
+STEPS = wp.constant(wp.int32(100))
 HALVINGS = wp.constant(wp.int32(40))
 # Cosine between the normal of the shape and the tangents of the patch, at a contact.
 ALLOWED = wp.constant(real(1.0e-9))
+# Part of the descent that a slope promises.
+ENOUGH = wp.constant(real(0.25))
 GOAL = wp.constant(real(1.0e-14))
 FAR = wp.constant(real(wp.inf))
 
@@ -137,7 +140,7 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
 
     @wp.func
     def newton(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, at: Sight, lowered: real):
-        """Newton's step for the tangential parts of the normal; and whether there is one."""
+        """Newton's step for the tangential parts of the normal, the way down, and the slope of the distance."""
         jet = at.jet
         n = at.normal
         m = at.near.normal
@@ -166,7 +169,7 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         step = down
         if determinant != zero:
             step = -(wp.inverse(J) * values)
-        return step, down, wp.dot(values, step)
+        return step, down, vec2d(wp.dot(m, z_u), wp.dot(m, z_v))
 
     @wp.func
     def polish(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec2d, lowered: real):
@@ -176,24 +179,27 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         going = wp.bool(True)
         while going and steps < STEPS and at.lean > GOAL:
             steps += 1
-            step, down, rise = newton(p_a, p_b, x, q, at, lowered)
+            step, down, slope = newton(p_a, p_b, x, q, at, lowered)
             going = wp.bool(False)
             # Newton's step if it leads down and nearer to a root; else, or if that fails, the way down.
             for attempt in range(2):
                 trial = step
                 if attempt == 1:
                     trial = (wp.abs(at.near.gap) + wp.length(at.jet.u) * (u_1 - u_0)) * down
-                if attempt == 1 or rise < zero:
+                rise = wp.dot(slope, trial)
+                if rise < zero:
                     for _i in range(HALVINGS):
                         now = look(p_a, p_b, x, q, inside(at.u + trial), lowered)
                         slack = GOAL * (wp.abs(at.near.gap) + wp.length(at.place - x))
-                        lower = now.near.gap < at.near.gap - slack
+                        # By a good part of what the slope promises: less is a jump across a valley.
+                        lower = now.near.gap < at.near.gap + wp.min(ENOUGH * rise, -slack)
                         settled = now.near.gap <= at.near.gap + slack and now.lean < half * at.lean
                         if lower or settled:
                             at = now
                             going = wp.bool(True)
                             break
                         trial = half * trial
+                        rise = half * rise
                 if going:
                     break
         return at, steps
@@ -268,7 +274,8 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         return vec2d(first, second)
 
     @wp.func
-    def met_by(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, seed: Any):
+    def met_by(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, seed: Any):
+        q = wp.normalize(rotation)
         lowered = zero
         at, steps = deepest(p_a, p_b, x, q, lowered)
         for attempt in range(LOWERINGS):
@@ -303,7 +310,8 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         facing = wp.dot(at.near.normal, at.normal) < zero
         if at.lean > ALLOWED or not facing:
             met.status = NOT_CONVERGED
-            if at_edge(at.u):
+            # Nearest to the edge, or apart from the patch and behind it.
+            if at_edge(at.u) or (at.lean <= ALLOWED and met.gap >= zero):
                 met.status = OUTSIDE
         elif wp.static(bounded):
             top = x + wp.quat_rotate(q, A.support(p_a, wp.quat_rotate_inv(q, at.normal)))
