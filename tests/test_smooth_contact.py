@@ -331,6 +331,32 @@ def test_a_step_too_long_and_a_start_in_overlap_are_warned_of():
     assert any("touch: starts 0.02 m deep in the surface in environment 1" in text for text in texts)
 
 
+def test_hertz_takes_the_curvatures_of_crossed_cylinders(device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    law = wc.laws.HertzElastic(modulus=1e9)
+    depth, quarter = 1e-4, (0.5**0.5, 0, 0, 0.5**0.5)
+    for number, (angle, radii) in enumerate([(0.5 * np.pi, (0.1, 0.1)), (np.pi / 3, (0.1, 0.05))]):
+        # One lies along y, the other is turned from there about z.
+        body = scene.add_body(1.0, (1.0, 1.0, 1.0), (number, 0, sum(radii) - depth), name=f"body_{number}")
+        turned = (Rotation.from_rotvec((0, 0, angle)) * Rotation.from_quat(quarter)).as_quat()
+        lower = scene.add_shape(None, wc.shapes.Cylinder(radii[0], 1.0), (number, 0, 0), quarter)
+        upper = scene.add_shape(body, wc.shapes.Cylinder(radii[1], 1.0), (0, 0, 0), turned)
+        scene.add_smooth_contact(upper, lower, wc.Template(law=law), name=f"touch_{number}")
+    model = scene.build(1, device, "float64")
+    # Of equal radii at right angles the gap is that of a sphere on a plane.
+    known = 4 / 3 * 1e9 * np.sqrt(0.1) * depth**1.5
+    assert model.reading("touch_0.normal_force")[0] == pytest.approx(known, rel=1e-6)
+    # A + B and B − A of the two, after Johnson, Contact Mechanics (4.3).
+    first, second = 1 / 0.1, 1 / 0.05
+    apart = np.sqrt(first**2 + second**2 + 2 * first * second * np.cos(2 * np.pi / 3))
+    curvatures = [0.5 * (first + second - apart), 0.5 * (first + second + apart)]
+    found = [model.reading(f"touch_1.curvature_{number}")[0] for number in (1, 2)]
+    np.testing.assert_allclose(found, curvatures, rtol=1e-9)
+    # One plane strain modulus for all: E = 1 − ν², the other rigid.
+    elliptic = wc.laws.Hertz.elliptic(1e9, 0.0, 1 / curvatures[0], 1 / curvatures[1])
+    assert model.reading("touch_1.normal_force")[0] == pytest.approx(elliptic.stiffness * depth**1.5, rel=1e-5)
+
+
 class Odd(wc.shapes.Shape):
     """What says of itself that it is a ball, with a support function that has no maximum."""
 
