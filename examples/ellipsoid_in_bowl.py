@@ -1,6 +1,6 @@
-"""An ellipsoid slides and tumbles in an ellipsoidal bowl, a patch of one's own; without losses it keeps its energy.
+"""An ellipsoid slides and tumbles in a bowl, a patch of one's own; without losses it keeps its energy.
 
-    python examples/ellipsoid_in_bowl.py
+Run it with ``python examples/ellipsoid_in_bowl.py``.
 """
 
 from typing import Any
@@ -24,6 +24,7 @@ class Bowl(wc.Patch):
 
     @wp.func
     def position(p: Any, u: Any, v: Any):
+        """The point of the bowl at x = a u, y = b v."""
         one = wp.float64(1.0)
         height = p.semi_axes[2] * (one - wp.sqrt(one - u * u - v * v))
         return wp.vec3d(p.semi_axes[0] * u, p.semi_axes[1] * v, height)

@@ -2,12 +2,15 @@
 
 import itertools
 import json
+from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 from scenes import square
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from warpcontact.kernels.smooth import base
 
 import warpcontact as wc
 
@@ -316,6 +319,100 @@ def test_places_far_from_the_origin_keep_the_gap(device):
     assert gaps[0] == pytest.approx(-1e-4, rel=1e-5)
     # What two floats of single precision leave of 3000 km, 2^-48 of it.
     assert gaps[1] == pytest.approx(gaps[0], abs=2e-8)
+
+
+def test_a_step_too_long_and_a_start_in_overlap_are_warned_of():
+    model = sphere_on_plane(True, "cpu", "float32", envs=2)
+    model["ball.position"] = [(0, 0, 0.06), (0, 0, 0.03)]
+    with pytest.warns(wc.ContactWarning) as said:
+        wc.Simulation(model, dt=5e-3).step(1)
+    texts = [str(one.message) for one in said]
+    assert any("touch: dt = 0.005 s is too long: a contact takes" in text for text in texts)
+    assert any("touch: starts 0.02 m deep in the surface in environment 1" in text for text in texts)
+
+
+def test_hertz_takes_the_curvatures_of_crossed_cylinders(device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    law = wc.laws.HertzElastic(modulus=1e9)
+    depth, quarter = 1e-4, (0.5**0.5, 0, 0, 0.5**0.5)
+    for number, (angle, radii) in enumerate([(0.5 * np.pi, (0.1, 0.1)), (np.pi / 3, (0.1, 0.05))]):
+        # One lies along y, the other is turned from there about z.
+        body = scene.add_body(1.0, (1.0, 1.0, 1.0), (number, 0, sum(radii) - depth), name=f"body_{number}")
+        turned = (Rotation.from_rotvec((0, 0, angle)) * Rotation.from_quat(quarter)).as_quat()
+        lower = scene.add_shape(None, wc.shapes.Cylinder(radii[0], 1.0), (number, 0, 0), quarter)
+        upper = scene.add_shape(body, wc.shapes.Cylinder(radii[1], 1.0), (0, 0, 0), turned)
+        scene.add_smooth_contact(upper, lower, wc.Template(law=law), name=f"touch_{number}")
+    model = scene.build(1, device, "float64")
+    # Of equal radii at right angles the gap is that of a sphere on a plane.
+    known = 4 / 3 * 1e9 * np.sqrt(0.1) * depth**1.5
+    assert model.reading("touch_0.normal_force")[0] == pytest.approx(known, rel=1e-6)
+    # A + B and B − A of the two, after Johnson, Contact Mechanics (4.3).
+    first, second = 1 / 0.1, 1 / 0.05
+    apart = np.sqrt(first**2 + second**2 + 2 * first * second * np.cos(2 * np.pi / 3))
+    curvatures = [0.5 * (first + second - apart), 0.5 * (first + second + apart)]
+    found = [model.reading(f"touch_1.curvature_{number}")[0] for number in (1, 2)]
+    np.testing.assert_allclose(found, curvatures, rtol=1e-9)
+    # One plane strain modulus for all: E = 1 − ν², the other rigid.
+    elliptic = wc.laws.Hertz.elliptic(1e9, 0.0, 1 / curvatures[0], 1 / curvatures[1])
+    assert model.reading("touch_1.normal_force")[0] == pytest.approx(elliptic.stiffness * depth**1.5, rel=1e-5)
+
+
+class Odd(wc.shapes.Shape):
+    """What says of itself that it is a ball, with a support function that has no maximum."""
+
+    radius: float = wc.parameter("m", "radius", above=0.0)
+
+    @wp.func
+    def support(p: Any, n: wp.vec3d):
+        return wp.vec3d(p.radius * n[1], -p.radius * n[0], wp.float64(0.0))
+
+    @wp.func
+    def expand(p: Any, n: wp.vec3d):
+        found = base.Expansion()
+        found.point = wp.vec3d(p.radius * n[1], -p.radius * n[0], wp.float64(0.0))
+        return found
+
+    @wp.func
+    def margin(p: Any):
+        return wp.float64(0.0)
+
+    @wp.func
+    def rolling(p: Any):
+        return wp.float64(0.0)
+
+    @wp.func
+    def extents(p: Any):
+        return wp.vec3d(p.radius, p.radius, p.radius)
+
+    @wp.func
+    def centre(p: Any):
+        return wp.vec3d()
+
+    @wp.func
+    def inner(p: Any):
+        return p.radius
+
+
+def test_what_is_not_found_gives_no_force_and_is_told(device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    body = scene.add_body(1.0, (1.0, 1.0, 1.0), (0.1, 0.05, 0.3), name="body")
+    egg = scene.add_shape(body, wc.shapes.Ellipsoid((0.3, 0.2, 0.1)), name="egg")
+    odd = scene.add_shape(None, Odd(0.3), name="odd")
+    scene.add_smooth_contact(egg, odd, wc.Template(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
+    model = scene.build(2, device)
+    model["touch.enabled"] = [False, True]
+    with pytest.warns(
+        RuntimeWarning, match="'egg' and 'odd' meet was not found in some steps of 1 of 2 environments"
+    ):
+        recording = wc.Simulation(model, dt=1e-4).run(
+            1e-3, ["touch.status", "touch.normal_force", "touch.failures"]
+        )
+    assert (recording["touch.status"].sel(env=1) == wc.Status.NOT_CONVERGED).all()
+    assert (recording["touch.normal_force"] == 0.0).all()
+    assert recording["touch.failures"].values[-1].tolist() == [0, 10]
+    assert "touch.curvature_1" not in model.reading_names
+    model.reset()
+    assert model.reading("touch.failures").tolist() == [0, 0]
 
 
 def test_input_is_refused_with_its_name():

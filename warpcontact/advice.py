@@ -15,6 +15,7 @@ from warpcontact.mobility import LEAST_MOBILITY, mobility_of
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
     from warpcontact.scene import Contact
+    from warpcontact.smooth.elements import SmoothContact
 
 # Steps per contact time from which on the restitution of a smooth law is kept to about 1e-3.
 ENOUGH_STEPS = 20.0
@@ -32,7 +33,7 @@ def advice(model: "Environments", dt: float) -> list[str]:
     many are taken to touch at once as do in a fall on a plane across an axis of their body: see ``_together``.
     """
     sentences = []
-    if model.scene.contacts:
+    if model.scene.contacts or model.scene.smooth_contacts:
         model.evaluate()
     for coupling in model.scene.contact_couplings:
         sentences += contact_coupling_advice(model, coupling, dt)
@@ -62,7 +63,24 @@ def advice(model: "Environments", dt: float) -> list[str]:
             energy = energy.sum(axis=1, keepdims=True)
         # The energy of all overlaps of a body, as speed.
         sentences += _about_overlap(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
+    for touch in model.scene.smooth_contacts:
+        sentences += _smooth_advice(model, touch, dt)
     return sentences + coupling_advice(model, dt)
+
+
+def _smooth_advice(model: "Environments", contact: "SmoothContact", dt: float) -> list[str]:
+    """Returns what to say about the start of a smooth contact, each of its items alone."""
+    name, law = contact.name, contact.template.law
+    elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
+    if elastic is None:
+        return []
+    mass, speed = _mass_and_speed(model, contact)
+    stiffness, exponent = (np.broadcast_to(part, (model.envs, contact.count)) for part in elastic)
+    sentences = _about_steps(model, name, contact_time(stiffness, exponent, mass, speed), dt)
+    touching = _reading(model, contact, "status") == CONTACT
+    depth = np.where(touching, _reading(model, contact, "penetration"), 0.0)
+    energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
+    return sentences + _about_overlap(model, name, depth, np.sqrt(2.0 * energy / mass), speed)
 
 
 def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array) -> Array:
@@ -138,14 +156,14 @@ def _about_overlap(model: "Environments", name: str, depth: Array, thrown: Array
     ]
 
 
-def _mass_and_speed(model: "Environments", contact: "Contact") -> tuple[Array, Array]:
+def _mass_and_speed(model: "Environments", contact: "Contact | SmoothContact") -> tuple[Array, Array]:
     """Returns the reduced mass [kg], as bodies may move, and an impact speed to expect [m/s], (envs, 1).
 
     Of points on a set of bodies (envs, items).
     """
     mobility = np.zeros((model.envs, 1))
     speed = np.full((model.envs, 1), USUAL_SPEED)
-    for body in (contact.points.body, contact.surface.body):
+    for body in contact.bodies:
         if body is not None:
             mobility = mobility + mobility_of(model, contact, body).push
             velocity = np.linalg.norm(model[f"{body.name}.linear_velocity"], axis=-1)
@@ -160,6 +178,6 @@ def _column(model: "Environments", name: str) -> Array:
     return values[:, None] if values.ndim == 1 else values
 
 
-def _reading(model: "Environments", contact: "Contact", quantity: str) -> Array:
+def _reading(model: "Environments", contact: "Contact | SmoothContact", quantity: str) -> Array:
     values = model.measured(f"{contact.name}.{quantity}")
     return values[:, None] if values.ndim == 1 else values

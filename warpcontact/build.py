@@ -15,7 +15,7 @@ from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks, make_blocks, upload_blocks
 from warpcontact.checks import Array, limits
 from warpcontact.contact_couplings import ContactCouplings
-from warpcontact.couplings.coupling_set import CouplingSet, ends_by_body
+from warpcontact.couplings.ends import add_ends
 from warpcontact.couplings.sets import make_sets
 from warpcontact.devices import find_devices
 from warpcontact.draft import Draft, PartDraft
@@ -29,7 +29,7 @@ from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.piles.pile import make_piles
 from warpcontact.readings import readings_of
 from warpcontact.scene import Body, Contact, Scene
-from warpcontact.smooth.contact_sets import SmoothSet, make_smooth_sets
+from warpcontact.smooth.contact_sets import make_smooth_sets
 from warpcontact.smooth.shape_sets import make_shape_sets
 from warpcontact.split_model import SplitModel
 
@@ -158,7 +158,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     shapes = make_shape_sets(scene.shapes, parameters)
     smooth = make_smooth_sets(scene, shapes, layout, parameters, t.real, moves)
     piles = make_piles(scene, layout, parameters, t)
-    _add_ends(couplings, smooth, body_count, arrays.model, layout)
+    add_ends(couplings, smooth, body_count, arrays.model, layout)
     groups = [
         make_group(group, start_of[group[0]], contact_couplings, blocks, layout, parameters, t.real, moves)
         for group in common.groups
@@ -180,18 +180,6 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         readings=readings_of(scene, start_of, groups, contact_couplings, couplings, smooth, piles),
         meshes=meshes,
     )
-
-
-def _add_ends(
-    couplings: Sequence[CouplingSet], smooth: Sequence[SmoothSet], bodies: int, model: Any, layout: Layout
-) -> None:
-    """Declares where the ends of couplings and smooth contacts are, and lists them by their bodies."""
-    points = np.array([point for one in couplings for point in one.end_points()], dtype=np.int32)
-    numbers = [np.array([n for one in couplings for n in one.end_bodies()], dtype=np.int32)]
-    numbers += [one.bodies.reshape(-1) for one in smooth]
-    starts, ends = ends_by_body(np.concatenate(numbers), bodies)
-    for name, values in (("end_point", points), ("body_end_start", starts), ("body_end", ends)):
-        layout.content("couplings", model, name, values, wp.int32)
 
 
 def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int, records: bool) -> Any:

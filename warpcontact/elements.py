@@ -230,6 +230,11 @@ class Contact:
     facing: str | None = None
 
     @property
+    def bodies(self) -> tuple[Body | None, Body | None]:
+        """What points and surface are fixed to; ``None``: the world."""
+        return self.points.body, self.surface.body
+
+    @property
     def code(self) -> tuple[Parts, bool]:
         """What its force kernel is chosen by: law and frictions, and whether it weighs by normals."""
         return self.template.parts, self.facing == "projected"

@@ -9,6 +9,8 @@ from warpcontact.checks import Array
 from warpcontact.elements import Body
 from warpcontact.frames import placed
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
+from warpcontact.smooth.elements import SmoothContact
+from warpcontact.smooth.tessellate import tessellate
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
@@ -37,7 +39,7 @@ class Mobility:
     turns_by_push: bool
 
 
-def mobility_of(model: "Environments", contact: "Contact", body: Body) -> Mobility:
+def mobility_of(model: "Environments", contact: "Contact | SmoothContact", body: Body) -> Mobility:
     """Returns what ``body``, one of the two of ``contact``, yields."""
     mass = model[f"{body.name}.mass"].reshape(model.envs, body.count)
     nothing = np.zeros_like(mass)
@@ -126,8 +128,12 @@ def _turned_by(lever: Array, inertia: Array) -> Array:
     return (lever * np.linalg.solve(inertia, lever[..., None])[..., 0]).sum(axis=1)
 
 
-def _places(contact: "Contact", body: Body) -> Array:
+def _places(contact: "Contact | SmoothContact", body: Body) -> Array:
     """Returns where ``contact`` may act on ``body``, in its frame and as in the scene, (n, 3) [m]."""
+    if isinstance(contact, SmoothContact):
+        shape = contact.shape if body is contact.shape.body else contact.other_shape
+        vertices, _ = tessellate(shape.kind, {key: values[0] for key, values in shape.sizes.items()})
+        return placed(vertices, shape.positions[0], shape.orientations[0])
     if body is contact.points.body:
         return contact.points.places
     surface = contact.surface

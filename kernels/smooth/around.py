@@ -17,7 +17,7 @@ vec3d = wp.vec3d
 mat33d = wp.mat33d
 
 #: How often a cell is divided into four, and how many cells of the finest a face of the cube has along an edge.
-LEVELS = 5
+LEVELS = 6
 EDGE = 1 << LEVELS
 #: Index of the first cell that is not one.
 END = 6 * EDGE * EDGE

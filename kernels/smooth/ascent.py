@@ -49,6 +49,8 @@ SLIDES = wp.constant(real(1.0e-14))
 INSIDE = wp.constant(real(1.0 + 1.0e-9))
 # Of a component of n, the change from which its power is looked at.
 OFF = wp.constant(real(0.2))
+# Cosine of the angle to a pole that counts as beside it.
+BESIDE = wp.constant(real(0.9999))
 TINY = wp.constant(real(1.0e-300))
 
 
@@ -100,7 +102,9 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
     def held(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, n: vec3d, kinks: view_of.Rows, first: int, second: int):
         """The unit vector next to n that is across one edge or two."""
         if wp.static(A.bent or B.bent):
-            for _ in range(4):
+            # To a variable, so that it stays a loop: unrolled, GPUs take minutes to compile it.
+            rounds = wp.int32(4)
+            for _ in range(rounds):
                 view = look(p_a, p_b, x, R, n)
                 k = view.kinks[first] - view.at[first] * n
                 step = -(view.at[first] / wp.dot(k, k)) * k
@@ -145,17 +149,22 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         axis_2 = vec3d()
         more = real(0.0)
         more_2 = real(0.0)
-        for i in range(6):
+        powers_a = vec3d(one, one, one)
+        powers_b = vec3d(one, one, one)
+        if wp.static(A.steep):
+            powers_a = A.steepness(p_a)
+        if wp.static(B.steep):
+            powers_b = B.steepness(p_b)
+        axes = wp.int32(6)
+        for i in range(axes):
             w = vec3d()
             power = real(1.0)
             if i < 3:
-                if wp.static(A.steep):
-                    w = vec3d(R[0, i], R[1, i], R[2, i])
-                    power = A.steepness(p_a)[i]
+                w = vec3d(R[0, i], R[1, i], R[2, i])
+                power = powers_a[i]
             else:
-                if wp.static(B.steep):
-                    w[i - 3] = one
-                    power = B.steepness(p_b)[i - 3]
+                w[i - 3] = one
+                power = powers_b[i - 3]
             u = wp.dot(n, w)
             change = wp.dot(d, w)
             if power < real(0.9) and wp.abs(u) > ACROSS and wp.abs(change) > second * wp.abs(u):
@@ -184,8 +193,12 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         return d + (more / wp.dot(k, k)) * k
 
     @wp.func
-    def climb(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, start: vec3d, size: real):
-        """Climbs from the unit vector ``start``; ``size`` [m] is that of the pair."""
+    def climb(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, start: vec3d, size: real, to_poles: wp.bool):
+        """Climbs from the unit vector ``start``; ``size`` [m] is that of the pair.
+
+        With ``to_poles`` it may leap to the normal of a disc that is higher, over lower ground or past a summit.
+        Without it ends beside one.
+        """
         n = start
         view = look(p_a, p_b, x, R, n)
         result = Climb()
@@ -288,10 +301,11 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                 crossed = zero
                 crossed_at = zero
                 passed = tied
-                for _ in range(wp.static(count)):
+                many = wp.int32(count)
+                for _ in range(many):
                     nearest = wp.int32(-1)
                     at = part
-                    for i in range(wp.static(count)):
+                    for i in range(many):
                         rate = flat[i, 0] * d[0] + flat[i, 1] * d[1]
                         ahead = (passed >> i) & 1 == 0 and view.at[i] * rate < zero
                         if ahead and wp.abs(view.at[i]) < at * wp.abs(rate):
@@ -316,6 +330,10 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                     other = pole_ahead(n, vec3d(zero, zero, -one), wp.static(int(B.discs == 1)), d_3)
                     if wp.dot(n, other) > wp.dot(n, pole):
                         pole = other
+                if not to_poles:
+                    if wp.dot(n, pole) > BESIDE:
+                        break
+                    pole = vec3d()
             done = wp.bool(False)
             tried = wp.int32(0)
             if wp.static(steep):
@@ -331,7 +349,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                     trial = wp.normalize(n + part * d_3)
                 # What is static stands alone: Warp leaves out nothing else.
                 if wp.static(steep):  # noqa: SIM102
-                    if ordinary and tied == 0 and met < 0 and tried <= WAYS:
+                    if ordinary and (tied == 0 or edge >= 0) and met < 0 and tried <= WAYS:
                         ordinary = False
                         # The normals where the points would go; powers of both.
                         if wp.static(A.steep):  # noqa: SIM102

@@ -28,11 +28,12 @@ zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
 # A residual above this is no solution; of steep shapes, whose points the rounding of n moves far.
 ALLOWED = wp.constant(real(1.0e-9))
 ALLOWED_STEEP = wp.constant(real(1.0e-6))
-# Cosines of the angles to the best end of a climb, and to any other, below which no new one starts.
-ALIKE = wp.constant(real(0.999))
+# Cosine of the angle to an end of a climb below which no new one starts.
 SAME = wp.constant(real(0.9998))
 # Rounding of g, of the size of the pair.
 NOISE = wp.constant(real(1.0e-14))
+# Cells of the finest in one of those that climbs start from as long as none has arrived.
+COARSE = wp.constant(around.EDGE * around.EDGE // 4)
 NOTHING = wp.constant(real(-wp.inf))
 
 
@@ -99,7 +100,8 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
         cell = wp.int32(-1)
         searching = wp.bool(True)
         while searching:
-            one_climb = climb(p_a, p_b, x, R, n, size)
+            # The normals of discs are known from the second climb on.
+            one_climb = climb(p_a, p_b, x, R, n, size, climbs < 2 or not met)
             found.iterations += one_climb.steps
             known[climbs % KNOWN] = one_climb.normal
             good = one_climb.residual <= allowed
@@ -126,7 +128,10 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
             while left and not searching and climbs < CLIMBS:
                 n, left, cell = next_direction(p_a, p_b, x, R, apart, inner, -gap, cell)
                 if left:
-                    searching = wp.dot(n, best.normal) < ALIKE
+                    if not met:
+                        # No bound yet, and so a start all around.
+                        cell = ((cell - 1) // COARSE + 1) * COARSE
+                    searching = wp.dot(n, best.normal) < SAME
                     for k in range(KNOWN):
                         if k < climbs and wp.dot(n, known[k]) > SAME:
                             searching = False

@@ -93,16 +93,21 @@ class Superellipsoid(Shape):
         _, by_flat, by_z, bent = joined(flat, z, p.exponents[0])
         found = Expansion()
         found.point = wp.cw_mul(signed, wp.vec3d(by_flat * by_x, by_flat * by_y, by_z))
+        up = wp.cw_mul(signed, wp.vec3d(z * by_x, z * by_y, -flat))
+        around = wp.cw_mul(signed, wp.vec3d(y, -x, zero))
+        found.hessian = bent * wp.outer(up, up) + (by_flat * bent_flat) * wp.outer(around, around)
         exponents = wp.vec3d(p.exponents[1], p.exponents[1], p.exponents[0])
-        for i in range(3):
+        axes = wp.int32(3)
+        for i in range(axes):
             if wp.abs(n[i]) <= ACROSS and exponents[i] < one:
                 beside = n
                 beside[i] = ACROSS
                 found.kinks[i, i] = supporting(p, beside)[i]
                 found.point[i] = zero
-        up = wp.cw_mul(signed, wp.vec3d(z * by_x, z * by_y, -flat))
-        around = wp.cw_mul(signed, wp.vec3d(y, -x, zero))
-        found.hessian = bent * wp.outer(up, up) + (by_flat * bent_flat) * wp.outer(around, around)
+                # Across the edge, its curvature is that of the kink.
+                for j in range(3):
+                    found.hessian[i, j] = zero
+                    found.hessian[j, i] = zero
         return found
 
     @wp.func

@@ -17,7 +17,10 @@ PARALLEL = wp.constant(real(1.0e-12))
 
 @functools.cache
 def function(count: int) -> wp.Function:
-    """Returns the device function for ``count`` vectors."""
+    """Returns the device function for ``count`` vectors.
+
+    Loops run to a variable, so that they stay loops: unrolled, GPUs take minutes to compile them.
+    """
     Row = wp.types.vector(count, real)
     Flat = wp.types.matrix((count, 2), real)
 
@@ -31,7 +34,8 @@ def function(count: int) -> wp.Function:
             out = -out
         middle = vec2d()
         reach = vec2d()
-        for j in range(count):
+        many = wp.int32(count)
+        for j in range(many):
             if (chosen >> j) & 1 == 1:
                 other = vec2d(edges[j, 0], edges[j, 1])
                 rise = wp.dot(out, other)
@@ -55,7 +59,8 @@ def function(count: int) -> wp.Function:
         ratio = real(0.0)
         top = wp.int32(0)
         widest = real(0.0)
-        for i in range(count):
+        many = wp.int32(count)
+        for i in range(many):
             if (chosen >> i) & 1 == 1:
                 middle, reach, out = side(edges, chosen, i, r)
                 height = wp.dot(middle, out)

@@ -165,14 +165,3 @@ class CouplingSet(ABC):
 
 def _column_of_ends(number: int) -> Callable[[SimpleNamespace], wp.array]:
     return lambda arrays: arrays.ends.force[:, number]
-
-
-def ends_by_body(numbers: NDArray[np.int32], bodies: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Returns where the ends of each body start in a list (bodies + 1), and the list, in the order of the ends.
-
-    ``numbers`` are the bodies of all ends, or ``WORLD``.
-    """
-    held = np.flatnonzero(numbers >= 0)
-    order = np.argsort(numbers[held], kind="stable")
-    starts = np.searchsorted(numbers[held][order], np.arange(bodies + 1))
-    return starts, held[order]
