@@ -29,7 +29,11 @@ RING = 1 << 30
 @wp.func
 def bucket_of(cell: wp.vec3i, buckets: int):
     """Bucket of a cell; ``buckets`` is a power of two."""
-    return ((cell[0] * 73856093) ^ (cell[1] * 19349663) ^ (cell[2] * 83492791)) & (buckets - 1)
+    # Without signs: products of signed numbers must not overflow, and compilers rely on it.
+    x = wp.uint32(cell[0]) * wp.uint32(73856093)
+    y = wp.uint32(cell[1]) * wp.uint32(19349663)
+    z = wp.uint32(cell[2]) * wp.uint32(83492791)
+    return wp.int32((x ^ y ^ z) & wp.uint32(buckets - 1))
 
 
 @functools.cache
@@ -139,9 +143,13 @@ def gather(form: Form, real: type) -> wp.Kernel:
         """Puts a key into its place; returns how many there are, or would be if there were room."""
         last = wp.min(count, room)
         place = start + last
-        while place > start and grid.key[env, place - 1] > key:
+        before = wp.int32(NONE)
+        while place > start:
+            before = grid.key[env, place - 1]
+            if before <= key:
+                break
             place -= 1
-        if place > start and grid.key[env, place - 1] == key:
+        if place > start and before == key:
             return count
         if last == room:
             return count + 1
@@ -261,7 +269,9 @@ def carry(parts: Parts, real: type) -> wp.Kernel:
                 if key >= work.items or owned == records:
                     break
                 owned += 1
-                while old < before and lists.partner[env, start + old] < key:
+                while old < before:
+                    if lists.partner[env, start + old] >= key:
+                        break
                     old += 1
                 speed = real(-1.0)
                 if old < before:  # noqa: SIM102
