@@ -27,8 +27,8 @@ from warpcontact.crew import available_threads
 
 DIAMETER, DENSITY, GRAVITY = 0.01, 2500.0, 9.81
 MASS = DENSITY * np.pi / 6 * DIAMETER**3
-STIFFNESS = 4000 * MASS * GRAVITY / DIAMETER  # N/m
-PACKING_DT = np.pi * np.sqrt(MASS / (2 * STIFFNESS)) / 15
+# For each layer of spheres that lies on others: those at the bottom overlap as little, however many there are.
+LAYER_STIFFNESS = 600 * MASS * GRAVITY / DIAMETER  # N/m
 UNIT = np.sqrt(DIAMETER / GRAVITY)
 
 
@@ -45,8 +45,8 @@ def tube(radius: float, height: float, sides: int = 64) -> wc.Mesh:
     )
 
 
-def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float]:
-    """Returns spheres of equal size above the floor of a tube, about as high as wide, and its radius."""
+def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float, float]:
+    """Returns equal spheres above the floor of a tube, about as high as wide, its radius and a time step."""
     rng = np.random.default_rng(4)
     width = max((spheres / 6.0) ** (1 / 3), 6.5) * DIAMETER
     pitch = 1.12 * DIAMETER
@@ -56,12 +56,14 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float]:
     heights = pitch * (0.6 + np.arange(-(-spheres // len(row))))
     places = np.concatenate([np.insert(row, 2, height, axis=1) for height in heights])[:spheres]
     places += 0.05 * DIAMETER * rng.uniform(-1, 1, places.shape)
+    layers = 0.27 * spheres / (width / DIAMETER) ** 2
+    stiffness = layers * LAYER_STIFFNESS
     scene = wc.Scene(gravity=(0, 0, -GRAVITY))
     # They start with speeds of some diameters per unit of time, so that no lattice is left.
     speeds = 2 * DIAMETER / UNIT * rng.uniform(-1, 1, places.shape)
     balls = scene.add_bodies(places, MASS, [0.1 * MASS * DIAMETER**2] * 3, linear_velocities=speeds, name="ball")
     template = wc.Template(
-        law=wc.laws.KelvinVoigt(stiffness=STIFFNESS, restitution=0.5),
+        law=wc.laws.KelvinVoigt(stiffness=stiffness, restitution=0.5),
         friction=wc.frictions.Tanh(mu=friction, velocity_scale=0.002),
     )
     point = scene.add_point(balls, (0, 0, 0))
@@ -72,7 +74,7 @@ def packing(spheres: int, friction: float = 0.3) -> tuple[wc.Scene, float]:
     for surface in (walls, floor):
         scene.add_contact(point, surface, template, name=f"on_{surface.name}", **sizes)
     scene.add_mutual_contact(scene.add_shape(balls, wc.shapes.Sphere(0.5 * DIAMETER)), template, name="pile")
-    return scene, width
+    return scene, width, np.pi * np.sqrt(MASS / (2 * stiffness)) / 15
 
 
 def bulk_fraction(places: np.ndarray, width: float) -> float:
@@ -90,10 +92,10 @@ def bulk_fraction(places: np.ndarray, width: float) -> float:
 
 def settle(spheres: int, device: str, most: float = 60.0) -> dict[str, Any]:
     """Lets spheres settle, for ``most`` times √(d/g) at the longest; returns what was measured."""
-    scene, width = packing(spheres)
+    scene, width, dt = packing(spheres)
     model = scene.build(device=device)
-    sim = wc.Simulation(model, dt=PACKING_DT)
-    steps = round(UNIT / PACKING_DT)
+    sim = wc.Simulation(model, dt=dt)
+    steps = round(UNIT / dt)
     energies, costs = [], []
     at_rest = 1e-4 * spheres * MASS * GRAVITY * DIAMETER
     while len(energies) < most:

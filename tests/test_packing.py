@@ -33,7 +33,7 @@ def check_packing(result):
     assert (np.diff(energy[len(energy) // 2 :]) < 0.05 * energy.max()).all()
     # A sphere with friction needs at least 4, without 6; at walls and at the top there are fewer.
     assert 4.0 < result["coordination"] < 6.5
-    # Soft by STIFFNESS, in weights per diameter, under a few layers of others.
+    # Soft by LAYER_STIFFNESS, in weights per diameter and layer.
     assert result["max_penetration_in_diameters"] < 0.05
 
 

@@ -89,9 +89,13 @@ def test_the_order_of_a_pair_does_not_matter(device):
     x, q, _ = ring_case(SOLIDS[2], 100, 6)
     one = meetings(RING, SOLIDS[2], x, q, device)
     other = meetings(SOLIDS[2], RING, rotated(backward(q), -x), backward(q), device)
-    np.testing.assert_allclose(other["gap"], one["gap"], atol=1e-12)
-    np.testing.assert_allclose(rotated(q, other["point_a"]) + x, one["point_b"], atol=1e-9)
-    np.testing.assert_allclose(rotated(q, other["normal"]), -one["normal"], atol=1e-9)
+    np.testing.assert_array_equal(other["status"], one["status"])
+    # Where no contact was found there is nothing to compare.
+    met = one["status"] == MET
+    assert met.mean() > 0.9
+    np.testing.assert_allclose(other["gap"][met], one["gap"][met], atol=1e-12)
+    np.testing.assert_allclose((rotated(q, other["point_a"]) + x)[met], one["point_b"][met], atol=1e-9)
+    np.testing.assert_allclose(rotated(q, other["normal"])[met], -one["normal"][met], atol=1e-9)
 
 
 def test_a_ball_lies_in_the_hole(device):

@@ -34,7 +34,7 @@ def simulation(work: Work, envs: int, device: str, precision: str = "float32", *
     scene = Scene()
     ground = scene.add_surface(Mesh(work.surface.vertices, work.surface.faces), name="ground")
     start = work.start(envs)
-    if len(start[0]) > 1:
+    if start.shape[1] > 1:
         body = scene.add_bodies(start[0], work.mass, [work.inertia] * 3, name="body")
         scene.add_mutual_contact(scene.add_shape(body, Sphere(work.radius)), template, name="pile")
     else:
