@@ -93,3 +93,46 @@ def test_spheres_alone_have_both_radii(device):
     model = scene.build(1, device, "float64")
     known = 4 / 3 * MODULUS * np.sqrt(1 / 24.0) * DEPTH**1.5
     np.testing.assert_allclose(model.touching("pile")["normal_force"], np.full(count // 2, known), rtol=1e-9)
+
+
+FRICTION = wc.frictions.CundallStrack(mu_static=0.5, mu_dynamic=0.4, stiffness=1e4, damping=1.0)
+TWO = {
+    "capsules": ((wc.shapes.Capsule(0.1, 0.3), wc.shapes.Capsule(0.06, 0.4)), {}),
+    "spheres": (
+        (wc.shapes.Sphere(0.1), wc.shapes.Sphere(0.06)),
+        {"rolling": wc.frictions.Tanh(mu=0.02), "torsion": wc.frictions.Tanh(mu=0.3)},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TWO)
+def test_an_impact_in_a_pile_is_that_of_a_smooth_contact(name, device):
+    """Oblique and spinning: capsules that cross, and spheres that roll and twist as well."""
+    forms, frictions = TWO[name]
+    law = wc.laws.HertzElastic(modulus=1e7, restitution=0.6)
+    template = wc.Template(law=law, friction=FRICTION, **frictions)
+    ends = []
+    for smooth in (True, False):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        shapes = []
+        for i, (form, at, turn) in enumerate(zip(forms, ((0, 0, 0), (0.17, 0.02, 0.03)), (0.0, 1.0), strict=True)):
+            body = scene.add_body(
+                1.0 + i, (0.01, 0.02, 0.025), at, Rotation.from_rotvec([turn, 0.2 * turn, 0.1 * turn]).as_quat(),
+                linear_velocity=(5.0 - 10.0 * i, 0.1, -0.2 * i), angular_velocity=(1.0, 2.0 + i, -3.0 * i),
+                name=f"body_{i}",
+            )  # fmt: skip
+            shapes.append(scene.add_shape(body, form))
+        if smooth:
+            scene.add_smooth_contact(*shapes, template, name="touch")
+        else:
+            scene.add_mutual_contact(shapes, template, name="touch")
+        model = scene.build(1, device, "float64")
+        recording = wc.Simulation(model, dt=2e-5).run(0.02, ["touch.normal_force"])
+        assert (recording["touch.normal_force"] > 0).sum() > 100
+        assert model.reading("touch.normal_force")[0] == 0.0
+        ends.append(
+            [model.reading(f"body_{i}.{key}") for i in range(2) for key in ("linear_velocity", "angular_velocity")]
+        )
+    for of_smooth, of_pile in zip(*ends, strict=True):
+        # The same numbers through the same formulas, from places that are found in another way.
+        np.testing.assert_allclose(of_pile, of_smooth, rtol=0, atol=1e-11)
