@@ -178,3 +178,26 @@ def test_a_step_in_which_a_friction_overshoots_is_told(parts, limit, device):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         wc.Simulation(model, dt=0.9 * limit).step()
+
+
+def two_balls(gap, device):
+    """Two balls of a pile and a heavy one, with two shapes each."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    shapes = []
+    for number, (mass, x) in enumerate([(1.0, 0.0), (3.0, 0.2 + gap), (1000.0, 5.0)]):
+        body = scene.add_body(mass, (1.0, 1.0, 1.0), (x, 0, 0), name=f"ball_{number}")
+        shapes += [scene.add_shape(body, wc.shapes.Sphere(radius)) for radius in (0.1, 0.05)]
+    scene.add_mutual_contact(shapes, wc.Template(law=wc.laws.Hooke(stiffness=1e4)), name="pile")
+    return scene.build(2, device)
+
+
+def test_steps_too_long_for_a_pile_and_its_deep_starts_are_named(device):
+    """Of the two lightest bodies, 0.75 kg: π √(m/k) is 27.2 ms; ½ k δ² = ½ m v² with δ = 0.1 m is 11.5 m/s."""
+    text = r"pile: dt = 0.003 s is too long: .* 0.027 s in environment 0, 9.1 steps; take dt ≤ 0.0027 s for 10"
+    assert len(told(wc.Simulation(two_balls(0.01, device), dt=3e-3), text)) == 1
+    assert told(wc.Simulation(two_balls(0.01, device), dt=2.7e-3), ".*") == []
+    said = told(wc.Simulation(two_balls(-0.1, device), dt=1e-3), ".*")
+    assert [found[0] for found in said] == [
+        "pile: starts 0.1 m deep in the surface in environment 0 and will be thrown out at about 11.5 m/s; start "
+        "outside, or set max_depth"
+    ]

@@ -139,6 +139,24 @@ def pile_scene():
     return scene
 
 
+def smooth_scene():
+    """Smooth contacts of two groups: with memory and curvatures, of a set of bodies, and on the world."""
+    scene = ball_scene()
+    grains = scene.add_bodies(np.eye(3) + 3.0, 1.0, (1, 1, 1), name="grains")
+    egg = scene.add_shape(scene.bodies[0], wc.shapes.Ellipsoid((0.3, 0.2, 0.1)), name="egg")
+    discs = scene.add_shape(grains, wc.shapes.Cylinder(0.2, 0.1), name="discs")
+    floor = scene.add_shape(None, wc.shapes.Plane(), name="floor")
+    stuck = wc.Template(
+        law=wc.laws.HertzElastic(modulus=1e8),
+        friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
+        rolling=wc.frictions.Tanh(mu=0.01),
+    )
+    scene.add_smooth_contact(discs, egg, stuck, name="lie")
+    scene.add_smooth_contact(egg, floor, stuck, name="stand")
+    scene.add_smooth_contact(discs, floor, scene.contacts[0].template, name="rest")
+    return scene
+
+
 SCENES = {
     "ball": ball_scene,
     "busy": busy_scene,
@@ -146,6 +164,7 @@ SCENES = {
     "nothing to touch": free_scene,
     "coupled": coupled_scene,
     "pile": pile_scene,
+    "smooth": smooth_scene,
 }
 
 
@@ -197,6 +216,13 @@ def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
         for reading in ("body_0.reaction_force", "body_2.displacement", "keep.force"):
             model.reading(reading)
         needs |= {"reactions", "coordinates", "contact_couplings"}
+    if name == "smooth":
+        model["egg.semi_axes"] = np.linspace(0.1, 0.3, 3 * envs).reshape(envs, 3)
+        model["lie.law.modulus"] = 1e8 * mass[:, None] * np.ones(3)
+        varied += ["egg.semi_axes", "lie.law.modulus"]
+        for reading in ("lie.point", "stand.curvature_1", "rest.gap_by_position_a"):
+            model.reading(reading)
+        needs |= {"smooth_points", "smooth_curvatures", "smooth_gradients"}
     model.reading("scene.kinetic_energy")
     gc.collect()
     assert of_arrays(sim.memory(), model) == counted.used

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from warpcontact.kernels.piles import force
 
 import warpcontact as wc
 
@@ -222,6 +223,33 @@ def test_sphere_and_capsule_on_one_body_touch_others_alone(device):
     np.testing.assert_allclose(model.reading("ball.force")[0], [force, 0, 0], atol=1e-9)
 
 
+@pytest.mark.parametrize("several", [False, True])
+def test_touches_summed_by_body_are_those_added_one_by_one(several):
+    """A GPU, where threads share an environment, sums touches of a body; a thread of a CPU adds each at once."""
+    positions, turns, forms, _, _ = cloud(capsules=True)
+    scene = wc.Scene(gravity=(0, 0, 0))
+    velocities = np.random.default_rng(2).normal(size=positions.shape)
+    balls = scene.add_bodies(positions, MASS, INERTIA, turns, velocities, name="ball")
+    shapes = [scene.add_shape(balls, forms)]
+    if several:
+        shapes.append(scene.add_shape(balls, wc.shapes.Sphere(0.05), position=(0.1, 0.02, 0.0)))
+    template = wc.Template(law=ELASTIC.law, friction=wc.frictions.Tanh(mu=0.4, velocity_scale=0.1))
+    scene.add_mutual_contact(shapes, template, name="pile", partners=200)
+    forces = []
+    for alone in (True, False):
+        model = scene.build(2, "cpu", "float64")
+        pile = model.piles[0]
+        assert pile._alone
+        pile._alone = alone
+        pile._kernel = force.kernel(pile._parts, pile._form, pile.real, moves=False, alone=alone)
+        forces.append([model.reading(f"ball.{name}") for name in ("force", "torque")])
+    assert not np.array_equal(forces[0][1], forces[1][1])  # rounded otherwise: the other way was taken
+    for at_once, summed in zip(*forces, strict=True):
+        assert (np.linalg.norm(at_once, axis=-1) > 0).mean() > 0.9
+        # The same numbers in another order.
+        np.testing.assert_allclose(summed, at_once, rtol=0, atol=1e-13 * np.abs(at_once).max())
+
+
 def test_groups_masks_and_exclusions_keep_pairs_apart(device):
     """Two shapes touch if each is in a group that the other's mask has, and they are not excluded."""
     scene = wc.Scene(gravity=(0, 0, 0))
@@ -260,9 +288,20 @@ def test_what_cannot_be_is_refused(device):
         ([one, fixed], {}, "'fixed' is fixed to the world"),
         ([one, one], {}, "'s_body' is listed more than once"),
         ([one], {}, "shapes must be at least 2, got 1"),
-        ([one, two], {"skin": 0.0}, r"skin must be > 0 m|skin must be"),
+        ([one, two], {"skin": 0.0}, r"pile\.skin must be greater than 0, got 0 m"),
         ([one, two], {"partners": 0}, "partners must be a whole number of at least 1, got 0"),
-        ([one, two], {"exclude": [(one, box)]}, "exclude of 'pile' must be pairs of its shapes"),
+        (
+            [one, two],
+            {"exclude": [(one, box)]},
+            r"pairs of its shapes, got \(Shape 's_body', Shape 'drum'\)",
+        ),
+        (
+            [one, two],
+            {"exclude": (one, two)},
+            "exclude of 'pile' must be pairs .*, got Shape 's_body'$",
+        ),
+        ([one, two], {"exclude": 5}, "exclude of 'pile' must be pairs of its shapes, got 5"),
+        ("s_body", {}, "shapes of 'pile' must be a shape or a list of them, got 's_body'"),
     ):
         with pytest.raises(ValueError, match=words):
             scene.add_mutual_contact(shapes, ELASTIC, name="pile", **options)

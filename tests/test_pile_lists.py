@@ -76,6 +76,41 @@ def test_lists_of_all_pairs_give_the_same_bits(run, device, monkeypatch):
     np.testing.assert_array_equal(end, run[1])
 
 
+def test_lists_of_capsules_beside_their_bodies_change_no_bits(device, monkeypatch):
+    """Shapes that turn with their bodies, two on each: any skin, lists of all pairs, and far from the origin."""
+    rng = np.random.default_rng(8)
+    positions = rng.uniform(-0.4, 0.4, (30, 3))
+    turns = rng.normal(size=(30, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    spin = 10 * rng.normal(size=(30, 3))
+    far = np.array([2.0**22, -(2.0**21), 0.0])  # to where a single float32 has steps of half a metre
+    ends, models = [], []
+    for skin, few, centre in ((0.01, 32, 0.0), (0.1, 32, 0.0), (0.1, 60, 0.0), (0.01, 32, far)):
+        monkeypatch.setattr(pile, "FEW", few)
+        made = wc.Scene(gravity=(0, 0, 0))
+        # Places that a remainder of 24 bits holds beside the centre, so that all start alike.
+        places = np.round(positions * 2.0**20) / 2.0**20
+        rods = made.add_bodies(places + centre, 1.0, [0.01, 0.02, 0.025], turns, -2 * positions, spin, name="rod")
+        shapes = [
+            made.add_shape(rods, wc.shapes.Capsule(0.04, 0.08), position=(0.02, 0.0, 0.01)),
+            made.add_shape(rods, wc.shapes.Sphere(0.06), position=(-0.05, 0.02, 0.0)),
+        ]
+        made.add_mutual_contact(shapes, TEMPLATE, name="pile", skin=skin, partners=59)
+        model = made.build(device=device)
+        wc.Simulation(model, dt=DT, deterministic=True).step(1500)
+        ends.append(bits(model)[..., 3:])
+        models.append(model)
+    changed = np.linalg.norm(models[0].reading("rod.linear_velocity") + 2 * positions, axis=-1)
+    assert (changed > 0.5).mean() > 0.8
+    often, seldom = (model.piles[0].grid.made.numpy().min() for model in models[:2])
+    assert often > 5 * seldom > 0
+    assert models[2].piles[0].fixed
+    for end in ends[1:3]:
+        np.testing.assert_array_equal(end, ends[0])
+    # Places are as fine there, and rounded otherwise.
+    np.testing.assert_allclose(ends[3], ends[0], atol=1e-2)
+
+
 def test_slices_and_threads_give_the_same_bits(run, device, monkeypatch):
     """One environment a slice, on one thread, and without graphs."""
     monkeypatch.setattr("warpcontact.stepping.LARGEST_SLICE", 1)

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import warnings
 from typing import Any
 
 import numpy as np
@@ -94,7 +95,8 @@ def test_derivatives_are_differences_of_the_readings(device):
     assert recording["touch.point_a_by_rotation_b"].dims == ("time", "env", "row", "column")
 
 
-def sphere_on_plane(smooth, device, precision, envs=1):
+def sphere_on_plane(smooth, device, precision, envs=1, bullet=False):
+    """A ball above a plane; with a bullet beside it that flies between plates in all environments but one."""
     scene = wc.Scene()
     moving = {"linear_velocity": (1.0, 0.2, 0), "angular_velocity": (0, 3.0, 5.0)}
     ball = scene.add_body(0.5, (5e-4, 5e-4, 5e-4), (0, 0, 0.06), **moving, name="ball")
@@ -106,7 +108,17 @@ def sphere_on_plane(smooth, device, precision, envs=1):
     else:
         ground = scene.add_surface(square(10.0))
         scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, RUBBER, radius=0.05, name="touch")
-    return scene.build(envs, device, precision)
+    if bullet:
+        flying = scene.add_body(0.1, (1e-4, 1e-4, 1e-4), (20, 0, 0.1), name="bullet")
+        tip = scene.add_point(flying, (0, 0, 0))
+        template = wc.Template(law=wc.laws.Hooke(stiffness=1e6))
+        for name, height, turn in (("low", 0.0, (0, 0, 0, 1)), ("high", 0.2, (1, 0, 0, 0))):
+            plate = scene.add_surface(square(1.0), position=(20, 0, height), orientation=turn)
+            scene.add_contact(tip, plate, template, swept=True, name=name)
+    model = scene.build(envs, device, precision)
+    if bullet:
+        model["bullet.linear_velocity"] = [(0, 0, 0)] + [(0, 0, -20.0)] * (envs - 1)
+    return model
 
 
 def test_a_sphere_on_a_plane_is_that_on_a_flat_mesh(device):
@@ -271,6 +283,55 @@ def test_a_reset_forgets_in_the_environments_of_the_mask(device):
     wc.Simulation(again, dt=1e-4).step(1500)
     for name, values in state_of(model).items():
         np.testing.assert_array_equal(values, state_of(again)[name], err_msg=name)
+
+
+def test_parts_on_several_devices_run_as_one(device):
+    """What is remembered, found and counted of each environment is that of the model that is not split."""
+    runs = []
+    for where in (device, [device, device]):
+        model = two_ellipsoids(where, envs=5)
+        sim = wc.Simulation(model, dt=1e-4, deterministic=True)
+        names = (
+            "touch.gap",
+            "touch.point",
+            "touch.friction.spring",
+            "touch.curvature_2",
+            "touch.gap_by_position_a",
+        )
+        recording = sim.run(0.12, [*names, "a.position"], every=1e-3)
+        sim.reset([True, False, False, False, True])
+        sim.step(200)
+        runs.append((model, recording))
+    (whole, together), (split, apart) = runs
+    assert [part.envs for part in split.parts] == [3, 2]
+    assert (np.abs(together["touch.friction.spring"]).max(("time", "axis")) > 0).all()
+    for name in (*names, "a.position"):
+        np.testing.assert_array_equal(apart[name], together[name], err_msg=name)
+        np.testing.assert_array_equal(split.reading(name), whole.reading(name), err_msg=name)
+    assert (split["shape_a.semi_axes"] == whole["shape_a.semi_axes"]).all()
+    assert split.unsolved_contacts()["touch"].shape == (5,)
+
+
+def test_steps_taken_again_in_parts_remember_as_those_of_a_mesh(device):
+    """Where a bullet crosses plates, its steps do the same to a smooth contact as to that of a mesh."""
+    names = [f"touch.{name}" for name in (*READINGS, "friction.spring")]
+    runs = []
+    for smooth in (True, False):
+        model = sphere_on_plane(smooth, device, "float64", envs=2, bullet=True)
+        sim = wc.Simulation(model, dt=2e-4, crossing_steps=4)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", wc.ContactWarning)  # the step is long for the plates, on purpose
+            runs.append(sim.run(0.2, names, every=1e-3))
+        assert (model.reading("low.crossings") > 5).tolist() == [False, True]
+    smooth, mesh = runs
+    for name in names:
+        scale = float(np.abs(mesh[name]).max())
+        assert scale > 0, name
+        # As without the bullet.
+        np.testing.assert_allclose(smooth[name], mesh[name], rtol=0, atol=1e-9 * scale, err_msg=name)
+    # Shorter steps do tell.
+    force = smooth["touch.normal_force"].values
+    assert np.abs(force[:, 0] - force[:, 1]).max() > 1e-6 * force.max()
 
 
 def test_sets_have_a_contact_each(device):

@@ -13,12 +13,16 @@ from warpcontact.kernels.types import CONTACT
 from warpcontact.mobility import LEAST_MOBILITY, mobility_of
 
 if TYPE_CHECKING:
+    from warpcontact.elements import Body
     from warpcontact.environments import Environments
+    from warpcontact.piles.elements import MutualContact
     from warpcontact.scene import Contact
     from warpcontact.smooth.elements import SmoothContact
 
 # Steps per contact time from which on the restitution of a smooth law is kept to about 1e-3.
 ENOUGH_STEPS = 20.0
+# Likewise in a pile, to about 1e-2: its impacts are many, and single ones matter less.
+ENOUGH_IN_PILES = 10.0
 
 
 class ContactWarning(UserWarning):
@@ -65,6 +69,8 @@ def advice(model: "Environments", dt: float) -> list[str]:
         sentences += _about_overlap(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
     for touch in model.scene.smooth_contacts:
         sentences += _smooth_advice(model, touch, dt)
+    for pile in model.scene.mutual_contacts:
+        sentences += _pile_advice(model, pile, dt)
     return sentences + coupling_advice(model, dt)
 
 
@@ -80,7 +86,26 @@ def _smooth_advice(model: "Environments", contact: "SmoothContact", dt: float) -
     touching = _reading(model, contact, "status") == CONTACT
     depth = np.where(touching, _reading(model, contact, "penetration"), 0.0)
     energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
-    return sentences + _about_overlap(model, name, depth, np.sqrt(2.0 * energy / mass), speed)
+    return sentences + _about_overlap(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
+
+
+def _pile_advice(model: "Environments", contact: "MutualContact", dt: float) -> list[str]:
+    """Returns what to say about the start of a mutual contact: of two of its bodies that are easiest to move."""
+    name, law = contact.name, contact.template.law
+    elastic = law.elastic({key: _column(model, f"{name}.law.{key}") for key in law.parameters()})
+    if elastic is None:
+        return []
+    # A body with several shapes is one.
+    bodies = dict.fromkeys(shape.body for shape in contact.shapes if shape.body is not None)
+    pushes = np.concatenate([mobility_of(model, contact, body).push for body in bodies], axis=1)
+    together = np.sort(pushes, axis=1)[:, -2:].sum(axis=1, keepdims=True)
+    mass = 1.0 / np.maximum(together, LEAST_MOBILITY)
+    speed = np.max([_speed(model, body).max(axis=1) for body in bodies], axis=0)[:, None]
+    stiffness, exponent = (np.broadcast_to(part, (model.envs, 1)) for part in elastic)
+    sentences = _about_steps(model, name, contact_time(stiffness, exponent, mass, speed), dt, ENOUGH_IN_PILES)
+    depth = model.reading(f"{name}.max_penetration")[:, None]
+    energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
+    return sentences + _about_overlap(model, name, depth, np.sqrt(2.0 * energy / mass), speed, latched=False)
 
 
 def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array) -> Array:
@@ -131,19 +156,24 @@ def _about_depth(model: "Environments", contact: "Contact", speed: Array, dt: fl
     ]
 
 
-def _about_steps(model: "Environments", name: str, duration: Array, dt: float) -> list[str]:
+def _about_steps(
+    model: "Environments", name: str, duration: Array, dt: float, enough: float = ENOUGH_STEPS
+) -> list[str]:
     shortest = np.min(duration, axis=1)
     worst = int(np.argmin(shortest))
-    if shortest[worst] >= ENOUGH_STEPS * dt:
+    if shortest[worst] >= enough * dt:
         return []
     return [
         f"{name}: dt = {dt:g} s is too long: a contact takes {shortest[worst]:.2g} s in environment "
         f"{model.first_env + worst}, {shortest[worst] / dt:.1f} steps; take dt ≤ "
-        f"{shortest[worst] / ENOUGH_STEPS:.2g} s for {ENOUGH_STEPS:g}"
+        f"{shortest[worst] / enough:.2g} s for {enough:g}"
     ]
 
 
-def _about_overlap(model: "Environments", name: str, depth: Array, thrown: Array, speed: Array) -> list[str]:
+def _about_overlap(
+    model: "Environments", name: str, depth: Array, thrown: Array, speed: Array, *, latched: bool = True
+) -> list[str]:
+    """Returns what to say about starts in overlap; ``latched`` says whether the contact can begin so."""
     excess = thrown - 2.0 * speed
     worst, body = np.unravel_index(int(np.argmax(excess)), excess.shape)
     if excess[worst, body] <= 0.0:
@@ -151,8 +181,8 @@ def _about_overlap(model: "Environments", name: str, depth: Array, thrown: Array
     item = int(np.argmax(depth[worst])) if excess.shape[1] == 1 else body
     return [
         f"{name}: starts {depth[worst, item]:.3g} m deep in the surface in environment {model.first_env + worst} "
-        f"and will be thrown out at about {thrown[worst, body]:.3g} m/s; start outside, or set max_depth or "
-        "entry='latched'"
+        f"and will be thrown out at about {thrown[worst, body]:.3g} m/s; start outside, or set max_depth"
+        + (" or entry='latched'" if latched else "")
     ]
 
 
@@ -166,10 +196,15 @@ def _mass_and_speed(model: "Environments", contact: "Contact | SmoothContact") -
     for body in contact.bodies:
         if body is not None:
             mobility = mobility + mobility_of(model, contact, body).push
-            velocity = np.linalg.norm(model[f"{body.name}.linear_velocity"], axis=-1)
-            speed = np.maximum(speed, velocity.reshape(model.envs, body.count))
+            speed = np.maximum(speed, _speed(model, body))
     # Of bodies that no force moves a mass that nothing stops.
     return 1.0 / np.maximum(mobility, LEAST_MOBILITY), speed
+
+
+def _speed(model: "Environments", body: "Body") -> Array:
+    """Returns the speed of a body, or a usual one if that is higher, (envs, 1), or (envs, n) of a set [m/s]."""
+    velocity = np.linalg.norm(model[f"{body.name}.linear_velocity"], axis=-1)
+    return np.maximum(velocity.reshape(model.envs, body.count), USUAL_SPEED)
 
 
 def _column(model: "Environments", name: str) -> Array:

@@ -9,7 +9,8 @@ from warpcontact.checks import Array
 from warpcontact.elements import Body
 from warpcontact.frames import placed
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
-from warpcontact.smooth.elements import SmoothContact
+from warpcontact.piles.elements import MutualContact
+from warpcontact.smooth.elements import Shape, SmoothContact
 from warpcontact.smooth.tessellate import tessellate
 
 if TYPE_CHECKING:
@@ -39,8 +40,8 @@ class Mobility:
     turns_by_push: bool
 
 
-def mobility_of(model: "Environments", contact: "Contact | SmoothContact", body: Body) -> Mobility:
-    """Returns what ``body``, one of the two of ``contact``, yields."""
+def mobility_of(model: "Environments", contact: "Contact | SmoothContact | MutualContact", body: Body) -> Mobility:
+    """Returns what ``body``, one of those of ``contact``, yields."""
     mass = model[f"{body.name}.mass"].reshape(model.envs, body.count)
     nothing = np.zeros_like(mass)
     kind = body.motion.kind
@@ -128,12 +129,10 @@ def _turned_by(lever: Array, inertia: Array) -> Array:
     return (lever * np.linalg.solve(inertia, lever[..., None])[..., 0]).sum(axis=1)
 
 
-def _places(contact: "Contact | SmoothContact", body: Body) -> Array:
+def _places(contact: "Contact | SmoothContact | MutualContact", body: Body) -> Array:
     """Returns where ``contact`` may act on ``body``, in its frame and as in the scene, (n, 3) [m]."""
-    if isinstance(contact, SmoothContact):
-        shape = contact.shape if body is contact.shape.body else contact.other_shape
-        vertices, _ = tessellate(shape.kind, {key: values[0] for key, values in shape.sizes.items()})
-        return placed(vertices, shape.positions[0], shape.orientations[0])
+    if isinstance(contact, SmoothContact | MutualContact):
+        return np.concatenate([_skin(shape) for shape in contact.shapes if shape.body is body])
     if body is contact.points.body:
         return contact.points.places
     surface = contact.surface
@@ -141,3 +140,9 @@ def _places(contact: "Contact | SmoothContact", body: Body) -> Array:
         [np.where(corner, *mesh.bounds) for mesh in surface.meshes for corner in np.ndindex(2, 2, 2)]
     )
     return placed(surface.scale * corners, surface.position, surface.orientation)
+
+
+def _skin(shape: Shape) -> Array:
+    """Returns points of the surface of a shape, the first of a set, in the frame of its body (n, 3) [m]."""
+    vertices, _ = tessellate(shape.kind, {key: values[0] for key, values in shape.sizes.items()})
+    return placed(vertices, shape.positions[0], shape.orientations[0])

@@ -276,8 +276,9 @@ class Simulation:
     def _about_unsolved(self, before: Mapping[str, NDArray[np.int32]]) -> list[str]:
         """Returns what to say about smooth contacts for which more steps failed than ``before``."""
         sentences = []
+        now = self.model.unsolved_contacts()
         for contact in self.model.scene.smooth_contacts:
-            failed = np.flatnonzero(self.model.unsolved_contacts()[contact.name] > before[contact.name])
+            failed = np.flatnonzero(now[contact.name] > before[contact.name])
             if len(failed):
                 sentences.append(
                     f"{contact.name}: where {contact.shape.name!r} and {contact.other_shape.name!r} meet was not "

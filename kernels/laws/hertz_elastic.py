@@ -14,7 +14,8 @@ from warpcontact.kernels.laws.hunt_crossley import damping_factor_of_restitution
 class HertzElastic(Law):
     """Elastic contact with the stiffness of the place where it is: of curvatures, not of a radius given by hand.
 
-    Between smooth shapes the curvatures are the principal relative ones at the contact, and the patch an ellipse.
+    Between smooth shapes, those of piles too, the curvatures are the principal relative ones at the contact, and
+    the patch is an ellipse.
     A sphere on a mesh has its own, as the facets are flat; a point has none, and is refused. Of the long ellipse
     of a line contact, and where a hollow fits closely, no more than a quotient of 1e6 is counted. Edges and tips
     are rounded by ``edge_radius``; where that is zero, and on a flat face on a flat face, there is no such

@@ -68,6 +68,7 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
     found = meeting.functions(form, real)
     Spot, Pair, spot, nearest = found.Spot, found.Pair, found.spot, found.nearest
     placed, long, fixed, oriented = form.placed, form.long, form.fixed, parts.oriented
+    curvatures, needs_curvature = found.curvatures, parts.law.needs_curvature
     remembers = any(part.memories for part in parts)
 
     @wp.func
@@ -114,6 +115,10 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
         place.normal = n_W
         place.penetration = -gap
         place.radius = radius_1 * radius_2 / (radius_1 + radius_2)
+        if wp.static(needs_curvature):
+            smaller, larger = curvatures(pair, spot_1, spot_2, radius_1, radius_2)
+            place.curvature_1 = smaller
+            place.curvature_2 = larger
         entry_speed = real(-1.0)
         if (bits & TOUCHED) != 0:
             entry_speed = touches.entry_speed[env, slot]

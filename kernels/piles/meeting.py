@@ -61,7 +61,7 @@ def functions(form: Form, real: type) -> SimpleNamespace:
     """Returns the device functions of piles of one form.
 
     ``spot(shapes, state, env, shape)``: where a shape is. ``nearest(first, second)``: how two of them lie to each
-    other.
+    other. ``curvatures(pair, first, second, radius_1, radius_2)``: the relative principal ones in order.
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
@@ -111,4 +111,39 @@ def functions(form: Form, real: type) -> SimpleNamespace:
             pair.apart = narrow(d + s * g - t * h)
         return pair
 
-    return SimpleNamespace(Spot=Spot, Pair=Pair, spot=spot, nearest=nearest)
+    @wp.func
+    def on_side(place: real, axis: vec3):
+        """Whether a point of an axis is between its ends: beside it the surface is a cylinder, else a sphere."""
+        return wp.abs(place) < real(1.0) and wp.length_sq(axis) > real(0.0)
+
+    @wp.func
+    def curvatures(pair: Pair, first: Spot, second: Spot, radius_1: real, radius_2: real):
+        k_1 = real(1.0) / radius_1
+        k_2 = real(1.0) / radius_2
+        # Sides are curved across their axes alone, spheres and caps in all directions.
+        side_1 = real(0.0)
+        side_2 = real(0.0)
+        smaller = real(0.0)
+        if wp.static(long):
+            if on_side(pair.s, first.axis):
+                side_1 = k_1
+            if on_side(pair.t, second.axis):
+                side_2 = k_2
+        larger = wp.max(side_1, side_2)
+        if wp.static(long):  # noqa: SIM102  Warp would look at both sides
+            if wp.min(side_1, side_2) > real(0.0):
+                g = wp.normalize(first.axis)
+                h = wp.normalize(second.axis)
+                cosine = wp.dot(g, h)
+                sine = wp.length(wp.cross(g, h))
+                product = side_1 * side_2
+                apart = side_1 - side_2
+                spread = wp.sqrt(apart * apart + real(4.0) * product * cosine * cosine)
+                larger = real(0.5) * (side_1 + side_2 + spread)
+                # By their product: as a difference it would be lost between nearly parallel axes.
+                smaller = product * sine * sine / larger
+        round_1 = k_1 - side_1
+        round_2 = k_2 - side_2
+        return smaller + (round_1 + round_2), larger + (round_1 + round_2)
+
+    return SimpleNamespace(Spot=Spot, Pair=Pair, spot=spot, nearest=nearest, curvatures=curvatures)

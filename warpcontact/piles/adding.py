@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 from warpcontact import checks
 from warpcontact.checks import limits
 from warpcontact.elements import KAPPA, MAX_DEPTH, SHARE, TORSION_RADIUS, Template
-from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.smooth.capsule import Capsule
 from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.piles.elements import MutualContact
+from warpcontact.smooth.adding import check_template
 from warpcontact.smooth.elements import Shape
 
 #: Forms that a pile may have.
@@ -76,7 +76,9 @@ class MutualContacts:
             ValueError: If a value is out of range, or a shape is not a sphere or capsule on a body.
         """
         name = checks.new_name("mutual_contact", name, self._elements)
-        given = (shapes,) if isinstance(shapes, Shape) else tuple(shapes)
+        if not isinstance(shapes, Shape | list | tuple):
+            raise ValueError(f"shapes of {name!r} must be a shape or a list of them, got {checks.element(shapes)}")
+        given: tuple[Shape, ...] = (shapes,) if isinstance(shapes, Shape) else tuple(shapes)
         for shape in given:
             if not isinstance(shape, Shape) or self._elements.get(shape.name) is not shape:
                 raise ValueError(
@@ -97,16 +99,9 @@ class MutualContacts:
             raise ValueError(f"{name}: shape {twice!r} is listed more than once")
         if sum(shape.count for shape in given) < 2:
             raise ValueError(f"{name}: shapes must be at least 2, got {len(given)}")
-        if not isinstance(template, Template):
-            raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
-        if torsion_radius is not None and isinstance(template.torsion, Frictionless):
-            raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
-        for part, formula in template.formulas.items():
-            if formula.takes_area:
-                raise ValueError(
-                    f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and "
-                    f"shapes have none; give the {part} an area"
-                )
+        check_template(name, template, torsion_radius)
+        if not isinstance(exclude, Iterable):
+            raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {checks.element(exclude)}")
         excluded = tuple(_pair(name, pair, given) for pair in exclude)
         if partners is not None and (
             isinstance(partners, bool) or not isinstance(partners, int | np.integer) or partners < 1
@@ -143,5 +138,7 @@ class MutualContacts:
 
 def _pair(name: str, pair: Any, shapes: tuple[Shape, ...]) -> tuple[Shape, Shape]:
     if not isinstance(pair, list | tuple) or len(pair) != 2 or any(shape not in shapes for shape in pair):
-        raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {pair!r}")
+        several = isinstance(pair, list | tuple)
+        shown = f"({', '.join(map(checks.element, pair))})" if several else checks.element(pair)
+        raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {shown}")
     return pair[0], pair[1]

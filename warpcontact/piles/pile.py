@@ -12,9 +12,8 @@ from warpcontact import checks, frames
 from warpcontact import elements as limits_of
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.checks import Array
-from warpcontact.formula_errors import explained
+from warpcontact.groups import compile_forces
 from warpcontact.kernels.formula import Formula, coefficient_struct
-from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.piles import force, history, lists, measures
 from warpcontact.kernels.piles.base import NONE, Form, pile_structs
@@ -327,17 +326,7 @@ class Pile:
         Raises:
             TypeError: If a law or friction does not compile.
         """
-        t = self._types
-        parts = self._parts._asdict()
-        with explained(
-            {part: formula for part, formula in parts.items() if formula is not Frictionless},
-            self.real,
-            lambda part: ("c", t.Touch) if part == "law" else ("s", t.Slip),
-            "\nConstants take the precision of the simulation when written as type(c.delta)(1.5) in a law, "
-            "type(s.speed)(1.5) in a friction.",
-            "\nThe force of a law is a number, that of a friction a vector.",
-        ):
-            self._kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+        compile_forces(self._parts, self._kernel, device, self.real)
 
     def force_stages(self, span: "Span", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that add what its shapes do to each other to the wrenches of ``state``.

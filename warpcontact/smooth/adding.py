@@ -140,17 +140,8 @@ class SmoothContacts:
                 f"{name}: two sets of shapes must be of one size, got {shape.count} of {shape.name!r} and "
                 f"{other_shape.count} of {other_shape.name!r}"
             )
-        if not isinstance(template, Template):
-            raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
-        if torsion_radius is not None and isinstance(template.torsion, Frictionless):
-            raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
+        check_template(name, template, torsion_radius)
         _check_pair(name, shape.kind, other_shape.kind, template)
-        for part, formula in template.formulas.items():
-            if formula.takes_area:
-                raise ValueError(
-                    f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and "
-                    f"shapes have none; give the {part} an area"
-                )
         contact = SmoothContact(
             name=name,
             shape=shape,
@@ -171,6 +162,25 @@ class SmoothContacts:
         self.smooth_contacts.append(contact)
         self._elements[name] = contact
         return contact
+
+
+def check_template(name: str, template: Template, torsion_radius: float | None) -> None:
+    """Raises an error unless contacts of shapes can have ``template`` and a torsion radius.
+
+    Raises:
+        TypeError: If it is no template.
+        ValueError: If it has no torsion, and a radius is given, or if it needs an area.
+    """
+    if not isinstance(template, Template):
+        raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
+    if torsion_radius is not None and isinstance(template.torsion, Frictionless):
+        raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
+    for part, formula in template.formulas.items():
+        if formula.takes_area:
+            raise ValueError(
+                f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and "
+                f"shapes have none; give the {part} an area"
+            )
 
 
 def _check_pair(name: str, kind: type[Form], other: type[Form], template: Template) -> None:

@@ -102,6 +102,11 @@ class SmoothContact:
         return self.shape.single and self.other_shape.single
 
     @property
+    def shapes(self) -> tuple[Shape, Shape]:
+        """Its shapes."""
+        return self.shape, self.other_shape
+
+    @property
     def bodies(self) -> tuple[Body | None, Body | None]:
         """What its shapes are fixed to; ``None``: the world."""
         return self.shape.body, self.other_shape.body
