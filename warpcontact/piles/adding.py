@@ -76,7 +76,7 @@ class MutualContacts:
             ValueError: If a value is out of range, or a shape is not a sphere or capsule on a body.
         """
         name = checks.new_name("mutual_contact", name, self._elements)
-        given = (shapes,) if isinstance(shapes, Shape) else tuple(shapes)
+        given = tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
         for shape in given:
             if not isinstance(shape, Shape) or self._elements.get(shape.name) is not shape:
                 raise ValueError(
@@ -84,7 +84,7 @@ class MutualContacts:
                 )
             if shape.kind not in FORMS:
                 raise ValueError(
-                    f"{name}: shape {shape.name!r} is a {shape.kind.__name__}; mutual contacts are of spheres and "
+                    f"{name}: shape {shape.name!r} is of form {shape.kind.__name__}; mutual contacts are of spheres and "
                     "capsules, add_smooth_contact is for others"
                 )
             if shape.body is None:
@@ -142,6 +142,15 @@ class MutualContacts:
 
 
 def _pair(name: str, pair: Any, shapes: tuple[Shape, ...]) -> tuple[Shape, Shape]:
-    if not isinstance(pair, list | tuple) or len(pair) != 2 or any(shape not in shapes for shape in pair):
-        raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {pair!r}")
+    if not isinstance(pair, list | tuple) or len(pair) != 2:
+        of = "" if not isinstance(pair, list | tuple) else f" of {len(pair)}"
+        raise ValueError(
+            f"exclude of {name!r} must be pairs of its shapes, [(first, second)], got {checks.element(pair)}{of}"
+        )
+    for shape in pair:
+        if shape not in shapes:
+            raise ValueError(
+                f"exclude of {name!r} must be pairs of its shapes, {', '.join(repr(each.name) for each in shapes)}, "
+                f"got {checks.element(shape)}"
+            )
     return pair[0], pair[1]
