@@ -247,6 +247,36 @@ def test_radii_may_differ_between_environments(device):
     assert model.reading("pile.max_normal_force").tolist() == model.reading("pile.normal_force").tolist()
 
 
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_hertz_forces_have_the_curvatures_of_the_pair(device, precision):
+    """Spheres: K = 4/3 E* √R. Capsules as in smooth contacts: side by side, crossed, at 40°, side on end."""
+    modulus, depth = 1.0e7, 1.0e-3
+    law = wc.Template(law=wc.laws.HertzElastic(modulus=modulus))
+    model = spheres([[0, 0, 0], [0, 0, 2 * RADIUS - depth]], np.zeros((2, 3)), law).build(
+        device=device, precision=precision
+    )
+    expected = 4 / 3 * modulus * np.sqrt(RADIUS / 2) * depth**1.5
+    # The depth is a difference of places, known to 1e-8 m in float32.
+    rtol = 1e-3 if precision == "float32" else 1e-9
+    np.testing.assert_allclose(model.reading("pile.normal_force"), expected, rtol=rtol)
+
+    scene = wc.Scene()
+    form, thin = wc.shapes.Capsule(RADIUS, 0.3), wc.shapes.Capsule(0.5 * RADIUS, 0.2)
+    bodies = [scene.add_body(MASS, INERTIA, name=f"body_{i}") for i in range(2)]
+    one, two = scene.add_shape(bodies[0], form), scene.add_shape(bodies[1], thin)
+    scene.add_mutual_contact([one, two], law, name="pile")
+    scene.add_smooth_contact(one, two, law, name="touch")
+    reach = 1.5 * RADIUS - depth
+    turned = [0.0, np.pi / 2, np.radians(40.0), np.pi / 2]
+    model = scene.build(len(turned), device=device, precision=precision)
+    model["body_1.position"] = [[reach, 0, 0]] * 3 + [[0, 0, 0.3 + reach]]
+    model["body_1.orientation"] = [[np.sin(a / 2), 0, 0, np.cos(a / 2)] for a in turned]
+    np.testing.assert_allclose(model.reading("touch.penetration"), depth, rtol=rtol)
+    force = model.reading("touch.normal_force")
+    assert (force > 0.0).all()
+    np.testing.assert_allclose(model.reading("pile.normal_force"), force, rtol=rtol)
+
+
 def test_what_cannot_be_is_refused(device):
     """Each error names the entry, what was given and what is allowed."""
     scene = wc.Scene()
@@ -256,13 +286,16 @@ def test_what_cannot_be_is_refused(device):
     fixed = scene.add_shape(None, wc.shapes.Sphere(0.1), name="fixed")
     one, two = (scene.add_shape(b, wc.shapes.Sphere(0.1), name=f"s_{b.name}") for b in (body, other))
     for shapes, options, words in (
-        ([one, box], {}, "'drum' is a Cylinder; mutual contacts are of spheres and capsules"),
+        ([one, box], {}, "'drum' has the form Cylinder; mutual contacts are of spheres and capsules"),
         ([one, fixed], {}, "'fixed' is fixed to the world"),
         ([one, one], {}, "'s_body' is listed more than once"),
         ([one], {}, "shapes must be at least 2, got 1"),
         ([one, two], {"skin": 0.0}, r"skin must be > 0 m|skin must be"),
         ([one, two], {"partners": 0}, "partners must be a whole number of at least 1, got 0"),
-        ([one, two], {"exclude": [(one, box)]}, "exclude of 'pile' must be pairs of its shapes"),
+        ([one, two], {"exclude": [(one, box)]}, "pairs of its shapes, 's_body', 's_other', got Shape 'drum'$"),
+        ([one, two], {"exclude": [(one, two, box)]}, r"first, second\) of its shapes, got \(.*, Shape 'drum'\)$"),
+        ([one, two], {"exclude": one}, r"first, second\) of its shapes, got Shape 's_body'$"),
+        (body, {}, "shapes of 'pile' must come from add_shape of this scene, got Body 'body'"),
     ):
         with pytest.raises(ValueError, match=words):
             scene.add_mutual_contact(shapes, ELASTIC, name="pile", **options)

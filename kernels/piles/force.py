@@ -66,9 +66,10 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
     act = touch.functions(parts, real, moves).act
     start_memory = _start_memory(parts, real)
     found = meeting.functions(form, real)
-    Spot, Pair, spot, nearest = found.Spot, found.Pair, found.spot, found.nearest
+    Spot, Pair, spot, nearest, curvatures = found.Spot, found.Pair, found.spot, found.nearest, found.curvatures
     placed, long, fixed, oriented = form.placed, form.long, form.fixed, parts.oriented
     remembers = any(part.memories for part in parts)
+    needs_curvature = parts.law.needs_curvature
 
     @wp.func
     def touch_of(
@@ -114,6 +115,13 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
         place.normal = n_W
         place.penetration = -gap
         place.radius = radius_1 * radius_2 / (radius_1 + radius_2)
+        if wp.static(needs_curvature):
+            place.curvature_1 = real(1.0) / place.radius
+            place.curvature_2 = place.curvature_1
+            if wp.static(long):
+                along, across = curvatures(spot_1, spot_2, pair, radius_1, radius_2)
+                place.curvature_1 = along
+                place.curvature_2 = across
         entry_speed = real(-1.0)
         if (bits & TOUCHED) != 0:
             entry_speed = touches.entry_speed[env, slot]

@@ -61,7 +61,8 @@ def functions(form: Form, real: type) -> SimpleNamespace:
     """Returns the device functions of piles of one form.
 
     ``spot(shapes, state, env, shape)``: where a shape is. ``nearest(first, second)``: how two of them lie to each
-    other.
+    other. ``curvatures(first, second, pair, radius_1, radius_2)``: principal curvatures of the gap of two of
+    them, the smaller first.
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
@@ -111,4 +112,27 @@ def functions(form: Form, real: type) -> SimpleNamespace:
             pair.apart = narrow(d + s * g - t * h)
         return pair
 
-    return SimpleNamespace(Spot=Spot, Pair=Pair, spot=spot, nearest=nearest)
+    @wp.func
+    def straight(axis: vec3, place: real, radius: real):
+        """By how much the curvature along an axis is less than around it: on the side of a capsule all of it."""
+        if wp.abs(place) < real(1.0) and wp.length_sq(axis) > real(0.0):
+            return real(1.0) / radius
+        return real(0.0)
+
+    @wp.func
+    def curvatures(first: Spot, second: Spot, pair: Pair, radius_1: real, radius_2: real):
+        # (1/r₁ + 1/r₂) I − p a aᵀ − q b bᵀ with the axes a, b, whose last two terms have the trace p + q and the
+        # determinant p q sin² of the angle between them. No small number is a difference of large ones.
+        p = straight(first.axis, pair.s, radius_1)
+        q = straight(second.axis, pair.t, radius_2)
+        across = real(1.0) / radius_1 + real(1.0) / radius_2
+        half = real(0.5) * (p + q)
+        less = real(0.0)
+        if p > real(0.0) and q > real(0.0):
+            area = wp.length(wp.cross(first.axis, second.axis))
+            sine = area / (wp.length(first.axis) * wp.length(second.axis))
+            of_both = p * q * sine * sine
+            less = of_both / (half + wp.sqrt(wp.max(half * half - of_both, real(0.0))))
+        return (across - (p + q)) + less, across - less
+
+    return SimpleNamespace(Spot=Spot, Pair=Pair, spot=spot, nearest=nearest, curvatures=curvatures)

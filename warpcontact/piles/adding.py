@@ -84,8 +84,8 @@ class MutualContacts:
                 )
             if shape.kind not in FORMS:
                 raise ValueError(
-                    f"{name}: shape {shape.name!r} is of form {shape.kind.__name__}; mutual contacts are of spheres and "
-                    "capsules, add_smooth_contact is for others"
+                    f"{name}: shape {shape.name!r} has the form {shape.kind.__name__}; mutual contacts are of "
+                    "spheres and capsules, add_smooth_contact is for others"
                 )
             if shape.body is None:
                 raise ValueError(
@@ -107,7 +107,9 @@ class MutualContacts:
                     f"{name}: the {part} of its template, {type(formula).__name__}, was given no area [m²], and "
                     f"shapes have none; give the {part} an area"
                 )
-        excluded = tuple(_pair(name, pair, given) for pair in exclude)
+        excluded = tuple(
+            _pair(name, pair, given) for pair in (exclude if isinstance(exclude, Iterable) else (exclude,))
+        )
         if partners is not None and (
             isinstance(partners, bool) or not isinstance(partners, int | np.integer) or partners < 1
         ):
@@ -142,15 +144,17 @@ class MutualContacts:
 
 
 def _pair(name: str, pair: Any, shapes: tuple[Shape, ...]) -> tuple[Shape, Shape]:
-    if not isinstance(pair, list | tuple) or len(pair) != 2:
-        of = "" if not isinstance(pair, list | tuple) else f" of {len(pair)}"
+    if not isinstance(pair, list | tuple):
         raise ValueError(
-            f"exclude of {name!r} must be pairs of its shapes, [(first, second)], got {checks.element(pair)}{of}"
+            f"exclude of {name!r} must be pairs (first, second) of its shapes, got {checks.element(pair)}"
         )
+    if len(pair) != 2:
+        got = ", ".join(checks.element(shape) for shape in pair)
+        raise ValueError(f"exclude of {name!r} must be pairs (first, second) of its shapes, got ({got})")
     for shape in pair:
         if shape not in shapes:
+            known = ", ".join(repr(each.name) for each in shapes)
             raise ValueError(
-                f"exclude of {name!r} must be pairs of its shapes, {', '.join(repr(each.name) for each in shapes)}, "
-                f"got {checks.element(shape)}"
+                f"exclude of {name!r} must be pairs of its shapes, {known}, got {checks.element(shape)}"
             )
     return pair[0], pair[1]
