@@ -52,6 +52,14 @@ def bin_radius(spheres: int, orifice: float) -> float:
     return max((spheres / 5.5) ** (1.0 / 3.0), 0.5 * orifice + 5.0) * DIAMETER
 
 
+def fewest(orifice: float) -> int:
+    """Number of spheres that fill the funnel and four diameters of the narrowest bin above it."""
+    width, mouth = 0.5 * orifice + 5.0, 0.5 * orifice
+    funnel = (width - mouth) * math.tan(SLOPE) * (width**2 + width * mouth + mouth**2) / 3.0
+    # Settled to 0.6 of the volume, of which a sphere has π/6.
+    return math.ceil(0.6 * 6.0 * (funnel + 4.0 * width**2))
+
+
 def hopper(spheres: int, orifice: float, part: float, seed: int = 0) -> tuple[wc.Scene, np.ndarray]:
     """Spheres above a funnel, which has a gate in an orifice ``orifice`` mean diameters wide; and their radii.
 
@@ -222,6 +230,11 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     parser.add_argument("--device", default="auto", help="cpu, cuda:0 or auto (default)")
     parser.add_argument("--picture", help="file to draw to, such as hopper.png")
     options = parser.parse_args(argv)
+    if options.spheres < (least := fewest(options.orifice)):
+        parser.error(
+            f"--spheres must be at least {least} to fill a funnel with an orifice of {options.orifice:g} "
+            f"diameters, got {options.spheres}"
+        )
     result = discharge(options.spheres, options.orifice, options.part, options.device)
     if options.picture:
         draw(result, options.picture)

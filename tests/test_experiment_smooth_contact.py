@@ -110,3 +110,31 @@ def test_errors_of_shapes_and_contacts_are_told_at_once(folder):
     assert "shape[4] ('x').group must be at least 0, got -1" in text
     assert "smooth_contact[2] ('y').kappa must be at least 0 and at most 1, got 2" in text
     assert "smooth_contact[3] ('z'): both shapes are fixed to the world" in text
+
+
+def test_the_picture_shows_what_shapes_stand_on_and_how_they_touch(tmp_path, device):
+    """Planes fill the window and lie below what is higher; exponents are no sizes; gaps and forces are drawn."""
+    from warpcontact.experiment import ground, picture
+
+    study = {
+        **{key: STUDY[key] for key in ("duration", "dt", "template", "record")},
+        "body": [STUDY["body"][0]],
+        "shape": [
+            {"name": "ring", "form": {"type": "Torus", "major_radius": 0.5, "minor_radius": 0.1}},
+            {"name": "floor", "form": {"type": "Plane"}, "position": [5.0, 0.0, -1.0]},
+            {
+                "name": "box",
+                "body": "ball",
+                "form": {"type": "Superellipsoid", "semi_axes": [0.1, 0.1, 0.1], "exponents": [1.5, 1.5]},
+            },
+        ],
+        "smooth_contact": [{"name": "touch", "shape": "box", "other_shape": "floor", "template": "soft"}],
+    }
+    recording = wc.Experiment.from_dict(study).run(tmp_path, device=device).recording
+    plane, lower, upper = picture._extent(recording)
+    low, high = picture._window(recording.scene, [], [], lower, upper, plane)
+    assert (high - low).max() == pytest.approx(10.0 * 0.1)
+    floor, ring = ground.grounds_of(recording, 2.0)
+    assert floor.corners[..., 2].max() == -1.0 < ring.corners[..., 2].min()
+    assert floor.corners[..., 0].min() <= -2.0
+    assert picture._chosen_readings(recording)[0][1] == "touch.gap [m]"

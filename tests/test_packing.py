@@ -59,3 +59,9 @@ def test_hopper_flows_as_beverloo_says(device, capsys):
     assert result["health"].good
     # Beverloo's C of spheres is 0.55 to 0.65; an orifice this narrow and a filling this low leave more room.
     assert 0.5 < result["C"] < 0.7
+
+
+def test_a_hopper_refuses_too_few_spheres(capsys):
+    with pytest.raises(SystemExit):
+        load("examples", "hopper").main(["--spheres", "300", "--orifice", "5"])
+    assert "--spheres must be at least 1092 to fill a funnel" in capsys.readouterr().err

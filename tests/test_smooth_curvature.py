@@ -130,6 +130,44 @@ def test_a_superellipsoid_bends_as_its_equation_says(device):
         np.testing.assert_allclose((turned * t).sum(1) / (2 * h), k, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("exponents", "at_pole", "at_side", "between"),
+    [
+        # Sections by the power 2/e: flat below 1, a corner above.
+        ((1.0, 1.0), (1.2, 1.875), (1.6, 40 / 9), None),
+        ((1.0, 0.6), (1.2, 1.875), (0.0, 40 / 9), None),
+        ((0.7, 0.6), (0.0, 0.0), (0.0, 0.0), 0.0),
+        ((0.7, 1.3), (0.0, 0.0), (0.0, INF), INF),
+        ((1.3, 0.6), (INF, INF), (0.0, INF), 0.0),
+    ],
+)
+def test_a_superellipsoid_bends_in_its_planes_of_symmetry_as_beside_them(
+    exponents, at_pole, at_side, between, device
+):
+    a, b, c = 0.5, 0.4, 0.3
+    shape = S.Superellipsoid((a, b, c), exponents)
+
+    def one(point, normal):
+        found = curvatures(shape, np.array([point], float), np.array([normal], float), device)
+        k = np.array([found["k_1"][0], found["k_2"][0]])
+        # On an edge it is only nearly infinite.
+        return np.where(k > 1e12, INF, k)
+
+    np.testing.assert_allclose(one((0, 0, c), (0, 0, 1)), at_pole, rtol=1e-12)
+    np.testing.assert_allclose(one((0, b, 0), (0, 1, 0)), at_side, rtol=1e-12)
+    # In the plane x = 0 the curvature of the section y, z is one of the two, across it the other.
+    e = exponents[0]
+    y = 0.6
+    z = (1.0 - y ** (2 / e)) ** (e / 2)
+    slope = np.array([y ** (2 / e - 1) / b, z ** (2 / e - 1) / c])
+    bend = (2 / e - 1) * np.array([y ** (2 / e - 2) / b**2, z ** (2 / e - 2) / c**2])
+    size = np.linalg.norm(slope)
+    section = (bend[0] * slope[1] ** 2 + bend[1] * slope[0] ** 2) / size**3
+    found = one((0, y * b, z * c), (0, *(slope / size)))
+    other = between if between is not None else min(found)
+    np.testing.assert_allclose(found, sorted((section, other)), rtol=1e-9)
+
+
 def test_a_patch_is_hollow_or_a_saddle(device):
     sheet = Quadric(k_x=0.8, k_y=-0.5)
     u = np.array([[0.0, 0.0], [0.5, 0.3]])

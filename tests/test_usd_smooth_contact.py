@@ -49,7 +49,7 @@ def bounds(prim):
 @pytest.mark.parametrize(
     ("name", "kind", "low", "high"),
     [
-        ("egg", "Sphere", (-0.2, -0.1, -0.15), (0.2, 0.1, 0.15)),
+        ("egg", "Mesh", (-0.2, -0.1, -0.15), (0.2, 0.1, 0.15)),
         ("rod", "Capsule", (-0.05, -0.05, -0.25), (0.05, 0.05, 0.25)),
         ("can", "Cylinder", (-0.1, -0.1, -0.2), (0.1, 0.1, 0.2)),
         ("hat", "Cone", (-0.1, -0.1, 0.0), (0.1, 0.1, 0.3)),
@@ -63,6 +63,13 @@ def test_shapes_have_the_size_of_their_form(stage, name, kind, low, high):
     assert prim.GetTypeName() == kind
     # Shifted by 0.01 m; single precision.
     np.testing.assert_allclose(bounds(prim), np.add([low, high], (0, 0, 0.01)), atol=1e-6)
+
+
+def test_colliders_are_what_usd_allows(stage):
+    validation = pytest.importorskip("pxr.UsdValidation")
+    validators = validation.ValidationRegistry().GetOrLoadAllValidators()
+    errors = validation.ValidationContext(validators).Validate(stage)
+    assert [error.GetErrorAsString() for error in errors] == []
 
 
 def test_sizes_are_those_of_each_environment(stage):

@@ -13,7 +13,7 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Curvature, Meeting, Shape
+from warpcontact.kernels.smooth.base import ACROSS, Curvature, Meeting, Shape
 from warpcontact.kernels.smooth.capsule import Capsule
 from warpcontact.kernels.smooth.charts import chart
 from warpcontact.kernels.smooth.cone import Cone
@@ -129,7 +129,37 @@ def of_ellipsoid(p: Any, point: vec3d, n: vec3d, u: real, v: real):
 @wp.func
 def of_superellipsoid(p: Any, point: vec3d, n: vec3d, u: real, v: real):
     """Of a superellipsoid: infinite, or nearly so, on its edges, and nothing where it is flat."""
+    axes = p.semi_axes
+    if wp.abs(n[0]) <= ACROSS and wp.abs(n[1]) <= ACROSS:
+        # At a pole the surface goes by the power 2/e₁ of the distance from the axis, whatever e₂ is.
+        if p.exponents[0] < one:
+            return round_of(zero, n)
+        if p.exponents[0] > one:
+            return round_of(sharp, n)
+        return two_of(
+            axes[2] / (axes[0] * axes[0]),
+            vec3d(one, zero, zero),
+            axes[2] / (axes[1] * axes[1]),
+            vec3d(zero, one, zero),
+        )
+    flat = wp.int32(0)
+    along = vec3d()
+    for i in range(3):
+        exponent = p.exponents[1]
+        if i == 2:
+            exponent = p.exponents[0]
+        if wp.abs(n[i]) <= ACROSS and exponent < one:
+            # The support function has a kink here, of no use for a radius.
+            flat += 1
+            along = vec3d()
+            along[i] = one
+    if flat > 1:
+        return round_of(zero, n)
     seen = Superellipsoid.expand(p, n)
+    if flat == 1:
+        beside = wp.normalize(wp.cross(n, along))
+        radius = wp.max(wp.dot(beside, seen.hessian * beside), zero)
+        return two_of(zero, along, one / radius, beside)
     return of_radii(seen.hessian, n)
 
 

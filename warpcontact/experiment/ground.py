@@ -64,7 +64,7 @@ class Ground:
     def of_shape(cls, recording: Recording, shape: Shape, reach: float) -> "Ground":
         """Returns ``shape`` with pose and sizes as recorded, or else as in the scene.
 
-        ``reach`` is half the side of the square that is drawn of a half-space [m].
+        ``reach`` is how far from the world's origin the square that is drawn of a half-space goes at least [m].
         """
         first = {"position": shape.positions[0], "orientation": shape.orientations[0]}
         first |= {key: values[0] for key, values in shape.sizes.items()}
@@ -75,17 +75,18 @@ class Ground:
                 first[key] = values[0]
                 shared &= bool((values == values[:1]).all())
         position, orientation = first.pop("position"), first.pop("orientation")
-        vertices, faces = tessellate(shape.kind, first, reach)
+        vertices, faces = tessellate(shape.kind, first, reach + float(np.linalg.norm(position)))
         return cls(placed(vertices, position, orientation)[faces], np.ones(len(faces), dtype=bool), shared)
 
 
 def grounds_of(recording: Recording, reach: float) -> list[Ground]:
-    """Returns the visible surfaces and shapes of the world; ``reach``: see ``Ground.of_shape``."""
+    """Returns the visible surfaces and shapes of the world, lower ones first; for ``reach`` see ``of_shape``."""
     scene = recording.scene
     fixed = [surface for surface in scene.surfaces if surface.body is None and surface.visible]
     shapes = [shape for shape in scene.shapes if shape.body is None and shape.visible]
     grounds = [Ground.of(recording, surface) for surface in fixed]
-    return grounds + [Ground.of_shape(recording, shape, reach) for shape in shapes]
+    grounds += [Ground.of_shape(recording, shape, reach) for shape in shapes]
+    return sorted(grounds, key=lambda ground: float(ground.corners[..., 2].mean()))
 
 
 def draw_from_above(axes: Any, ground: Ground, lower: Array, upper: Array) -> None:

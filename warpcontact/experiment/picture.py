@@ -53,11 +53,11 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
     """
     envs, times = recording.sizes["env"], recording["time"].values
     plane, lower, upper = _extent(recording)
-    # Of a half-space as much as the tracks need, wherever on it they are.
-    reach = float(np.abs([lower, upper]).max() + np.max(upper - lower)) or 1.0
-    grounds = grounds_of(recording, reach)
     shapes = _coupling_shapes(recording)
-    window = _window(recording.scene, grounds, shapes, lower, upper, plane)
+    # Of a half-space first as much as the tracks need, wherever on it they are, then what the window has room for.
+    reach = float(np.abs([lower, upper]).max() + np.max(upper - lower)) or 1.0
+    window = _window(recording.scene, grounds_of(recording, reach), shapes, lower, upper, plane)
+    grounds = grounds_of(recording, 2.0 * float(np.abs(window).max()))
     width, height = window[1] - window[0]
     wide = bool(width > WIDE * height)
     size = (13.0, 4.0 + 10.8 * height / width) if wide else (13.0, 6.8)
@@ -209,7 +209,13 @@ def _window(
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Returns the lower left and upper right corner of what is shown: the tracks with some room around them."""
     radius = max((float(contact.radius.max()) for contact in scene.contacts), default=0.0)
-    sizes = [values for shape in scene.shapes if shape.body is not None for values in shape.sizes.values()]
+    sizes = [
+        values
+        for shape in scene.shapes
+        if shape.body is not None
+        for key, values in shape.sizes.items()
+        if shape.kind.limits(key)["unit"] == "m"
+    ]
     radius = max([radius, *(float(np.abs(values).max()) for values in sizes)])
     spans = [np.ptp(ground.corners[..., plane].reshape(-1, 2), axis=0).max() for ground in grounds]
     lengths = [np.ptp(shape[:, plane], axis=0).max() for shape in shapes]
@@ -258,7 +264,7 @@ def _chosen_readings(recording: Recording) -> list[tuple[NDArray[Any], str]]:
     """Returns two readings (time, env) that tell most, of a sample of the environments, with their labels."""
     sample = _evenly(recording.sizes["env"], SAMPLE)
     scene, bodies = recording.scene, [body.name for body in recording.scene.bodies]
-    contacts = [contact.name for contact in scene.contacts]
+    contacts = [contact.name for contact in scene.contacts] + [contact.name for contact in scene.smooth_contacts]
     found = []
     couplings = [coupling.name for coupling in scene.couplings]
     angles = [f"{body}.{key}" for body in bodies for key in ("angle", "displacement")]
@@ -268,6 +274,7 @@ def _chosen_readings(recording: Recording) -> list[tuple[NDArray[Any], str]]:
             break
     forces = [f"{c}.{key}" for c in couplings for key in ("force", "tension_b")]
     forces += [f"{c}.normal_force" for c in contacts]
+    forces += [f"{pile.name}.normal_force" for pile in scene.mutual_contacts]
     energies = ["scene.kinetic_energy", *(f"{body}.kinetic_energy" for body in bodies)]
     for name in (*energies, *forces):
         if name in recording and "axis" not in recording[name].dims:

@@ -79,7 +79,6 @@ class FormPlacement:
         shift = np.array([0.0, 0.0, self.sizes["height"][row, 0] / 2]) if self._is_cone else np.zeros(3)
         position, orientation = self.positions[row, 0], self.orientations[row, 0]
         add_pose(UsdGeom.Xformable(prim), placed(shift[None], position, orientation)[0], orientation)
-        scale_form(gprim, self.shape.kind, self.of_item(row, 0))
         color = body_color(self.shape.body) if self.shape.color is None else self.shape.color
         set_color(gprim, color)
         mark(prim, self.shape.name)
@@ -126,7 +125,6 @@ def _lengths(sizes: Mapping[str, Array]) -> tuple[float, float]:
 
 _PRIMITIVES: dict[type[Form], Callable[..., Any]] = {
     shapes.Sphere: _sphere,
-    shapes.Ellipsoid: _sphere,
     shapes.Cylinder: _about_axis("Cylinder", _lengths),
     shapes.Capsule: _about_axis(
         "Capsule", lambda sizes: (_lengths(sizes)[0], _lengths(sizes)[1] + float(sizes["radius"]))
@@ -136,9 +134,14 @@ _PRIMITIVES: dict[type[Form], Callable[..., Any]] = {
 
 
 def define_form(stage: Any, path: str, kind: type[Form], sizes: Mapping[str, Array], reach: float) -> Any:
-    """Writes a shape without its pose, an ellipsoid as a sphere of 1 m; returns its ``UsdGeom.Gprim``."""
+    """Writes a shape without its pose; without sizes a sphere of 1 m. Returns its ``UsdGeom.Gprim``.
+
+    An ellipsoid is a mesh: a sphere that is scaled unevenly cannot collide on a stage.
+    """
     from pxr import UsdGeom, Vt
 
+    if not sizes and issubclass(kind, shapes.Sphere | shapes.Ellipsoid):
+        return _sphere(stage, path, sizes)
     if kind in _PRIMITIVES:
         return _PRIMITIVES[kind](stage, path, sizes)
     if issubclass(kind, Plane):
@@ -157,15 +160,6 @@ def define_form(stage: Any, path: str, kind: type[Form], sizes: Mapping[str, Arr
     mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
     mesh.CreateExtentAttr(vectors(np.array([vertices.min(axis=0), vertices.max(axis=0)])))
     return mesh
-
-
-def scale_form(gprim: Any, kind: type[Form], sizes: Mapping[str, Array]) -> None:
-    """Gives an ellipsoid its semi-axes."""
-    from pxr import Gf, UsdGeom
-
-    if issubclass(kind, shapes.Ellipsoid):
-        scale = UsdGeom.Xformable(gprim).AddScaleOp(UsdGeom.XformOp.PrecisionDouble)
-        scale.Set(Gf.Vec3d(*sizes["semi_axes"].tolist()))
 
 
 class FormSwarm:
