@@ -50,7 +50,7 @@ INSIDE = wp.constant(real(1.0 + 1.0e-9))
 # Of a component of n, the change from which its power is looked at.
 OFF = wp.constant(real(0.2))
 # Cosine of the angle to a pole that counts as beside it.
-BESIDE = wp.constant(real(0.9999))
+BESIDE = wp.constant(real(0.99999))
 TINY = wp.constant(real(1.0e-300))
 
 

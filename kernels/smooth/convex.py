@@ -29,7 +29,7 @@ zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
 ALLOWED = wp.constant(real(1.0e-9))
 ALLOWED_STEEP = wp.constant(real(1.0e-6))
 # Cosine of the angle to an end of a climb below which no new one starts.
-SAME = wp.constant(real(0.9998))
+SAME = wp.constant(real(0.99998))
 # Rounding of g, of the size of the pair.
 NOISE = wp.constant(real(1.0e-14))
 # Cells of the finest in one of those that climbs start from as long as none has arrived.
@@ -44,8 +44,8 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
     Of_a, Of_b, Climb, climb = of_pair.Of_a, of_pair.Of_b, of_pair.Climb, of_pair.climb
     Known = wp.types.matrix((KNOWN, 3), real)
     next_direction = around.function(A, B)
-    # In overlap, the sum of straight edges is least along one of the normals that ``ahead`` knows.
     allowed = ALLOWED_STEEP if A.steep or B.steep else ALLOWED
+    # The overlap of bodies with straight edges is least along one of the normals that ``ahead`` knows.
     polyhedral = A.polyhedral and B.polyhedral
 
     @wp.func
