@@ -26,6 +26,8 @@ from warpcontact.kernels.types import (
     LATCH_KEEP,
     LATCHED,
     OPEN,
+    REMEMBERED,
+    REMEMBERED_IN_QUEUES,
     RIM_OUTER,
     SIDES_ABOVE,
     SIDES_NOWHERE,
@@ -63,7 +65,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     t = structs(real)
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
     Contacts, Cache = t.Contacts, t.Cache
-    of_face, of_search = feet.functions(real), search.functions(real)
+    remembered = REMEMBERED if part == WHOLE else REMEMBERED_IN_QUEUES
+    of_face, of_search = feet.functions(real), search.functions(real, remembered)
     Foot, foot_on, inner, walk = of_face.Foot, of_face.foot_on, of_face.inner, of_face.walk
     Recalled = of_search.Recalled
     recall = {

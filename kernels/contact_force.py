@@ -1,45 +1,15 @@
-"""Contact force of one group of contacts: from law, friction, rolling and torsion to the wrenches of both bodies.
+"""Contact force of one group of points on meshes: what each touch does, added up for the bodies of a block.
 
-A factory compiles these four parts into the kernel, once per combination and precision; their coefficients are
-data. A pure function of model, state and history: nothing here changes them.
+A factory compiles law, friction, rolling and torsion into the kernel, once per combination and precision; their
+coefficients are data. A pure function of model, state and history: nothing here changes them.
 """
 
 import functools
-import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
 
 import warp as wp
-from warpcontact.kernels import frames, memory
-from warpcontact.kernels.formula import Formula, coefficient_struct, named_struct
-from warpcontact.kernels.frictions import Frictionless
-from warpcontact.kernels.motions import bodies
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, FREE, HERTZ_PATCH, INLINED, Work, structs
-
-
-class Parts(NamedTuple):
-    """The formulas of a contact, as classes: what the kernel is compiled from."""
-
-    law: type[Formula]
-    friction: type[Formula] = Frictionless
-    rolling: type[Formula] = Frictionless
-    torsion: type[Formula] = Frictionless
-
-
-def group_structs(parts: Parts, real: type) -> tuple[Any, Any]:
-    """Returns the structs of arrays [env, contact of the group]: coefficients and memory of every part."""
-
-    def struct(name: str, dtype_of: Callable[[type[Formula], type], Any]) -> Any:
-        elements = [(part, dtype_of(formula, real)) for part, formula in parts._asdict().items()]
-        return arrays_of(name, tuple(elements))
-
-    return struct("Coefficients", coefficient_struct), struct("Memory", memory.memory_struct)
-
-
-@functools.cache
-def arrays_of(name: str, elements: tuple[tuple[str, Any], ...]) -> Any:
-    """Returns the struct of arrays [env, item] of these elements (name, Warp type)."""
-    return named_struct(name, tuple((part, wp.array2d(dtype=dtype)) for part, dtype in elements))
+from warpcontact.kernels import frames, touch
+from warpcontact.kernels.touch import Parts, group_structs, touch_structs
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, INLINED, Work, structs
 
 
 @functools.cache
@@ -54,67 +24,15 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
     """
     t = structs(real)
     vec3, quat, mat33, Model, State, History = t.vec3, t.quat, t.mat33, t.Model, t.State, t.History
-    Contacts, Near, Wrenches, Touch, Slip = t.Contacts, t.Near, t.Wrenches, t.Touch, t.Slip
+    Contacts, Near, Wrenches = t.Contacts, t.Near, t.Wrenches
     Coefficients, Memory = group_structs(parts, real)
-    law_force, law_begins, law_forget = memory.functions(parts.law, real)
-    friction_force, _, friction_forget = memory.functions(parts.friction, real)
-    rolling_force, _, rolling_forget = memory.functions(parts.rolling, real)
-    torsion_force, _, torsion_forget = memory.functions(parts.torsion, real, along_normal=True)
-    needs_mass = parts.law.needs_mass
-    rolls = parts.rolling is not Frictionless
-    twists = parts.torsion is not Frictionless
-    directional = parts.friction.directional or parts.rolling.directional
-    oriented = directional or any(part.memories for part in parts)
-    lowest = wp.constant(real(-math.inf if parts.law.pulls else 0.0))
-    # Mean arm of friction under the pressure of Hertz: (3π/16) a.
-    hertz_arm = wp.constant(real(3.0 * math.pi / 16.0))
+    Place = touch_structs(real).Place
+    act, forget = touch.functions(parts, real, moves)
+    twists, needs_curvature = parts.twists, parts.law.needs_curvature
+    oriented = parts.oriented
     frame = frames.functions(real)
-    velocity_at, orientation_to_world, apart = frame.velocity_at, frame.orientation_to_world, frame.apart
-    mobility_of_motion = bodies.functions(real).mobility
+    orientation_to_world, apart = frame.orientation_to_world, frame.apart
     facing, rotation_to_world = frame.facing, frame.rotation_to_world
-
-    @wp.func
-    def mobility(model: Model, state: State, env: int, body: int, arm_W: vec3, n_W: vec3):
-        """Inverse of the mass that ``body`` opposes to a force along ``n_W`` at ``arm_W``; 0 for the world."""
-        if body < 0:
-            return real(0.0)
-        if wp.static(moves):
-            motion = model.body_motion[env, body]
-            if motion.kind != FREE:
-                return mobility_of_motion(model, state, env, body, motion, arm_W, n_W)
-        q_WB = state.body_orientation[env, body]
-        lever_B = wp.quat_rotate_inv(q_WB, wp.cross(arm_W, n_W))
-        turning = wp.dot(lever_B, model.body_inverse_inertia[env, body] * lever_B)
-        return real(1.0) / model.body_mass[env, body] + turning
-
-    @wp.func
-    def angular_velocity(state: State, env: int, body: int):
-        if body < 0:
-            return vec3()
-        return state.body_angular_velocity[env, body]
-
-    @wp.func
-    def cut(force: real):
-        """A law that does not pull is cut at zero. Not by max, which turns a NaN into 0 and hides it."""
-        if force < lowest:
-            return lowest
-        return force
-
-    @wp.func
-    def surface_axis(q_WS: quat, n_W: vec3):
-        """The x axis of the surface, laid into the tangent plane; where it is normal to that, the y axis."""
-        x_W = wp.quat_rotate(q_WS, vec3(real(1.0), real(0.0), real(0.0)))
-        flat = x_W - wp.dot(x_W, n_W) * n_W
-        if wp.length_sq(flat) < real(1.0e-6):
-            y_W = wp.quat_rotate(q_WS, vec3(real(0.0), real(1.0), real(0.0)))
-            flat = y_W - wp.dot(y_W, n_W) * n_W
-        return wp.normalize(flat)
-
-    @wp.func
-    def moving(slip: Slip, velocity: vec3):
-        slip.velocity = velocity
-        slip.speed = wp.length(velocity)
-        return slip
 
     @wp.func
     def add_wrench(wrenches: Wrenches, env: int, body: int, force_W: vec3, torque_W: vec3):
@@ -157,104 +75,50 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
             contacts.friction_force[env, contact] = vec3()
             contacts.slip_speed[env, contact] = real(0.0)
             contacts.torque[env, contact] = vec3()
-            law_forget(kept.law, env, member, dt)
-            friction_forget(kept.friction, env, member, dt)
-            rolling_forget(kept.rolling, env, member, dt)
-            torsion_forget(kept.torsion, env, member, dt)
+            forget(kept, env, member, dt)
             return pair
 
-        n_W = contacts.normal[env, contact]
-        # To K, from the centre of mass of either body.
-        arm_1 = contacts.arm[env, contact]
-        arm_2 = apart_W + arm_1
-        # Of the surface relative to the point: approach is positive.
-        v_W = velocity_at(state, env, body_2, arm_2) - velocity_at(state, env, body_1, arm_1)
-        approach = wp.dot(v_W, n_W)
-
-        touch = Touch()
-        touch.delta = contacts.penetration[env, contact]
-        touch.delta_dot = approach
-        # A contact that begins here has no entry speed yet; one that reloads faster than it began takes the
-        # faster speed. The same rule advances the history, so a trial state sees the same force.
-        touch.entry_speed = wp.max(wp.max(history.entry_speed[env, contact], approach), real(0.0))
-        if wp.static(needs_mass):
-            touch.mass = real(1.0) / (
-                mobility(model, state, env, body_1, arm_1, n_W) + mobility(model, state, env, body_2, arm_2, n_W)
-            )
-        touch.dt = dt
-        begins = history.entry_speed[env, contact] < real(0.0)
-        # What begins since the last step has not moved for longer than it took to come this deep.
-        lasted = real(math.inf)
-        if begins and approach > real(0.0):
-            lasted = touch.delta / approach
-        p = coefficients.law[env, member]
-        normal_force = cut(law_force(remembered.law, kept.law, env, member, p, touch, lasted, dt, q_WS, n_W))
-
-        # The force of a step stands for the time from half a step before this state to half a step after: the
-        # contact's share of it, when it began since the last state, is δ/(δ̇ dt) + 1/2 steps. A law continuous
-        # at touch makes no difference of first order; one that jumps (a dashpot) is given its missing impulse.
-        travel = approach * dt
-        if begins and touch.delta <= travel * real(1.001):
-            late = wp.min(touch.delta / travel, real(1.0))
-            touch.delta = touch.delta * real(1.0e-6)
-            normal_force = cut(normal_force + (late - real(0.5)) * cut(law_begins(p, touch)))
-
-        slip = Slip()
-        slip.normal = n_W
-        slip.normal_force = normal_force
-        if normal_force < real(0.0):
-            slip.normal_force = real(0.0)
         geometry = model.contact_geometry[env, contact]
-        slip.patch_radius = wp.sqrt(geometry.radius * contacts.penetration[env, contact])
-        if wp.static(directional):
-            slip.axis = surface_axis(q_WS, n_W)
-
-        slip = moving(slip, approach * n_W - v_W)
-        contacts.slip_speed[env, contact] = slip.speed
-        friction_W = friction_force(
-            remembered.friction, kept.friction, env, member, coefficients.friction[env, member], slip, lasted, dt,
-            q_WS, n_W,
+        place = Place()
+        place.body_1 = body_1
+        place.body_2 = body_2
+        # To K, from the centre of mass of either body.
+        place.arm_1 = contacts.arm[env, contact]
+        place.arm_2 = apart_W + place.arm_1
+        place.normal = contacts.normal[env, contact]
+        place.penetration = contacts.penetration[env, contact]
+        place.radius = geometry.radius
+        if wp.static(needs_curvature):
+            # The facets are flat, whatever the mesh stands for.
+            place.curvature_1 = real(1.0) / geometry.radius
+            place.curvature_2 = place.curvature_1
+        torsion_radius = real(-1.0)
+        if wp.static(twists):
+            of_overlap = (model.contact_options[contact] & HERTZ_PATCH) != 0
+            torsion_radius = wp.where(of_overlap, real(-1.0), geometry.torsion_radius)
+        acts = act(
+            model, state, env, place, history.entry_speed[env, contact], dt, coefficients, remembered, kept,
+            member, torsion_radius, q_WS,
         )  # fmt: skip
-
-        torque_W = vec3()
-        if wp.static(rolls or twists):
-            w_W = angular_velocity(state, env, body_1) - angular_velocity(state, env, body_2)
-            if wp.static(rolls):
-                # The velocity at which the point of contact travels, and a couple of the same power.
-                slip = moving(slip, geometry.radius * wp.cross(w_W, n_W))
-                rolling_W = rolling_force(
-                    remembered.rolling, kept.rolling, env, member, coefficients.rolling[env, member], slip, lasted,
-                    dt, q_WS, n_W,
-                )  # fmt: skip
-                torque_W = geometry.radius * wp.cross(n_W, rolling_W)
-            if wp.static(twists):
-                arm = geometry.torsion_radius
-                if (model.contact_options[contact] & HERTZ_PATCH) != 0:
-                    arm = hertz_arm * slip.patch_radius
-                slip = moving(slip, (arm * wp.dot(w_W, n_W)) * n_W)
-                torsion_W = torsion_force(
-                    remembered.torsion, kept.torsion, env, member, coefficients.torsion[env, member], slip, lasted,
-                    dt, q_WS, n_W,
-                )  # fmt: skip
-                torque_W += arm * torsion_W
 
         # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
         share = geometry.share
         if wp.static(projected):
-            share *= facing(model, env, model.contact_point[contact], R_W1, n_W)
-        normal_force *= share
-        friction_W *= share
-        torque_W *= share
+            share *= facing(model, env, model.contact_point[contact], R_W1, place.normal)
+        normal_force = share * acts.normal_force
+        friction_W = share * acts.friction_force
+        torque_W = share * acts.torque
 
-        contacts.approach_speed[env, contact] = approach
+        contacts.approach_speed[env, contact] = acts.approach_speed
+        contacts.slip_speed[env, contact] = acts.slip_speed
         contacts.normal_force[env, contact] = normal_force
         contacts.friction_force[env, contact] = friction_W
         contacts.torque[env, contact] = torque_W
 
         # The same force at the same point K, and the same couple, on both bodies: nothing is left in total.
-        pair.force = normal_force * n_W + friction_W
-        pair.torque_1 = wp.cross(arm_1, pair.force) + torque_W
-        pair.torque_2 = -(wp.cross(arm_2, pair.force) + torque_W)
+        pair.force = normal_force * place.normal + friction_W
+        pair.torque_1 = wp.cross(place.arm_1, pair.force) + torque_W
+        pair.torque_2 = -(wp.cross(place.arm_2, pair.force) + torque_W)
         return pair
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels.types import REMEMBERED, structs
+from warpcontact.kernels.types import structs
 
 # Rounding of a distance, in units of epsilon times the size of the differences; wider than a tie of two feet.
 ROUNDING = 32.0
@@ -22,19 +22,19 @@ SOON = 8.0
 
 
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
-    """Returns the device functions for ``real``."""
+def functions(real: type, remembered: int) -> SimpleNamespace:
+    """Returns the device functions for ``real`` and a number of faces that are remembered per contact."""
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
     near = feet.functions(real)
     Foot, foot_on, nearer = near.Foot, near.foot_on, near.nearer
     rounding = wp.constant(real(t.epsilon * ROUNDING))
-    room = wp.constant(REMEMBERED)
+    room = wp.constant(remembered)
     steady = wp.constant(real(STEADY))
     soon = wp.constant(real(SOON))
 
-    Distances = wp.types.vector(length=REMEMBERED, dtype=real)
-    Rows = wp.types.vector(length=REMEMBERED, dtype=wp.int32)
+    Distances = wp.types.vector(length=remembered, dtype=real)
+    Rows = wp.types.vector(length=remembered, dtype=wp.int32)
 
     @wp.struct
     class Recalled:
@@ -207,7 +207,7 @@ def functions(real: type) -> SimpleNamespace:
             if other.distance < beyond:
                 distance = other.distance
                 row = start + face
-                for i in range(REMEMBERED):
+                for i in range(wp.static(remembered)):
                     if distance < distances[i]:
                         farther = distances[i]
                         farther_row = rows[i]
@@ -219,7 +219,7 @@ def functions(real: type) -> SimpleNamespace:
                 beyond = wp.min(beyond, distance)
         best.distance = wp.length(best.to_point)
         count = wp.int32(0)
-        for i in range(REMEMBERED):
+        for i in range(wp.static(remembered)):
             if rows[i] >= 0:
                 slot = contact * room + i
                 cache.face[env, slot] = rows[i]

@@ -60,6 +60,12 @@ MET = 0
 NOT_CONVERGED = 1  # the last iterate is not stationary to the tolerance
 OUTSIDE = 2  # beyond the edge of a patch: no contact
 
+# Root of the equations of two surfaces.
+ROOT_FACING = 0  # the normals are antiparallel
+ROOT_PARALLEL = 1  # of the near side of one and the far side of the other
+ROOT_FALSE = 2  # of the equations alone, where a chart is singular
+ROOT_NONE = 3  # no root was found
+
 # Column of a face's features: the face, its edges (0-1, 1-2, 2-0), its corners.
 FEATURE_COUNT = 7
 # Bits of a feature.
@@ -71,8 +77,10 @@ SIDES_NOWHERE = 0
 SIDES_EVERYWHERE = 1
 SIDES_ABOVE = 2  # within the walls of the patch
 
-# Faces that are remembered per contact.
-REMEMBERED = 8
+# Faces that are remembered per contact. More of them last longer; where many threads search side by side, with few
+# registers each, sorting them in costs more than that.
+REMEMBERED = 16
+REMEMBERED_IN_QUEUES = 8
 
 # Queues of a GPU.
 QUEUES = 4
@@ -295,9 +303,9 @@ def structs(real: type) -> SimpleNamespace:
         place: wp.array2d(dtype=vec3)  # [env, contact] S
         beyond: wp.array2d(dtype=real)  # [env, contact] all other faces are farther from there
         faces: wp.array2d(dtype=wp.int32)  # [env, contact] how many are remembered
-        face: wp.array2d(dtype=wp.int32)  # [env, contact × REMEMBERED] their rows, the nearest first
-        distance: wp.array2d(dtype=real)  # [env, contact × REMEMBERED] from there
-        direction: wp.array2d(dtype=vec3)  # [env, contact × REMEMBERED] its slope there, unit or zero, S
+        face: wp.array2d(dtype=wp.int32)  # [env, contact × remembered] their rows, the nearest first
+        distance: wp.array2d(dtype=real)  # [env, contact × remembered] from there
+        direction: wp.array2d(dtype=vec3)  # [env, contact × remembered] its slope there, unit or zero, S
 
     @wp.struct
     class Ends:
@@ -319,6 +327,9 @@ def structs(real: type) -> SimpleNamespace:
         delta_dot: real  # dδ/dt, > 0 on approach [m/s]
         entry_speed: real  # δ̇ when the contact began, or the largest since [m/s]
         mass: real  # effective mass along the normal [kg]; only for laws with needs_mass
+        # Relative principal curvatures, the smaller first; only for laws with needs_curvature
+        curvature_1: real  # [1/m]
+        curvature_2: real  # [1/m]
         dt: real  # step that the force acts over [s]; 0: the force of this instant
 
     @wp.struct

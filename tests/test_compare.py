@@ -231,7 +231,7 @@ def test_the_same_picture_is_the_same_file(device, tmp_path):
         (lambda: compare.slips(F.Tanh, load=0), "load must be greater than 0, got 0 N"),
         (lambda: compare.swings(F.Tanh, amplitude=[0.0]), r"amplitude\[0\] must be greater than 0, got 0 m"),
         (lambda: compare.plot_laws(L.Hertz, "a.pdf"), r"a.pdf: must end in .svg or .png, got .pdf"),
-        (lambda: compare.plot_laws(L.CATALOGUE), "a picture shows at most 8 laws, got 27: Hooke, "),
+        (lambda: compare.plot_laws(L.CATALOGUE), "a picture shows at most 8 laws, got 28: Hooke, "),
     ],
 )
 def test_wrong_calls_say_what_is_wrong(call, message):

@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 import warpcontact.kernels
 from warpcontact.kernels import contact_force
-from warpcontact.kernels.contact_force import Parts
+from warpcontact.kernels.touch import Parts
 
 import warpcontact as wc
 

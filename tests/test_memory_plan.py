@@ -83,6 +83,17 @@ def busy_scene():
     return scene
 
 
+def set_scene():
+    """A set of bodies, with one contact each, and others beside it."""
+    scene = ball_scene()
+    at = np.random.default_rng(1).uniform(-1, 1, (40, 3)) + 3.0
+    grains = scene.add_bodies(
+        at, mass=1.0, inertia=(1e-2,) * 3, motion=wc.motions.Slider(axis=(0, 0, 1)), name="grains"
+    )
+    scene.add_contact(scene.add_point(grains, (0, 0, 0)), *scene.surfaces, scene.contacts[0].template, radius=0.05)
+    return scene
+
+
 def free_scene():
     scene = wc.Scene()
     scene.add_body(1.0, (1, 1, 1), name="ball")
@@ -111,7 +122,13 @@ def coupled_scene():
     return scene
 
 
-SCENES = {"ball": ball_scene, "busy": busy_scene, "nothing to touch": free_scene, "coupled": coupled_scene}
+SCENES = {
+    "ball": ball_scene,
+    "busy": busy_scene,
+    "set": set_scene,
+    "nothing to touch": free_scene,
+    "coupled": coupled_scene,
+}
 
 
 def of_arrays(memory, model):

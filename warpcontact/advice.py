@@ -57,14 +57,16 @@ def advice(model: "Environments", dt: float) -> list[str]:
         depth = np.where(
             _reading(model, contact, "status") == CONTACT, _reading(model, contact, "penetration"), 0.0
         )[:envs]
-        # The energy of all overlaps, as speed.
-        energy = (stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)).sum(axis=1, keepdims=True)
+        energy = stiffness * depth ** (exponent + 1.0) / (exponent + 1.0)
+        if not contact.points.spread:
+            energy = energy.sum(axis=1, keepdims=True)
+        # The energy of all overlaps of a body, as speed.
         sentences += _about_overlap(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
     return sentences + coupling_advice(model, dt)
 
 
 def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array, speed: Array) -> Array:
-    """Returns the stiffness of the points that may touch at once, (envs, 1).
+    """Returns the stiffness of the points that may touch at once, (envs, 1); (envs, items) on a set of bodies.
 
     The set falls on a plane, along each axis of its body in turn, both ways; the points down to which it then
     sinks act together, all as deep as the first. Where they spread wider than the surface that they touch, their
@@ -77,6 +79,8 @@ def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array
         mass: Reduced mass of the bodies (envs, 1) [kg].
         speed: Impact speed to expect (envs, 1) [m/s].
     """
+    if contact.points.spread:
+        return stiffness
     most = stiffness.max(axis=1, keepdims=True)
     if contact.count == 1:
         return most
@@ -98,12 +102,13 @@ def _together(contact: "Contact", stiffness: Array, exponent: Array, mass: Array
 
 def _about_depth(model: "Environments", contact: "Contact", speed: Array, dt: float) -> list[str]:
     deepest = _column(model, f"{contact.name}.max_depth")[: len(speed)]
+    speed = np.broadcast_to(speed, deepest.shape)
     worst, item = np.unravel_index(int(np.argmax(speed * dt - deepest)), deepest.shape)
-    if speed[worst, 0] * dt <= deepest[worst, item]:
+    if speed[worst, item] * dt <= deepest[worst, item]:
         return []
     return [
         f"{contact.name}: swept, but what crosses may be let through: max_depth = {deepest[worst, item]:.3g} m is "
-        f"less than the {speed[worst, 0] * dt:.2g} m of a step at {speed[worst, 0]:.3g} m/s in environment "
+        f"less than the {speed[worst, item] * dt:.2g} m of a step at {speed[worst, item]:.3g} m/s in environment "
         f"{model.first_env + worst}; take a larger max_depth, or none, or a shorter dt"
     ]
 
@@ -121,27 +126,30 @@ def _about_steps(model: "Environments", name: str, duration: Array, dt: float) -
 
 
 def _about_overlap(model: "Environments", name: str, depth: Array, thrown: Array, speed: Array) -> list[str]:
-    excess = np.max(thrown - 2.0 * speed, axis=1)
-    worst = int(np.argmax(excess))
-    if excess[worst] <= 0.0:
+    excess = thrown - 2.0 * speed
+    worst, body = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    if excess[worst, body] <= 0.0:
         return []
-    item = int(np.argmax(depth[worst]))
+    item = int(np.argmax(depth[worst])) if excess.shape[1] == 1 else body
     return [
         f"{name}: starts {depth[worst, item]:.3g} m deep in the surface in environment {model.first_env + worst} "
-        f"and will be thrown out at about {thrown[worst, 0]:.3g} m/s; start outside, or set max_depth or "
+        f"and will be thrown out at about {thrown[worst, body]:.3g} m/s; start outside, or set max_depth or "
         "entry='latched'"
     ]
 
 
 def _mass_and_speed(model: "Environments", contact: "Contact") -> tuple[Array, Array]:
-    """Returns the reduced mass [kg], as bodies may move, and an impact speed to expect [m/s], (envs, 1)."""
+    """Returns the reduced mass [kg], as bodies may move, and an impact speed to expect [m/s], (envs, 1).
+
+    Of points on a set of bodies (envs, items).
+    """
     mobility = np.zeros((model.envs, 1))
     speed = np.full((model.envs, 1), USUAL_SPEED)
     for body in (contact.points.body, contact.surface.body):
         if body is not None:
-            mobility += mobility_of(model, contact, body).push
-            velocity = np.linalg.norm(model[f"{body.name}.linear_velocity"], axis=1)[:, None]
-            speed = np.maximum(speed, velocity)
+            mobility = mobility + mobility_of(model, contact, body).push
+            velocity = np.linalg.norm(model[f"{body.name}.linear_velocity"], axis=-1)
+            speed = np.maximum(speed, velocity.reshape(model.envs, body.count))
     # Of bodies that no force moves a mass that nothing stops.
     return 1.0 / np.maximum(mobility, LEAST_MOBILITY), speed
 

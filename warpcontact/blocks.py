@@ -1,6 +1,6 @@
 """Contacts in blocks that are near each other: what a thread works on, and leaves alone while all are far away."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout
 from warpcontact.checks import Array
+from warpcontact.kernels.types import WORLD
 from warpcontact.parameters import Parameters
-from warpcontact.scene import Body, Contact
+from warpcontact.scene import Contact
 
 # Contacts of a block: so few that looking through them costs little, so many that a block is worth it.
 LARGEST_BLOCK = 16
@@ -22,11 +23,13 @@ class Blocks:
     """The blocks of all contacts.
 
     Attributes:
+        set_contact: First contact of each set, and the end, (sets + 1,).
         set_start: First block of each set of contacts, and the end, (sets + 1,).
         start: First place of each block in the list of contacts, and the end, (blocks + 1,).
         contact: Contacts by block, (contacts,).
     """
 
+    set_contact: NDArray[np.int32]
     set_start: NDArray[np.int32]
     start: NDArray[np.int32]
     contact: NDArray[np.int32]
@@ -36,6 +39,16 @@ class Blocks:
         """Number of blocks."""
         return len(self.start) - 1
 
+    @property
+    def set_count(self) -> int:
+        """Number of sets: what moves as one."""
+        return len(self.set_start) - 1
+
+    @property
+    def of_set(self) -> NDArray[np.int32]:
+        """Set of each block, (blocks,)."""
+        return np.repeat(np.arange(self.set_count, dtype=np.int32), np.diff(self.set_start))
+
     def of_contacts(self, first: int, count: int) -> tuple[int, int]:
         """Returns the first block, and the number of blocks, of contacts side by side that make up whole sets."""
         begin, end = np.searchsorted(self.start, [first, first + count])
@@ -44,20 +57,34 @@ class Blocks:
 
 def make_blocks(contacts: list[Contact]) -> Blocks:
     """Returns the blocks of contacts in the order of the device."""
-    set_start, members = [0], []
+    empty = [np.zeros(0, dtype=np.intp)]
+    members, sizes, blocks_of_sets, sets = list(empty), list(empty), list(empty), list(empty)
     first = 0
     for contact in contacts:
-        own = _neighbourhoods(contact.points.places)
-        members += [first + block for block in own]
+        if contact.points.spread:  # a set for each body
+            ones = np.ones(contact.count, dtype=np.intp)
+            members.append(first + np.arange(contact.count))
+            sizes.append(ones)
+            blocks_of_sets.append(ones)
+            sets.append(ones)
+        else:
+            own = _neighbourhoods(contact.points.places)
+            members += [first + block for block in own]
+            sizes.append(np.array([len(block) for block in own]))
+            blocks_of_sets.append(np.array([len(own)]))
+            sets.append(np.array([contact.count]))
         first += contact.count
-        set_start.append(len(members))
-    start = np.cumsum([0] + [len(block) for block in members])
-    empty = np.zeros(0, dtype=np.int32)
     return Blocks(
-        np.array(set_start, dtype=np.int32),
-        start.astype(np.int32),
-        np.concatenate([empty, *members]).astype(np.int32),
+        set_contact=_starts(np.concatenate(sets)),
+        set_start=_starts(np.concatenate(blocks_of_sets)),
+        start=_starts(np.concatenate(sizes)),
+        contact=np.concatenate(members).astype(np.int32),
     )
+
+
+def _starts(counts: NDArray[np.integer]) -> NDArray[np.int32]:
+    """Returns where each of some lists begins that lie one behind the other, and where the last ends."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
 
 
 def _neighbourhoods(positions: Array) -> list[NDArray[np.intp]]:
@@ -80,7 +107,7 @@ def _neighbourhoods(positions: Array) -> list[NDArray[np.intp]]:
 def upload_blocks(
     blocks: Blocks,
     contacts: list[Contact],
-    bodies: list[Body],
+    body_count: int,
     model: Any,
     layout: Layout,
     parameters: Parameters,
@@ -92,7 +119,7 @@ def upload_blocks(
     Args:
         blocks: What ``make_blocks`` returned for ``contacts``.
         contacts: The contacts in the order of the device.
-        bodies: All bodies.
+        body_count: Number of bodies.
         model: The struct.
         layout: For what is the same in all environments.
         parameters: For the middle and extent of the sets, which follow the points.
@@ -106,50 +133,56 @@ def upload_blocks(
     def send(name: str, values: Any) -> None:
         layout.content("contacts", model, name, values, wp.int32)
 
-    sizes = np.diff(blocks.set_start)
-    firsts = np.cumsum([0] + [contact.count for contact in contacts])
-    send("set_contact", firsts[:-1])
-    send("contact_set", np.repeat(np.arange(len(contacts)), np.diff(firsts)))
+    firsts, sizes = blocks.set_contact[:-1], np.diff(blocks.set_contact)
+    send("set_contact", firsts)
+    send("contact_set", np.repeat(np.arange(blocks.set_count), sizes))
     send("set_block_start", blocks.set_start)
-    send("block_set", np.repeat(np.arange(len(contacts)), sizes))
+    send("block_set", blocks.of_set)
     send("block_start", blocks.start)
     send("block_contact", blocks.contact)
-    of_body: list[list[int]] = [[] for _ in bodies]
-    for number, contact in enumerate(contacts):
-        for block in range(blocks.set_start[number], blocks.set_start[number + 1]):
-            for side, body in enumerate((contact.points.body, contact.surface.body)):
-                if body is not None:
-                    of_body[body.index].append(2 * block + side)
-    send("body_block_start", np.cumsum([0] + [len(own) for own in of_body]))
-    send("body_block", [entry for own in of_body for entry in own])
+    starts, entries = _blocks_by_body(blocks, contacts, body_count)
+    send("body_block_start", starts)
+    send("body_block", entries)
+    empty = np.zeros(0, dtype=np.intp)
+    points = [contact.points.start + np.arange(contact.count) for contact in contacts]
+    by_set = np.concatenate([empty, *points])
+    by_block = by_set[blocks.contact]
 
-    by_set = [contact.points.start + np.arange(contact.count) for contact in contacts]
-    by_block = [
-        contact.points.start + blocks.contact[blocks.start[block] : blocks.start[block + 1]] - first
-        for number, (contact, first) in enumerate(zip(contacts, firsts, strict=False))
-        for block in range(blocks.set_start[number], blocks.set_start[number + 1])
-    ]
-
-    def middles(members: Sequence[NDArray[np.integer]]) -> Array:
-        values = places()
-        if not members:
+    def middles(points: NDArray[np.intp], starts: NDArray[np.int32]) -> Array:
+        if not len(points):
             return np.zeros((1, 0, 3))
-        ends = [(values[:, own].min(axis=1), values[:, own].max(axis=1)) for own in members]
-        return np.stack([0.5 * (low + high) for low, high in ends], axis=1)
+        values = places()[:, points]
+        low, high = (end.reduceat(values, starts, axis=1) for end in (np.minimum, np.maximum))
+        return np.asarray(0.5 * (low + high), dtype=np.float64)
 
     def extents() -> Array:
-        values, middle = places(), middles(by_set)
-        if not by_set:
+        if not len(by_set):
             return np.zeros((1, 0))
-        far = [
-            np.linalg.norm(values[:, own] - middle[:, number, None], axis=2).max(axis=1)
-            for number, own in enumerate(by_set)
-        ]
+        middle = np.repeat(middles(by_set, firsts), sizes, axis=1)
+        far = np.linalg.norm(places()[:, by_set] - middle, axis=2)
         # A little more, for the rounding of both.
-        return (1.0 + 1.0e-5) * np.stack(far, axis=1)
+        return np.asarray((1.0 + 1.0e-5) * np.maximum.reduceat(far, firsts, axis=1), dtype=np.float64)
 
     return [
-        parameters.upload(model, "set_center", t.vec3, lambda: middles(by_set)),
+        parameters.upload(model, "set_center", t.vec3, lambda: middles(by_set, firsts)),
         parameters.upload(model, "set_extent", t.real, extents),
-        parameters.upload(model, "block_center", t.vec3, lambda: middles(by_block)),
+        parameters.upload(model, "block_center", t.vec3, lambda: middles(by_block, blocks.start[:-1])),
     ]
+
+
+def _blocks_by_body(
+    blocks: Blocks, contacts: list[Contact], body_count: int
+) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+    """Returns where the blocks of each body start in a list (bodies + 1), and the list of 2 × block + side."""
+    empty = np.zeros(0, dtype=np.int32)
+    on_points = [
+        contact.points.body_numbers[:: 1 if contact.points.spread else contact.count] for contact in contacts
+    ]
+    on_surface = [
+        np.full(contact.set_count, WORLD if contact.surface.body is None else contact.surface.body.index)
+        for contact in contacts
+    ]
+    of_set = np.stack([np.concatenate([empty, *on_points]), np.concatenate([empty, *on_surface])], axis=1)
+    bodies = of_set[blocks.of_set].ravel()
+    entries = np.argsort(bodies, kind="stable")
+    return _starts(np.bincount(bodies[bodies >= 0], minlength=body_count)), entries[(bodies < 0).sum() :]

@@ -26,7 +26,7 @@ from warpcontact.model import Model
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.readings import readings_of
-from warpcontact.scene import Contact, Points, Scene, Surface
+from warpcontact.scene import Body, Contact, Scene
 from warpcontact.split_model import SplitModel
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
@@ -103,7 +103,8 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
     start_of = dict(zip(contacts, starts, strict=False))
 
-    bodies, each, parts = per_env(len(scene.bodies)), per_env(starts[-1]), per_env(blocks.count)
+    body_count = sum(body.count for body in scene.bodies)
+    bodies, each, parts = per_env(body_count), per_env(starts[-1]), per_env(blocks.count)
     records = starts[-1] > 1  # a few of many contacts are near; of one contact neighbours are those of other envs
     arrays = SimpleNamespace(
         model=t.Model(),
@@ -114,7 +115,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         history=layout.struct("contacts", t.History, each, records=records),
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
-        cache=_cache(t, layout, len(contacts), blocks.count, starts[-1], records),
+        cache=_cache(t, layout, blocks.set_count, blocks.count, starts[-1], records),
         status=None,
         time=None,
         instant=None,
@@ -136,11 +137,11 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     drives = add_motions(scene, arrays, layout, parameters)
     _add_surfaces(scene, arrays, layout, parameters, t)
     places, moving = _add_points(scene, arrays, layout, parameters, t)
-    following = upload_blocks(blocks, contacts, scene.bodies, arrays.model, layout, parameters, t, places)
+    following = upload_blocks(blocks, contacts, body_count, arrays.model, layout, parameters, t, places)
     for parameter in moving:
         parameter.uploads.extend(following)
     contact_couplings.declare(arrays, layout, t)
-    point_count = sum(len(points.positions) for points in scene.points)
+    point_count = sum(points.count for points in scene.points)
     contact_couplings.upload_normals(arrays.model, point_count, parameters, t)
     meshes = upload_patches(common.patches, arrays.model, layout, t)
     _add_contacts(contacts, start_of, common.patches.of_contact, contact_couplings, arrays, layout, parameters, t)
@@ -169,8 +170,8 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
 
 def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int, records: bool) -> Any:
     shapes = {name: per_env(sets) for name in t.Cache.vars if name.startswith("set_")}
-    faces = per_env(contacts * types.REMEMBERED)
     queued = layout.device.is_cuda
+    faces = per_env(contacts * (types.REMEMBERED_IN_QUEUES if queued else types.REMEMBERED))
     return layout.struct(
         "cache",
         t.Cache,
@@ -192,24 +193,24 @@ def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts:
 
 def _add_bodies(scene: Scene, arrays: SimpleNamespace, parameters: Parameters, t: SimpleNamespace) -> None:
     bodies, model = scene.bodies, arrays.model
-    mass = Field(np.array([body.mass for body in bodies]))
+    mass = Field(np.concatenate([body.rows("mass") for body in bodies]))
     send_mass = parameters.upload(model, "body_mass", t.real, lambda: mass.values)
-    inertia = Field(np.array([body.inertia for body in bodies]))
+    inertia = Field(np.concatenate([body.rows("inertia") for body in bodies]))
     send_inertia = [
         parameters.upload(model, "body_inertia", t.mat33, lambda: inertia.values),
         parameters.upload(model, "body_inverse_inertia", t.mat33, lambda: np.linalg.inv(inertia.values)),
         parameters.upload(model, "body_round", wp.bool, lambda: _is_round(inertia.values)),
     ]
     for body in bodies:
-        items = slice(body.index, body.index + 1)
-        parameters.add(f"{body.name}.mass", mass, items, limits_of.MASS, [send_mass])
+        parameters.add(f"{body.name}.mass", mass, body.items, limits_of.MASS, [send_mass], single=body.single)
         parameters.add(
             f"{body.name}.inertia",
             inertia,
-            items,
+            body.items,
             limits("kg·m²"),
             send_inertia,
             tail=(3, 3),
+            single=body.single,
             convert=_inertia,
             given=((3, 3), (3,)),
         )
@@ -230,7 +231,8 @@ def _add_points(
     That is in their bodies, or in the world from an anchor in the middle of their set.
     """
     sets = scene.points
-    bodies = [_body_index(points) for points in sets for _ in points.positions]
+    empty = np.zeros(0, dtype=np.int32)
+    bodies = np.concatenate([empty, *(points.body_numbers for points in sets)])
     layout.content("contacts", arrays.model, "point_body", bodies, wp.int32)
     position = Field(np.concatenate([np.zeros((0, 3)), *(points.positions for points in sets)]))
     pose_of = {
@@ -291,7 +293,7 @@ def _add_surfaces(
     scene: Scene, arrays: SimpleNamespace, layout: Layout, parameters: Parameters, t: SimpleNamespace
 ) -> None:
     surfaces, model = scene.surfaces, arrays.model
-    bodies = [_body_index(surface) for surface in surfaces]
+    bodies = [types.WORLD if surface.body is None else surface.body.index for surface in surfaces]
     layout.content("surfaces", model, "surface_body", bodies, wp.int32)
     position = Field(np.array([surface.position for surface in surfaces]).reshape(-1, 3))
     orientation = Field(np.array([surface.orientation for surface in surfaces]).reshape(-1, 4))
@@ -352,21 +354,25 @@ def _add_contacts(
 ) -> None:
     model = arrays.model
 
-    def send(name: str, values: list[int]) -> None:
-        layout.content("contacts", model, name, values, wp.int32)
+    counts = np.array([contact.count for contact in contacts], dtype=np.intp)
 
-    each = [(contact, item) for contact in contacts for item in range(contact.count)]
-    send("contact_point", [contact.points.start + item for contact, item in each])
-    send("contact_patch", [patch_of[contact] for contact, _ in each])
-    options = {
-        contact: types.LATCHED * (contact.entry == "latched")
+    def send(name: str, of_contact: list[int], values: Any = 0) -> None:
+        each = np.repeat(np.array(of_contact, dtype=np.int32), counts)
+        layout.content("contacts", model, name, each + values, wp.int32)
+
+    items_of = [np.arange(count) for count in counts]
+    starts = [contact.points.start for contact in contacts]
+    send("contact_point", starts, np.concatenate([np.zeros(0, dtype=np.int32), *items_of]))
+    send("contact_patch", [patch_of[contact] for contact in contacts])
+    options = [
+        types.LATCHED * (contact.entry == "latched")
         + types.RIM_OUTER * (contact.rim == "outer")
         + types.HERTZ_PATCH * (contact.torsion_radius is None)
         + types.SWEPT * contact.swept
         + types.AT_POINT * (contact.facing is not None)
         for contact in contacts
-    }
-    send("contact_options", [options[contact] for contact, _ in each])
+    ]
+    send("contact_options", options)
 
     ranges = {
         "radius": limits_of.RADIUS,
@@ -377,9 +383,14 @@ def _add_contacts(
         "share": limits_of.SHARE,
         "enabled": limits_of.ENABLED,
     }
-    # A torsion radius that is not given follows from the overlap.
+
+    def values_of(contact: Contact, key: str) -> Array:
+        value = getattr(contact, key)
+        # A torsion radius that is not given follows from the overlap.
+        return np.broadcast_to(0.0 if value is None else value, contact.count)
+
     fields = {
-        key: Field(np.array([0.0 if (value := getattr(contact, key)) is None else value for contact, _ in each]))
+        key: Field(np.concatenate([np.zeros(0), *(values_of(contact, key) for contact in contacts)]))
         for key in ranges
     }
     upload = parameters.upload(
@@ -410,19 +421,19 @@ def _add_contacts(
 
 def _add_vector(
     parameters: Parameters,
-    elements: list[Any],
+    bodies: list[Body],
     key: str,
     unit: str,
     struct: Any,
     attribute: str,
     t: SimpleNamespace,
 ) -> tuple[Field, list[Upload]]:
-    """Adds a vector that every element has."""
-    field = Field(np.array([getattr(element, key) for element in elements]).reshape(-1, 3))
+    """Adds a vector that every body has."""
+    field = Field(np.concatenate([body.rows(key) for body in bodies]))
     uploads = [parameters.upload(struct, attribute, t.vec3, lambda: field.values)]
-    for element in elements:
-        items = slice(element.index, element.index + 1)
-        parameters.add(f"{element.name}.{key}", field, items, limits(unit), uploads, tail=(3,))
+    for body in bodies:
+        name = f"{body.name}.{key}"
+        parameters.add(name, field, body.items, limits(unit), uploads, tail=(3,), single=body.single)
     return field, uploads
 
 
@@ -438,19 +449,20 @@ def _add_remainder(
 
 
 def _add_orientation(
-    parameters: Parameters, elements: list[Any], struct: Any, attribute: str, t: SimpleNamespace
+    parameters: Parameters, bodies: list[Body], struct: Any, attribute: str, t: SimpleNamespace
 ) -> None:
-    """Adds the orientation that every element has."""
-    field = Field(np.array([element.orientation for element in elements]).reshape(-1, 4))
+    """Adds the orientation that every body has."""
+    field = Field(np.concatenate([body.rows("orientation") for body in bodies]))
     upload = parameters.upload(struct, attribute, t.quat, lambda: field.values)
-    for element in elements:
+    for body in bodies:
         parameters.add(
-            f"{element.name}.orientation",
+            f"{body.name}.orientation",
             field,
-            slice(element.index, element.index + 1),
+            body.items,
             checks.FINITE,
             [upload],
             tail=(4,),
+            single=body.single,
             convert=checks.unit_quaternions,
         )
 
@@ -464,7 +476,3 @@ def _inertia(name: str, values: Array) -> Array:
     if values.ndim == 3:
         values = values[..., None] * np.eye(3)
     return checks.inertia_tensors(name, values)
-
-
-def _body_index(element: Points | Surface) -> int:
-    return types.WORLD if element.body is None else element.body.index

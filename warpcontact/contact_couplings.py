@@ -92,7 +92,8 @@ class ContactCouplings:
             return
         arrays.reached = layout.struct("contacts", t.Reached, per_env(len(self.all)))
         arrays.coupling_contacts = kernels.Sets()
-        number = {contact: i for i, contact in enumerate(self.contacts)}
+        sets = np.cumsum([0] + [contact.set_count for contact in self.contacts])
+        number = {contact: int(first) for contact, first in zip(self.contacts, sets, strict=False)}
         firsts = [number[coupling.contacts[0]] for coupling in self.all]
         counts = [len(coupling.contacts) for coupling in self.all]
         layout.content("contacts", arrays.coupling_contacts, "first", firsts, wp.int32)

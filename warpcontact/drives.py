@@ -62,12 +62,13 @@ def add_motions(scene: Scene, arrays: SimpleNamespace, layout: Layout, parameter
     bodies = scene.bodies
     if all(body.motion.kind == FREE for body in bodies):
         return []
-    constrained = [body.index for body in bodies if body.motion.kind not in (FREE, DRIVEN)]
+    counts = [body.count for body in bodies]
+    kinds = np.repeat([body.motion.kind for body in bodies], counts)[None]
+    constrained = np.flatnonzero((kinds[0] != FREE) & (kinds[0] != DRIVEN))
     layout.content("state", arrays, "constrained", constrained, wp.int32)
-    axis = Field(np.zeros((len(bodies), 3)))
-    anchor = Field(np.zeros((len(bodies), 3)))
-    anchored = np.array([_is_anchored(body.motion) for body in bodies])
-    kinds = np.array([[body.motion.kind for body in bodies]])
+    axis = Field(np.zeros((sum(counts), 3)))
+    anchor = Field(np.zeros((sum(counts), 3)))
+    anchored = np.repeat([_is_anchored(body.motion) for body in bodies], counts)
     # One field of all bodies.
     position, orientation = (
         parameters.by_name[f"{bodies[0].name}.{key}"].field for key in ("position", "orientation")
@@ -111,6 +112,7 @@ def add_motions(scene: Scene, arrays: SimpleNamespace, layout: Layout, parameter
                     allowed,
                     [*sends, upload] if field in (axis, anchor) else list(sends),
                     tail=allowed["shape"],
+                    single=body.single,
                     convert=unit_vectors if allowed["direction"] else None,
                 )
     return drives
@@ -133,7 +135,7 @@ def _fields_of(body: Body, axis: Field, anchor: Field) -> dict[str, tuple[Field,
         if limits["direction"]:
             values = unit_vectors(name, values)
         if name in shared and limits["shape"] == (3,):
-            field, items = shared[name], slice(body.index, body.index + 1)
+            field, items = shared[name], body.items
             field.values[:, items] = values
         else:
             field, items = Field(values[None]), slice(0, 1)

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from warpcontact import frames
 from warpcontact.checks import Array, limits
-from warpcontact.kernels.contact_force import Parts
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction, Frictionless
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.touch import Parts
+from warpcontact.kernels.types import WORLD
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.topology import seen_from
 
@@ -79,6 +80,8 @@ class Template:
 
 def needs_radius(template: Template, has_torsion_radius: bool) -> str | None:
     """Returns the part of ``template`` that a contact without a radius cannot have; ``None``: there is none."""
+    if template.law.needs_curvature:
+        return "law"
     if template.friction.needs_radius:
         return "friction"
     if not isinstance(template.rolling, Frictionless):
@@ -91,10 +94,13 @@ def needs_radius(template: Template, has_torsion_radius: bool) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid body. Its frame sits at the centre of mass."""
+    """A rigid body, or a set of them that is one element. The frame of each sits at its centre of mass.
+
+    Of a set the values of the state, mass and inertia have a first axis, one entry for each of its bodies.
+    """
 
     name: str
-    index: int
+    index: int  # of the first on the device
     mass: Array
     inertia: Array  # (3, 3), body axes
     position: Array
@@ -103,8 +109,20 @@ class Body:
     angular_velocity: Array
     external_force: Array
     external_torque: Array
-    motion: Motion
+    motion: Motion  # of a set: that of each of its bodies
     color: Array | None
+    count: int = 1  # number of bodies
+    single: bool = True  # made by add_body: no item axis
+
+    @property
+    def items(self) -> slice:
+        """Where its bodies are among those of an environment."""
+        return slice(self.index, self.index + self.count)
+
+    def rows(self, key: str) -> Array:
+        """Returns a value of each of its bodies, such as ``"mass"``, (n, …)."""
+        values: Array = getattr(self, key)
+        return values[None] if self.single else values
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +163,10 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """One point, or a set of them, fixed to a body or to the world, or to a surface and moved with that."""
+    """One point, or a set of them, fixed to a body or to the world, or to a surface and moved with that.
+
+    On a set of bodies they are one point on each, in the order of the bodies.
+    """
 
     name: str
     start: int  # index of the first
@@ -155,6 +176,22 @@ class Points:
     areas: Array | None  # (n,) the area that each stands for, in the mesh's frame like their positions [m²]
     normals: Array | None  # (n, 3) unit, out of the surface that they are of, in the same frame
     single: bool  # made by add_point: no item axis
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return len(self.positions)
+
+    @property
+    def spread(self) -> bool:
+        """Whether each is on a body of its own."""
+        return self.body is not None and not self.body.single
+
+    @property
+    def body_numbers(self) -> NDArray[np.int32]:
+        """Body of each on the device (n,), or ``WORLD``."""
+        first = WORLD if self.body is None else self.body.index
+        return np.int32(first) + np.arange(self.count, dtype=np.int32) * np.int32(self.spread)
 
     @property
     def places(self) -> Array:
@@ -167,13 +204,16 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Points (with a radius: spheres) that touch a surface."""
+    """Points (with a radius: spheres) that touch a surface.
+
+    On the device they are a set, which moves as one; of points on a set of bodies each is a set of its own.
+    """
 
     name: str
     points: Points
     surface: Surface
     template: Template
-    radius: Array
+    radius: Array  # of all, or one per point (n,) [m]
     kappa: Array
     max_depth: Array
     search_radius: Array
@@ -197,7 +237,12 @@ class Contact:
     @property
     def count(self) -> int:
         """Number of contacts, one per point."""
-        return len(self.points.positions)
+        return self.points.count
+
+    @property
+    def set_count(self) -> int:
+        """Number of sets on the device that move as one each."""
+        return self.count if self.points.spread else 1
 
     def parameters(self, part: str) -> dict[str, Any]:
         """Returns the values of the parameters of one part of the template, one number each or one per point."""

@@ -43,7 +43,9 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     if (mobility["load"] < LEAST_MOBILITY).any():
         return []  # nothing rests here by its weight
     gravity = np.linalg.norm(model["scene.gravity"][:envs], axis=1)[:, None]
-    load = np.broadcast_to(gravity / mobility["load"] / contact.count, (envs, contact.count))
+    # Each body of a set rests on its one contact.
+    bearing = 1 if contact.points.spread else contact.count
+    load = np.broadcast_to(gravity / mobility["load"] / bearing, (envs, contact.count))
     # A sphere's patch under that load is a matter of the law; a depth of a thousandth of the radius is usual.
     patch = np.sqrt(1.0e-3) * np.broadcast_to(_radius(model, contact)[:envs], load.shape)
     sentences = []
@@ -104,11 +106,15 @@ def _measured_on(model: "Model", contact: "Contact", part: str, load: Array, pat
 
 
 def _mobilities(model: "Environments", contact: "Contact") -> dict[str, Array]:
-    """Returns the inverse masses that slip, rolling and twist see, and that of the load, (env, 1) [1/kg]."""
+    """Returns the inverse masses that slip, rolling and twist see, and that of the load, (env, 1) [1/kg].
+
+    Of points on a set of bodies (env, item).
+    """
     radius = _radius(model, contact)
     name = f"{contact.name}.torsion_radius"
     arm = _columns(model[name]) if name in model else 0.0 * radius
-    reach = np.linalg.norm(contact.points.places, axis=1).max() + radius
+    away = np.linalg.norm(contact.points.places, axis=1)
+    reach = (away if contact.points.spread else away.max()) + radius
     total = {key: np.zeros((model.envs, 1)) for key in ("load", "friction", "rolling", "torsion")}
     for body in (contact.points.body, contact.surface.body):
         if body is None:

@@ -13,10 +13,10 @@ from warpcontact.blocks import Blocks
 from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.formula_errors import explained
 from warpcontact.kernels import contact_force
-from warpcontact.kernels.contact_force import Parts, group_structs
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.memory import memory_struct
+from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import structs
 from warpcontact.parameters import Field, Parameters, pack
 from warpcontact.scene import Contact

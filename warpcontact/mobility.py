@@ -23,6 +23,8 @@ LEAST_MOBILITY = 1.0e-20
 class Mobility:
     """The most that a body yields, (envs, 1) each; nothing if it follows a motion that no force changes.
 
+    Of a set of bodies (envs, n), one for each of them.
+
     Attributes:
         push: To a force at the worst place and in the worst direction [1/kg]. Of a body that is free, or moves in
             a plane, without its rotation, which ``turn`` is for.
@@ -37,17 +39,17 @@ class Mobility:
 
 def mobility_of(model: "Environments", contact: "Contact", body: Body) -> Mobility:
     """Returns what ``body``, one of the two of ``contact``, yields."""
-    mass = model[f"{body.name}.mass"][:, None]
+    mass = model[f"{body.name}.mass"].reshape(model.envs, body.count)
     nothing = np.zeros_like(mass)
     kind = body.motion.kind
     if kind == FREE:
-        least = np.diagonal(model[f"{body.name}.inertia"], axis1=1, axis2=2).min(axis=1)[:, None]
-        return Mobility(1.0 / mass, 1.0 / least, True)
+        least = np.diagonal(model[f"{body.name}.inertia"], axis1=-2, axis2=-1).min(axis=-1)
+        return Mobility(1.0 / mass, 1.0 / least.reshape(mass.shape), True)
     if kind in (TRANSLATION, SLIDER):
         return Mobility(1.0 / mass, nothing, False)
     if kind == PLANAR:
         normal = model[f"{body.name}.motion.normal"]
-        return Mobility(1.0 / mass, 1.0 / _along(normal, _inertia(model, body))[:, None], True)
+        return Mobility(1.0 / mass, 1.0 / _along(normal, _inertia(model, body)).reshape(mass.shape), True)
     if kind not in (HINGE, BALL):
         return Mobility(nothing, nothing, False)
     arm, inertia = _about_anchor(model, body)
@@ -100,11 +102,11 @@ def mobility_along(model: "Environments", body: Body, arm: Array, direction: Arr
 
 
 def _inertia(model: "Environments", body: Body) -> Array:
-    """Returns the inertia about the centre of mass, (envs, 3, 3), world axes [kg·m²]."""
+    """Returns the inertia about the centre of mass, (envs, 3, 3) or (envs, n, 3, 3), world axes [kg·m²]."""
     inertia, orientation = model[f"{body.name}.inertia"], model[f"{body.name}.orientation"]
     # Its rows are the axes of the body, in the world.
     axes = placed(np.broadcast_to(np.eye(3), inertia.shape), np.zeros(3), orientation)
-    return np.swapaxes(axes, 1, 2) @ inertia @ axes
+    return np.swapaxes(axes, -2, -1) @ inertia @ axes
 
 
 def _about_anchor(model: "Environments", body: Body) -> tuple[Array, Array]:
@@ -115,8 +117,8 @@ def _about_anchor(model: "Environments", body: Body) -> tuple[Array, Array]:
 
 
 def _along(axis: Array, inertia: Array) -> Array:
-    """Returns the moments of inertia (envs,) about unit vectors (envs, 3)."""
-    return np.einsum("ei,eij,ej->e", axis, inertia, axis)
+    """Returns the moments of inertia (envs, …) about unit vectors (envs, …, 3)."""
+    return np.einsum("...i,...ij,...j->...", axis, inertia, axis)
 
 
 def _turned_by(lever: Array, inertia: Array) -> Array:

@@ -146,7 +146,8 @@ class Model(Environments, OfScene):
             self._handed_out = True
             for quantity in ("external_force", "external_torque"):
                 name = f"{self.scene.bodies[0].name}.{quantity}"
-                self.assign(name, self[name][:, None])
+                values = self[name]
+                self.assign(name, values[:, None] if self.scene.bodies[0].single else values)
         model = self.arrays.model
         return External(force=model.body_external_force, torque=model.body_external_torque)
 
@@ -177,7 +178,7 @@ class Model(Environments, OfScene):
                 self.body_count,
                 self.contact_count,
                 self.blocks.count,
-                len(self.scene.contacts),
+                self.blocks.set_count,
                 a.initial,
                 a.status,
                 a.time,

@@ -22,7 +22,7 @@ class OfScene:
     @cached_property
     def body_count(self) -> int:
         """Number of bodies of an environment."""
-        return len(self.scene.bodies)
+        return sum(body.count for body in self.scene.bodies)
 
     @cached_property
     def contact_count(self) -> int:
@@ -52,7 +52,7 @@ class OfScene:
     @cached_property
     def constrained_count(self) -> int:
         """Number of bodies that are neither free nor follow a function of time."""
-        return sum(body.motion.kind not in (FREE, DRIVEN) for body in self.scene.bodies)
+        return sum(body.count for body in self.scene.bodies if body.motion.kind not in (FREE, DRIVEN))
 
     def measures_needs(self, device: wp.Device, needs: Collection[str], envs: int) -> list[Need]:
         """Returns what ``envs`` environments take that readings with these ``needs`` are measured into."""

@@ -145,20 +145,21 @@ def readings_of(
         return lambda arrays: getattr(getattr(arrays, part), attribute)[:, items]
 
     for body in scene.bodies:
-        place = column("bodies", "position", body.index)
-        add(f"{body.name}.position", "m", "centre of mass, world", place, needs=("bodies",))
+        own, several = (body.index, 0) if body.single else (body.items, body.count)
+        place = column("bodies", "position", own)
+        add(f"{body.name}.position", "m", "centre of mass, world", place, needs=("bodies",), items=several)
         for key, (attribute, unit, meaning) in _BODY_STATE.items():
-            add(f"{body.name}.{key}", unit, meaning, column("state", attribute, body.index))
+            add(f"{body.name}.{key}", unit, meaning, column("state", attribute, own), items=several)
         for key, (attribute, unit, meaning) in _BODY_WRENCH.items():
-            array = column("wrenches", attribute, body.index)
-            add(f"{body.name}.{key}", unit, meaning, array, needs=("contacts",))
+            array = column("wrenches", attribute, own)
+            add(f"{body.name}.{key}", unit, meaning, array, needs=("contacts",), items=several)
         for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
-            array = column("bodies", attribute, body.index)
-            add(f"{body.name}.{key}", unit, meaning, array, needs=("bodies",))
+            array = column("bodies", attribute, own)
+            add(f"{body.name}.{key}", unit, meaning, array, needs=("bodies",), items=several)
         for key, (need, attribute, unit, meaning) in motion_readings(body.motion).items():
-            array = column(need, attribute, body.index)
+            array = column(need, attribute, own)
             needs = ("contacts", need) if need == "reactions" else (need,)
-            add(f"{body.name}.{key}", unit, meaning, array, needs=needs)
+            add(f"{body.name}.{key}", unit, meaning, array, needs=needs, items=several)
     for contact in scene.contacts:
         single = contact.points.single
         start = start_of[contact]
@@ -195,7 +196,7 @@ def readings_of(
     for couplings_of_code in couplings:
         table.update((reading.name, reading) for reading in couplings_of_code.readings())
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
-        array = column("bodies", attribute, slice(0, len(scene.bodies)))
+        array = column("bodies", attribute, slice(0, scene.bodies[-1].items.stop))
         add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)
     return table
 

@@ -257,7 +257,9 @@ class Recorder:
 
     def _item_dimension(self, element: str) -> str:
         """Returns the name of the item axis of a set: sets of different size cannot share one."""
-        sizes = {len(points.positions) for points in self.model.scene.points if not points.single}
+        scene = self.model.scene
+        sizes = {points.count for points in scene.points if not points.single}
+        sizes |= {body.count for body in scene.bodies if not body.single}
         return "item" if len(sizes) == 1 else f"{element}.item"
 
     def _parameter_variable(self, parameter: Parameter) -> dict[str, Any]:

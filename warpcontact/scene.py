@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact import checks
+from warpcontact.bodies import Bodies
 from warpcontact.checks import Array, limits
 from warpcontact.couplings.adding import Couplings
 from warpcontact.couplings.elements import Coupling
 from warpcontact.elements import (
     AREA,
     KAPPA,
-    MASS,
     MAX_DEPTH,
     RADIUS,
     SCALE,
@@ -28,11 +28,9 @@ from warpcontact.elements import (
     Surface,
     Template,
 )
-from warpcontact.kernels.motions import Free, Motion
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
 from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of
-from warpcontact.start import check_start
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
@@ -42,7 +40,7 @@ if TYPE_CHECKING:
 _LISTS = ("bodies", "surfaces", "points", "contacts", "contact_couplings", "couplings")
 
 
-class Scene(Couplings):
+class Scene(Bodies, Couplings):
     """Bodies, surfaces, points, contacts and couplings of one environment; ``build`` makes many of it.
 
     Args:
@@ -58,70 +56,6 @@ class Scene(Couplings):
         self.contact_couplings: list[ContactCoupling] = []
         self.couplings: list[Coupling] = []
         self._elements: dict[str, Any] = {}
-
-    def add_body(
-        self,
-        mass: float,
-        inertia: ArrayLike,
-        position: ArrayLike = (0.0, 0.0, 0.0),
-        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        *,
-        external_force: ArrayLike = (0.0, 0.0, 0.0),
-        external_torque: ArrayLike = (0.0, 0.0, 0.0),
-        motion: Motion | None = None,
-        name: str | None = None,
-        color: ArrayLike | None = None,
-    ) -> Body:
-        """Adds a rigid body.
-
-        Args:
-            mass: Mass [kg], positive.
-            inertia: Inertia about the centre of mass in body axes [kg·m²]: three principal moments or a
-                symmetric 3×3 tensor.
-            position: Initial position of the centre of mass, world [m].
-            orientation: Initial rotation body → world, quaternion (x, y, z, w).
-            linear_velocity: Initial velocity of the centre of mass, world [m/s].
-            angular_velocity: Initial angular velocity, world axes [rad/s].
-            external_force: Force from outside at the centre of mass, world axes [N].
-            external_torque: Torque from outside, world axes [N·m].
-            motion: How it may move, of ``wc.motions`` or your own ``wc.Motion``; ``None``: free. Axes and anchors
-                are those of the initial pose, in the world. On a hinge or a ball the linear velocity follows from
-                the angular one and may be left out.
-            name: Name in parameters and readings; made up if not given.
-            color: Display colour, RGB in 0…1.
-
-        Raises:
-            ValueError: If a value is out of range; the message names it.
-        """
-        name = checks.new_name("body", name, self._elements)
-        tensor = np.array(inertia, dtype=np.float64) if np.ndim(inertia) else np.zeros(())
-        if tensor.shape == (3,):
-            tensor = np.diag(tensor)
-        elif tensor.shape != (3, 3):
-            raise ValueError(f"{name}.inertia must be 3 numbers or a 3×3 tensor [kg·m²], got {inertia!r}")
-        tensor = checks.numbers(f"{name}.inertia", tensor, (3, 3), limits("kg·m²"))
-        body = Body(
-            name=name,
-            index=len(self.bodies),
-            mass=checks.numbers(f"{name}.mass", mass, (), MASS),
-            inertia=checks.inertia_tensors(f"{name}.inertia", tensor),
-            position=checks.numbers(f"{name}.position", position, (3,), limits("m")),
-            orientation=checks.unit_quaternions(
-                f"{name}.orientation", checks.numbers(f"{name}.orientation", orientation, (4,))
-            ),
-            linear_velocity=checks.numbers(f"{name}.linear_velocity", linear_velocity, (3,), limits("m/s")),
-            angular_velocity=checks.numbers(f"{name}.angular_velocity", angular_velocity, (3,), limits("rad/s")),
-            external_force=checks.numbers(f"{name}.external_force", external_force, (3,), limits("N")),
-            external_torque=checks.numbers(f"{name}.external_torque", external_torque, (3,), limits("N·m")),
-            motion=Free() if motion is None else motion,
-            color=checks.color(f"{name}.color", color),
-        )
-        check_start(body)
-        self.bodies.append(body)
-        self._elements[name] = body
-        return body
 
     def add_surface(
         self,
@@ -142,7 +76,7 @@ class Scene(Couplings):
         Args:
             mesh: A ``wc.Mesh``, or an object with ``vertices`` (V, 3) [m] and ``faces`` (F, 3). A list of them:
                 ``model["<surface>.mesh"]`` then says by number which one an environment has.
-            body: Body that carries it; ``None``: the world.
+            body: Body that carries it, from ``add_body``; ``None``: the world.
             position: Origin of the mesh's frame in the frame of the body [m].
             orientation: Rotation mesh → body, quaternion (x, y, z, w).
             scale: Factor by which the mesh is enlarged about the origin of its frame.
@@ -161,6 +95,8 @@ class Scene(Couplings):
         """
         name = checks.new_name("surface", name, self._elements)
         body = self._body(f"{name}.body", body)
+        if body is not None and not body.single:
+            raise ValueError(f"{name}.body must be one body, from add_body, got the set {body.name!r}")
         several = isinstance(mesh, list | tuple)
         meshes = [mesh_of(name, one) for one in (mesh if several else [mesh])]
         if not meshes:
@@ -191,10 +127,13 @@ class Scene(Couplings):
     def add_point(self, body: Body | Surface | None, position: ArrayLike, *, name: str | None = None) -> Points:
         """Adds a point fixed to ``body`` (``None``: the world) at ``position`` in its frame [m].
 
-        On a surface it is in the frame of the mesh, and moves with that.
+        On a surface it is in the frame of the mesh, and moves with that. On a set of bodies it is one point on
+        each of them, at the same place of all, and readings of its contacts have one more axis, ``item``.
         """
         name = checks.new_name("point", name, self._elements)
         place = checks.numbers(f"{name}.position", position, (3,), limits("m"))
+        if isinstance(body, Body) and not body.single:
+            return self._add_points(name, body, np.tile(place, (body.count, 1)), None, None, single=False)
         return self._add_points(name, body, place[None], None, None, single=True)
 
     def add_points(
@@ -208,7 +147,8 @@ class Scene(Couplings):
         """Adds a set of points. Readings of its contacts have one more axis, ``item``.
 
         Args:
-            body: What carries them: a body, ``None`` for the world, or a surface, with which they move.
+            body: What carries them: a body, ``None`` for the world, or a surface, with which they move; a set of
+                bodies, which are given one each.
             positions: Where they are in its frame, (n, 3) [m], of a surface in that of its mesh; or points with
                 their areas, from ``wc.sample_surface``.
             areas: The area that each stands for, (n,) [m²], for laws that leave it to the points; on a surface
@@ -225,6 +165,11 @@ class Scene(Couplings):
                 raise ValueError(f"{name}.areas must be left out: the points of wc.sample_surface have theirs")
             areas, normals, positions = positions.areas, positions.normals, positions.positions
         shape = np.shape(positions)
+        if isinstance(body, Body) and not body.single and shape != (body.count, 3):
+            raise ValueError(
+                f"{name}.position must have shape {(body.count, 3)}, one for each body of {body.name!r}, "
+                f"got {shape}"
+            )
         if len(shape) != 2 or shape[0] < 1 or shape[1] != 3:
             raise ValueError(f"{name}.position must have shape (n, 3) with n ≥ 1, got {shape}")
         places = checks.numbers(f"{name}.position", positions, shape, limits("m"))
@@ -246,7 +191,7 @@ class Scene(Couplings):
             body = surface.body
         points = Points(
             name=name,
-            start=sum(len(p.positions) for p in self.points),
+            start=sum(p.count for p in self.points),
             body=self._body(f"{name}.body", body),
             surface=surface,
             positions=positions,
@@ -264,7 +209,7 @@ class Scene(Couplings):
         surface: Surface,
         template: Template,
         *,
-        radius: float = 0.0,
+        radius: ArrayLike = 0.0,
         kappa: float = 0.5,
         search: str = "whole",
         entry: str = "literal",
@@ -285,7 +230,7 @@ class Scene(Couplings):
             points: From ``add_point`` or ``add_points``.
             surface: From ``add_surface``, on another body.
             template: Law and friction.
-            radius: Radius of the sphere about each point [m]; 0: a point.
+            radius: Radius of the sphere about each point [m]; 0: a point. Of a set of points one for all, or (n,).
             kappa: Where the force acts: K = S + κ (D − S), from 0 on the surface to 1 at the deepest point D.
             search: ``"whole"``: the nearest point of the whole surface must be active; ``"active"``: the
                 nearest point of the active part.
@@ -322,7 +267,8 @@ class Scene(Couplings):
             raise ValueError(f"{name}: points and surface are both fixed to {where}; one must move")
         if not isinstance(template, Template):
             raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
-        size = checks.numbers(f"{name}.radius", radius, (), RADIUS)
+        each = () if points.single or np.ndim(radius) == 0 else (points.count,)
+        size = checks.numbers(f"{name}.radius", radius, each, RADIUS)
         check_arms(name, template, size, torsion_radius)
         check_areas(name, template, points)
         contact = Contact(

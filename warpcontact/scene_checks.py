@@ -18,7 +18,7 @@ def check_arms(name: str, template: Template, radius: Array, torsion_radius: flo
     if torsion_radius is not None and isinstance(template.torsion, Frictionless):
         raise ValueError(f"{name}.torsion_radius is given, but its template has no torsion")
     part = needs_radius(template, torsion_radius is not None)
-    if radius == 0.0 and part is not None:
+    if (radius == 0.0).any() and part is not None:
         kind = type(getattr(template, part)).__name__
         cure = " or a torsion_radius" if part == "torsion" else ""
         raise ValueError(f"{name}: the {part} of its template, {kind}, needs a radius{cure}, got a radius of 0 m")

@@ -101,7 +101,7 @@ def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> li
     a, real = model.arrays, model.types.real
     launches = []
     if span.cached:
-        launches += span.prepare(travel.kernel(real), len(model.scene.contacts), [status, a.model, state, a.cache])
+        launches += span.prepare(travel.kernel(real), model.blocks.set_count, [status, a.model, state, a.cache])
     if span.cached and span.queued:
         launches += queue_stages(span, state, status)
     else:

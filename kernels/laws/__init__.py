@@ -10,6 +10,7 @@ from warpcontact.kernels.laws.gonthier import Gonthier
 from warpcontact.kernels.laws.herbert_mcwhannell import HerbertMcWhannell
 from warpcontact.kernels.laws.hertz import Hertz
 from warpcontact.kernels.laws.hertz_dashpot import HertzDashpot
+from warpcontact.kernels.laws.hertz_elastic import HertzElastic
 from warpcontact.kernels.laws.hooke import Hooke
 from warpcontact.kernels.laws.hu_guo import HuGuo
 from warpcontact.kernels.laws.hunt_crossley import HuntCrossley
@@ -38,6 +39,7 @@ from warpcontact.kernels.laws.zhiying_qishao import ZhiyingQishao
 CATALOGUE: tuple[type[Law], ...] = (
     Hooke,
     Hertz,
+    HertzElastic,
     PowerLaw,
     JohnsonCylinder,
     PereiraCylinder,
@@ -76,6 +78,7 @@ __all__ = [
     "HerbertMcWhannell",
     "Hertz",
     "HertzDashpot",
+    "HertzElastic",
     "Hooke",
     "HuGuo",
     "HuntCrossley",

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.special import ellipe, ellipk
+from scipy.special import ellipe, ellipkm1
 from warpcontact.kernels.formula import check_values, parameter
 from warpcontact.kernels.laws.base import Law
 
@@ -70,22 +70,23 @@ def elliptic_stiffness(
     ratio = long / short
     if not ratio <= 1.0e6:
         raise ValueError(f"Rx and Ry must be positive and within a factor of 1e6, got {Rx:g} m and {Ry:g} m")
-    if ratio < 1.0 + 1.0e-9:
-        return 4.0 / 3.0 * effective * math.sqrt(short)
+    if ratio < 1.0 + 1.0e-6:
+        # Nearly a circle: of the mean curvature, to the square of what they differ by. The integrals cancel here.
+        return 4.0 / 3.0 * effective * math.sqrt(2.0 / (1.0 / short + 1.0 / long))
 
     def excess(axis_ratio: np.ndarray) -> np.ndarray:
-        m = 1.0 - axis_ratio**-2
-        first, second = ellipk(m), ellipe(m)
+        # K of 1 − m: of a long ellipse m is 1 to almost all digits.
+        first, second = ellipkm1(axis_ratio**-2), ellipe(1.0 - axis_ratio**-2)
         return (axis_ratio**2 * second - first) / (first - second) - ratio
 
     # The ratio of the axes lies between the root and the first power of that of the radii.
     from scipy.optimize import elementwise  # takes half a second, and few ask
 
     axes = elementwise.find_root(excess, (1.0 + 1.0e-9, 2.0 * ratio))
-    m = 1.0 - float(axes.x) ** -2
+    complement = float(axes.x) ** -2
     combined = 1.0 / (1.0 / short + 1.0 / long)
     # δ = K(m) [9/(2 E(m) R) (F/(2 π k E*))²]^(1/3)
-    per_force = ellipk(m) * (9.0 / (2.0 * ellipe(m) * combined)) ** (1.0 / 3.0)
+    per_force = ellipkm1(complement) * (9.0 / (2.0 * ellipe(1.0 - complement) * combined)) ** (1.0 / 3.0)
     return float(2.0 * math.pi * axes.x * effective * per_force**-1.5)
 
 

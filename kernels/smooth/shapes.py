@@ -9,6 +9,7 @@ from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.smooth.rounded_box import RoundedBox
 from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
+from warpcontact.kernels.smooth.torus import Torus
 
 #: Every shape that comes with the library.
 CATALOGUE: tuple[type[Shape], ...] = (
@@ -20,6 +21,7 @@ CATALOGUE: tuple[type[Shape], ...] = (
     Capsule,
     Cone,
     RoundedBox,
+    Torus,
 )
 
 __all__ = [
@@ -33,4 +35,5 @@ __all__ = [
     "Shape",
     "Sphere",
     "Superellipsoid",
+    "Torus",
 ]

@@ -41,6 +41,8 @@ DEPTHS = np.geomspace(1.0e-4, 1.0e2, 1201)
 USUAL_DEPTH = 1.0e-3
 # Sphere in terms of the greatest depth: its centre has to stay above the plate.
 RADIUS = 50.0
+# Of laws whose force depends on the curvature, every sphere has this radius [m].
+CURVED_RADIUS = 0.1
 #: What the values of an impact may be.
 LIMITS = {
     "mass": checks.limits("kg", above=0.0),
@@ -276,8 +278,10 @@ def _model(laws: Mapping[str, Law], height: Array, speeds: Array, depth: float, 
     for k, law in enumerate(laws.values()):
         inertia = [0.4 * impact.mass * radius**2] * 3
         ball = scene.add_body(impact.mass, inertia, name=f"ball_{k}")
-        centre = scene.add_point(ball, (0.0, 0.0, 0.0))
-        scene.add_contact(centre, plate, Template(law=law), radius=radius, name=f"touch_{k}")
+        own = CURVED_RADIUS if law.needs_curvature else radius
+        # Their lowest points are in one place.
+        centre = scene.add_point(ball, (0.0, 0.0, own - radius))
+        scene.add_contact(centre, plate, Template(law=law), radius=own, name=f"touch_{k}")
     model = scene.build(envs=len(height), device=impact.device, precision="float64")
     zero = np.zeros_like(height)
     for k in range(len(laws)):

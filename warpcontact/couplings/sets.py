@@ -39,7 +39,7 @@ def make_sets(
         first += len(own)
     couplings = [coupling for own in sorted_.values() for coupling in own]
     points = [point.start for coupling in couplings for point in (coupling.point_a, coupling.point_b)]
-    starts, ends = ends_by_body(couplings, len(scene.bodies))
+    starts, ends = ends_by_body(couplings, sum(body.count for body in scene.bodies))
     for name, values in (("end_point", points), ("body_end_start", starts), ("body_end", ends)):
         layout.content("couplings", arrays.model, name, values, wp.int32)
     return sets

@@ -4,10 +4,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, ShapeMesh
+from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.reading import Parts
+from warpcontact.experiment.rows_file import read_rows
 from warpcontact.experiment.schema import (
+    ROW_KEYS,
+    BodiesSettings,
     BodySettings,
     ContactCouplingSettings,
     ContactOptions,
@@ -24,7 +27,7 @@ from warpcontact.scene import Scene, Template
 from warpcontact.surface_contact import sample_of
 
 # Of what kind a reference is, and the sections in which its target may be.
-_BODY = ("body", ("body",))
+_BODY = ("body", ("body", "bodies"))
 _POINTS = ("point", ("point", "points"))
 _SURFACE = ("surface", ("surface",))
 _TEMPLATE = ("template", ("template",))
@@ -60,6 +63,7 @@ class Assembler:
         self.made = {section: {} for section in self.parts.entries}
         add: dict[str, Callable[..., Any]] = {
             "body": lambda path, entry: self._body(scene, entry),
+            "bodies": lambda path, entry: self._bodies(scene, path, entry, problems),
             "surface": lambda path, entry: self._surface(scene, path, entry, problems),
             "point": lambda path, entry: self._points(scene, path, entry, problems),
             "points": lambda path, entry: self._points(scene, path, entry, problems),
@@ -83,6 +87,26 @@ class Assembler:
     def _body(self, scene: Scene, entry: BodySettings) -> Any:
         motion = entry.motion.make() if isinstance(entry.motion, FormulaSettings) else None
         return scene.add_body(**entry.model_dump(exclude={"motion"}), motion=motion)
+
+    def _bodies(self, scene: Scene, path: str, entry: BodiesSettings, problems: Problems) -> Any:
+        motion = entry.motion.make() if isinstance(entry.motion, FormulaSettings) else None
+        rows = self._rows("bodies", path, entry, problems)
+        return scene.add_bodies(**rows, motion=motion, name=entry.name, color=entry.color)
+
+    def _rows(self, section: str, path: str, entry: Section, problems: Problems) -> dict[str, Any]:
+        """Returns what an entry has for each item of a set, from files where these are named."""
+        found, missing = {}, False
+        for key in ROW_KEYS[section]:
+            found[key] = getattr(entry, key)
+            if isinstance(found[key], str):
+                try:
+                    found[key] = read_rows(self.folder / found[key])
+                except ValueError as error:
+                    problems.add(f"{path}.{key}", f": {error}")
+                    missing = True
+        if missing:
+            raise _Unresolved
+        return found
 
     def _surface(self, scene: Scene, path: str, entry: SurfaceSettings, problems: Problems) -> Any:
         # First, so that the defects of all are found in any case.
@@ -119,7 +143,8 @@ class Assembler:
         if isinstance(entry, PointSettings):
             return scene.add_point(carrier, entry.position, name=entry.name)
         if entry.positions is not None:
-            return scene.add_points(carrier, entry.positions, areas=entry.areas, name=entry.name)
+            rows = self._rows("points", path, entry, problems)
+            return scene.add_points(carrier, **rows, areas=entry.areas, name=entry.name)
         samples = sample_of(carrier, entry.samples, entry.seed or 0, f"{entry.name}.samples")
         return scene.add_points(carrier, samples, name=entry.name)
 
@@ -131,7 +156,8 @@ class Assembler:
     def _contact(self, scene: Scene, path: str, entry: ContactSettings, problems: Problems) -> Any:
         references = {"points": _POINTS, "surface": _SURFACE, "template": _TEMPLATE}
         targets = self._find_all(path, entry, references, problems)
-        return scene.add_contact(*targets, **entry.model_dump(exclude=set(references), exclude_none=True))
+        options = entry.model_dump(exclude={*references}, exclude_none=True)
+        return scene.add_contact(*targets, **(options | self._rows("contact", path, entry, problems)))
 
     def _surface_contact(self, scene: Scene, path: str, entry: SurfaceContactSettings, problems: Problems) -> Any:
         references = {"surface_a": _SURFACE, "surface_b": _SURFACE, "template": _TEMPLATE}

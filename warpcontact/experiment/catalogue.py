@@ -30,8 +30,8 @@ from warpcontact.experiment import quantities as q
 from warpcontact.experiment.errors import shown, suggestion
 from warpcontact.experiment.own import OwnFiles, blame
 from warpcontact.kernels import frictions, laws, motions, springs
-from warpcontact.kernels.contact_force import Parts
 from warpcontact.kernels.formula import ROWS, Formula, unit_vectors
+from warpcontact.kernels.touch import Parts
 
 #: Meshes that need no file, by the name of their generator.
 SHAPES: dict[str, Callable[..., meshes.Mesh]] = {

@@ -247,7 +247,7 @@ class Experiment:
         """Takes over ``content``, or raises ``ExperimentError`` with everything that is wrong with it."""
         problems = Problems()
         parts = read_settings(content, self._own, problems)
-        if not content.get("body"):
+        if not content.get("body") and not content.get("bodies"):
             problems.add("body", "is missing: an experiment needs a [[body]]")
             parts.unnamed.add("body")
         model = trial(parts, self.folder, self._loaded, problems)
@@ -320,6 +320,7 @@ def default_readings(model: Environments) -> list[str]:
     told = [(contact.name, ("gap", "normal_force")) for contact in scene.contacts if contact.points.single]
     told += [(coupling.name, _TOLD[type(coupling)]) for coupling in scene.couplings]
     told += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
-    joints = [f"{body.name}.{key}" for body in scene.bodies for key in ("angle", "displacement")]
+    # Of sets what they sum up to: a value of each is for those who ask for it.
+    joints = [f"{body.name}.{key}" for body in scene.bodies if body.single for key in ("angle", "displacement")]
     wanted = [f"{name}.{key}" for name, keys in told for key in keys]
     return wanted + [name for name in joints if name in model.reading_names] + ["scene.kinetic_energy"]

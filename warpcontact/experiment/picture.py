@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from warpcontact.experiment.ground import Ground, draw_from_above, draw_section, grounds_of, legend_entries
 from warpcontact.experiment.result import CHUNK
 from warpcontact.recorder import Recording
-from warpcontact.scene import Scene
+from warpcontact.scene import Body, Scene
 
 # More tracks would hide each other.
 TRACKS = 200
@@ -126,7 +126,8 @@ def _draw_tracks(
     scene = recording.scene
     envs = recording.sizes["env"]
     chosen = _evenly(envs, TRACKS)
-    tracks = [recording[f"{body.name}.position"].isel(env=chosen).values for body in scene.bodies]
+    # Of a set so many bodies that its tracks are as many as those of one body may be.
+    tracks = [_tracks(recording, body, chosen) for body in scene.bodies]
     lower, upper = window
     from_above = plane == [0, 1]
     for ground in grounds:
@@ -142,17 +143,21 @@ def _draw_tracks(
     values, label = _color_values(recording, varied)
     norm = _norm(values)
     for track in tracks:
+        own = np.repeat(values[chosen], track.shape[1] // len(chosen))
         lines = LineCollection(
             list(track[:, :, plane].swapaxes(0, 1)), linewidths=1.0, alpha=0.85, cmap=COLORS, norm=norm
         )
-        lines.set_array(values[chosen])
+        lines.set_array(own)
         axes.add_collection(lines)
         ends = track[-1][:, plane].T
-        axes.scatter(*ends, c=values[chosen], cmap=COLORS, norm=norm, s=22, edgecolors="black", lw=0.6, zorder=3)
+        axes.scatter(*ends, c=own, cmap=COLORS, norm=norm, s=22, edgecolors="black", lw=0.6, zorder=3)
     axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), aspect="equal")
     axes.set(xlabel="x [m]", ylabel=f"{'xyz'[plane[1]]} [m]")
     view = "from above" if from_above else "from the side"
     which = f"{len(chosen)} of {envs} environments" if len(chosen) < envs else "all environments"
+    shown = sum(track.shape[1] for track in tracks) // len(chosen)
+    if shown < (bodies := sum(body.count for body in scene.bodies)):
+        which = f"{shown} of {bodies} bodies of {which}"
     # What differs between environments can be shown as it is in one.
     first = [] if all(ground.shared for ground in grounds) else ["surfaces"]
     first += ["couplings"] if shapes else []
@@ -167,6 +172,16 @@ def _draw_tracks(
         if not isinstance(norm, LogNorm):
             bar["ticks"] = MaxNLocator(4, integer=bool((values == np.round(values)).all()))
         figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, label=label, pad=0.01, **bar)
+
+
+def _tracks(recording: Recording, body: Body, chosen: NDArray[np.int_]) -> NDArray[Any]:
+    """Returns positions of a body, or of some of a set, in the chosen environments, (time, track, 3)."""
+    position = recording[f"{body.name}.position"].isel(env=chosen)
+    if body.single:
+        return np.asarray(position.values)
+    some = _evenly(body.count, max(1, TRACKS // len(chosen)))
+    values = position.isel({position.dims[2]: some}).values
+    return np.asarray(values.reshape(len(values), -1, 3))
 
 
 def _coupling_shapes(recording: Recording) -> list[NDArray[Any]]:
@@ -191,7 +206,7 @@ def _window(
     plane: list[int],
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Returns the lower left and upper right corner of what is shown: the tracks with some room around them."""
-    radius = max((float(contact.radius) for contact in scene.contacts), default=0.0)
+    radius = max((float(contact.radius.max()) for contact in scene.contacts), default=0.0)
     spans = [np.ptp(ground.corners[..., plane].reshape(-1, 2), axis=0).max() for ground in grounds]
     lengths = [np.ptp(shape[:, plane], axis=0).max() for shape in shapes]
     # A drop straight down still needs some ground to be seen on, and what hangs on a line some of it.
@@ -263,15 +278,21 @@ def _chosen_readings(recording: Recording) -> list[tuple[NDArray[Any], str]]:
     if len(found) < 2:
         position = recording[f"{bodies[0]}.position"].isel(env=sample).values
         way = np.linalg.norm(position - position[0], axis=-1)
-        found.append((way, f"distance of {bodies[0]} from its start [m]"))
+        if way.ndim > 2:
+            found.append((way.mean(axis=2), f"mean distance of {bodies[0]} from the start [m]"))
+        else:
+            found.append((way, f"distance of {bodies[0]} from its start [m]"))
     return found
 
 
 def _per_environment(name: str, array: xr.DataArray, smallest: bool) -> tuple[NDArray[Any], str]:
-    """Returns a reading as (time, env): of sets the smallest or the sum, of positions the height."""
+    """Returns a reading as (time, env): of sets the smallest or the sum, of positions the height, or its mean."""
     label, values = _label(name, array), array.values
     if "axis" in array.dims:
-        return values[..., 2], f"height of {name.partition('.')[0]} [m]"
+        height, element = values[..., 2], name.partition(".")[0]
+        if height.ndim > 2:
+            return height.mean(axis=2), f"mean height of {element} [m]"
+        return height, f"height of {element} [m]"
     if values.ndim > 2:
         return (values.min(axis=2), f"smallest {label}") if smallest else (values.sum(axis=2), f"sum of {label}")
     return values, label

@@ -14,8 +14,9 @@ from pydantic import PlainValidator, ValidationInfo
 from warpcontact import checks
 from warpcontact.checks import limits
 from warpcontact.contact_coupling import check_quadrature
-from warpcontact.elements import AREA
+from warpcontact.elements import AREA, MASS, RADIUS
 from warpcontact.experiment.errors import shown
+from warpcontact.experiment.rows_file import check_rows_file
 from warpcontact.kernels.formula import check_values, has_shape, shape_in_words
 from warpcontact.meshes.repair import REPAIRS, steps_of
 from warpcontact.surface_contact import check_amount
@@ -81,6 +82,44 @@ def numbers(
     return PlainValidator(validate)
 
 
+def each(
+    *shapes: tuple[int, ...],
+    allowed: Mapping[str, Any] = checks.FINITE,
+    what: str,
+    one: bool = True,
+    check: Callable[[str, Any], Any] | None = None,
+) -> PlainValidator:
+    """Returns the validator of a value of each body of a set: rows, or the name of a file with them.
+
+    Args:
+        shapes: Shapes of one value that are allowed.
+        allowed: Range and unit, as from ``checks.limits``.
+        what: What one value should be, for messages.
+        one: Whether one value for all is allowed, too.
+        check: Raises ``ValueError`` for values in range that are not allowed all the same, as those of ``checks``.
+    """
+    form = (
+        f"{what}, a list of that for each, or the name of a file" if one else f"a list of {what} each, or a file"
+    )
+
+    def validate(value: Any) -> Any:
+        if isinstance(value, str):
+            return check_rows_file("", value)
+        entries = plain(value, form)
+        try:
+            shape = np.shape(entries)
+        except ValueError:  # rows of different length
+            shape = (-1,)
+        if 0 in shape or not ((one and shape in shapes) or (entries and shape[1:] in shapes and shape != (-1,))):
+            raise ValueError(f"must be {form}, got {shown(value)}")
+        values = checks.numbers("", entries, shape, allowed)
+        if check is not None:
+            check("", values)
+        return entries
+
+    return PlainValidator(validate)
+
+
 def table(shape: tuple[int, ...], allowed: Mapping[str, Any]) -> PlainValidator:
     """Returns the validator of any number of rows, a parameter of ``shape`` with ``allowed`` as its limits."""
     unit = "" if allowed["unit"] == "-" else f" [{allowed['unit']}]"
@@ -135,6 +174,13 @@ def _inertia(name: str, values: Any) -> None:
     checks.inertia_tensors(name, np.diag(values) if values.ndim == 1 else values)
 
 
+def _inertias(name: str, values: Any) -> None:
+    # Of 3 rows nobody knows whether they are a tensor or moments before it is known how many bodies there are.
+    if values.shape != (3, 3):
+        moments = values.shape[-2:] != (3, 3)
+        checks.inertia_tensors(name, values[..., None] * np.eye(3) if moments else values)
+
+
 def _faces(value: Any, info: ValidationInfo) -> Any:
     """Validates the active faces of a surface, the field behind ``mesh``."""
     if "mesh" not in info.data:  # something is wrong with it, so that nobody knows how many there are
@@ -179,7 +225,9 @@ def _title(value: Any) -> str:
     return value
 
 
-def _positions(value: Any) -> tuple[Any, ...]:
+def _positions(value: Any) -> Any:
+    if isinstance(value, str):
+        return check_rows_file("", value)
     rows = plain(value, "a list of 3 numbers each [m]")
     for i, row in enumerate(rows if isinstance(rows, tuple) else ()):
         if not isinstance(row, tuple) or np.shape(row) != (3,):
@@ -262,6 +310,14 @@ torque = numbers((3,), allowed=limits("N·m"))
 acceleration = numbers((3,), allowed=limits("m/s²"))
 time = numbers((), allowed=limits("s", above=0.0))
 inertia = numbers((3,), (3, 3), allowed=limits("kg·m²"), what="3 numbers or a 3×3 tensor [kg·m²]", check=_inertia)
+masses = each((), allowed=MASS, what="a number [kg]")
+inertias = each((3,), (3, 3), allowed=limits("kg·m²"), what="3 numbers or a 3×3 tensor [kg·m²]", check=_inertias)
+quaternions = each((4,), what="a unit quaternion (x, y, z, w)", check=checks.unit_quaternions)
+velocities = each((3,), allowed=limits("m/s"), what="3 numbers [m/s]")
+angular_velocities = each((3,), allowed=limits("rad/s"), what="3 numbers [rad/s]")
+forces = each((3,), allowed=limits("N"), what="3 numbers [N]")
+torques = each((3,), allowed=limits("N·m"), what="3 numbers [N·m]")
+radii = each((), allowed=RADIUS, what="a number [m]")
 color = numbers((3,), what="red, green and blue from 0 to 1", check=checks.color)
 faces = PlainValidator(_faces)
 repair = PlainValidator(_repair)

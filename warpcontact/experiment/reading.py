@@ -28,7 +28,8 @@ _KINDS = {
     "tuple_type": "a list",
 }
 
-_SEVERAL = "; a list of positions belongs into [[points]], as positions"
+#: Sections of one, and of several at once.
+_PLURALS = {"point": "points", "body": "bodies"}
 _VALUES = "; write { values = [...] }"
 
 
@@ -171,14 +172,14 @@ def _explain(error: Any, raw: Mapping[str, Any], own: OwnFiles, problems: Proble
     elif kind == "extra_forbidden" and location[0] == "variation" and isinstance(value, dict):
         name = ".".join(_nested_name(location[1:], value))
         problems.add(path, f'must be one name in quotes: "{name}" = {{ … }}')
-    elif kind == "extra_forbidden" and location[0] == "point" and location[-1] == "positions":
-        problems.add(path, f"is not known{_SEVERAL}")
+    elif kind == "extra_forbidden" and location[0] in _PLURALS and location[-1] == "positions":
+        problems.add(path, f"is not known{_several(location[0])}")
     elif kind == "extra_forbidden":
         keys = list(table_at(location[:-1], raw, own).model_fields)
         problems.add(path, f"is not known{suggestion(location[-1], keys) or '; allowed: ' + ', '.join(keys)}")
     elif kind == "value_error":
-        several = location[0] == "point" and location[-1] == "position" and _is_list_of_lists(value)
-        problems.add(path, f"{error['ctx']['error']}{_SEVERAL if several else ''}")
+        several = location[0] in _PLURALS and location[-1] == "position" and _is_list_of_lists(value)
+        problems.add(path, f"{error['ctx']['error']}{_several(location[0]) if several else ''}")
     elif kind == "greater_than_equal":
         problems.add(path, f"must be at least {error['ctx']['ge']}, got {shown(value)}")
     elif kind in _KINDS:
@@ -187,6 +188,11 @@ def _explain(error: Any, raw: Mapping[str, Any], own: OwnFiles, problems: Proble
         problems.add(path, f"must be {what}, got {shown(value)}{_VALUES if listed else ''}")
     else:
         problems.add(path, f": {error['msg']}, got {shown(value)}")
+
+
+def _several(section: str) -> str:
+    """Returns where a list of positions belongs in place of ``section``."""
+    return f"; a list of positions belongs into [[{_PLURALS[section]}]], as positions"
 
 
 def _is_list_of_lists(value: Any) -> bool:

@@ -18,7 +18,7 @@ from warpcontact.contact_coupling_report import CouplingReport
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh, own_class
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.own import OwnFiles
-from warpcontact.experiment.schema import FORMULA_SECTIONS, Settings
+from warpcontact.experiment.schema import FORMULA_SECTIONS, ROW_KEYS, Settings
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
 
@@ -167,8 +167,8 @@ def clear_folder(folder: Path, keep: str = "") -> None:
 def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
     """Returns what is to be written into folder ``new`` of an experiment in folder ``old``.
 
-    Mesh files stay where they are. Files with laws are copied: they may lie nowhere but beside the experiment,
-    and are small. They are copied as they were loaded, whatever has become of them since.
+    Files with meshes and rows stay where they are. Files with laws are copied: they may lie nowhere but beside the
+    experiment, and are small. They are copied as they were loaded, whatever has become of them since.
     """
     names: dict[Path, str] = {}
     files: dict[str, bytes] = {}
@@ -186,7 +186,8 @@ def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
         return entry.model_copy(update=changes)
 
     sections = {name: tuple(map(renamed, getattr(settings, name))) for name in FORMULA_SECTIONS}
-    return Copy(_with_meshes_from(settings, old, new).model_copy(update=sections), files)
+    whole = settings.model_copy(update=sections)
+    return Copy(_with_rows_from(_with_meshes_from(whole, old, new), old, new), files)
 
 
 def _free_name(path: Path, taken: Iterable[str]) -> str:
@@ -207,14 +208,33 @@ def _with_meshes_from(settings: Settings, old: Path, new: Path) -> Settings:
 
 
 def _mesh_from(mesh: FileMesh | ShapeMesh, old: Path, new: Path) -> FileMesh | ShapeMesh:
-    if not isinstance(mesh, FileMesh) or Path(mesh.file).is_absolute():
+    if not isinstance(mesh, FileMesh):
         return mesh
-    target = (old / mesh.file).resolve()
+    return mesh.model_copy(update={"file": _file_from(mesh.file, old, new)})
+
+
+def _with_rows_from(settings: Settings, old: Path, new: Path) -> Settings:
+    """Returns the same with the names of files with rows."""
+
+    def renamed(entry: Section, keys: tuple[str, ...]) -> Section:
+        named = {key: getattr(entry, key) for key in keys if isinstance(getattr(entry, key), str)}
+        return entry.model_copy(update={key: _file_from(file, old, new) for key, file in named.items()})
+
+    sections = {
+        name: tuple(renamed(entry, keys) for entry in getattr(settings, name)) for name, keys in ROW_KEYS.items()
+    }
+    return settings.model_copy(update=sections)
+
+
+def _file_from(name: str, old: Path, new: Path) -> str:
+    """Returns the name of a file, relative to folder ``old``, as it is from folder ``new``."""
+    if Path(name).is_absolute():
+        return name
+    target = (old / name).resolve()
     try:
-        file = Path(os.path.relpath(target, new.resolve()))
+        return Path(os.path.relpath(target, new.resolve())).as_posix()
     except ValueError:  # on another drive
-        file = target
-    return mesh.model_copy(update={"file": file.as_posix()})
+        return target.as_posix()
 
 
 def write_recording(recording: Recording, path: Path) -> None:

@@ -78,8 +78,27 @@ class BodySettings(Section):
     color: Color | None = None
 
 
+class BodiesSettings(Section):
+    """``[[bodies]]``: a set of rigid bodies; all but the positions is one value for all or a list of one for each.
+
+    In place of a list there may be the name of a file with it.
+    """
+
+    name: Name
+    positions: Annotated[Any, q.positions] = Field(description="a list of 3 numbers each [m], or a file")
+    mass: Annotated[Any, q.masses] = Field(description="mass [kg]")
+    inertia: Annotated[Any, q.inertias] = Field(description="3 principal moments or a 3×3 tensor [kg·m²]")
+    orientations: Annotated[Any, q.quaternions] = NO_ROTATION
+    linear_velocities: Annotated[Any, q.velocities] = ORIGIN
+    angular_velocities: Annotated[Any, q.angular_velocities] = ORIGIN
+    external_forces: Annotated[Any, q.forces] = ORIGIN
+    external_torques: Annotated[Any, q.torques] = ORIGIN
+    motion: FormulaTable | None = None
+    color: Color | None = None
+
+
 class PointSettings(Section):
-    """``[[point]]``: a point of a body or of a surface, or of the world."""
+    """``[[point]]``: a point of a body or of a surface, or of the world; of a set of bodies one on each."""
 
     name: Name
     body: str | None = None
@@ -98,7 +117,7 @@ class PointsSettings(Section):
     name: Name
     body: str | None = None
     surface: str | None = None
-    positions: Annotated[tuple[tuple[float, ...], ...] | None, q.positions] = None
+    positions: Annotated[Any, q.positions] = None
     areas: Annotated[tuple[float, ...] | None, q.areas] = None
     samples: Annotated[int | str | None, q.amount] = None
     seed: int | None = Field(default=None, ge=0)
@@ -138,7 +157,7 @@ class ContactOptions(Section):
 
     name: Name
     template: str = Field(description="the name of a template")
-    radius: Annotated[float, q.numbers((), allowed=limits_of.RADIUS)] = 0.0
+    radius: Annotated[Any, q.numbers((), allowed=limits_of.RADIUS)] = 0.0
     kappa: Annotated[float, q.numbers((), allowed=limits_of.KAPPA)] = 0.5
     search: Annotated[str, q.one_of(("whole", "active"))] = "whole"
     entry: Annotated[str, q.one_of(("literal", "latched"))] = "literal"
@@ -156,6 +175,7 @@ class ContactOptions(Section):
 class ContactSettings(ContactOptions):
     """``[[contact]]``: points, or spheres about them, that touch a surface."""
 
+    radius: Annotated[Any, q.radii] = 0.0
     points: str = Field(description="the name of a point or of points")
     surface: str = Field(description="the name of a surface")
 
@@ -342,6 +362,7 @@ class Settings(Section):
     gravity: Annotated[tuple[float, ...], q.acceleration] = (0.0, 0.0, -9.81)
     surface: Rows[SurfaceSettings] = ()
     body: Rows[BodySettings] = ()
+    bodies: Rows[BodiesSettings] = ()
     point: Rows[PointSettings] = ()
     points: Rows[PointsSettings] = ()
     template: Rows[TemplateSettings] = ()
@@ -359,6 +380,7 @@ class Settings(Section):
 #: The sections that are lists, in the order in which a scene is made of them.
 SECTIONS: dict[str, type[Section]] = {
     "body": BodySettings,
+    "bodies": BodiesSettings,
     "surface": SurfaceSettings,
     "point": PointSettings,
     "points": PointsSettings,
@@ -373,7 +395,22 @@ SECTIONS: dict[str, type[Section]] = {
 
 
 #: Those with laws, frictions, springs and motions.
-FORMULA_SECTIONS = ("body", "template", "contact_coupling", "spring_damper")
+FORMULA_SECTIONS = ("body", "bodies", "template", "contact_coupling", "spring_damper")
+#: Keys of sections that may name a file with rows.
+ROW_KEYS: dict[str, tuple[str, ...]] = {
+    "bodies": (
+        "positions",
+        "mass",
+        "inertia",
+        "orientations",
+        "linear_velocities",
+        "angular_velocities",
+        "external_forces",
+        "external_torques",
+    ),
+    "points": ("positions",),
+    "contact": ("radius",),
+}
 #: Tables within a contact coupling.
 _TABLES: dict[str, type[Section]] = {"range": RangeSettings, "from_impact": ImpactSettings}
 

@@ -101,7 +101,7 @@ class Draw:
         parameter = self.model.find_parameter(name)
         kind, problems_before = entry.kind, len(self.problems.lines)
         if entry.solid_sphere is not None:
-            values = self._solid_sphere(f"{path}.{kind}", name, entry.solid_sphere)
+            values = self._solid_sphere(f"{path}.{kind}", parameter, entry.solid_sphere)
         elif entry.value is not None:
             values = self._same(f"{path}.{kind}", parameter, entry.value)
         elif entry.values is not None:
@@ -143,30 +143,37 @@ class Draw:
                 break
         return rules[kind](generator(self.seed, parameter.name), first, second, self.envs)
 
-    def _solid_sphere(self, path: str, name: str, entry: SolidSphere) -> Array | None:
-        if not name.endswith(".inertia"):
+    def _solid_sphere(self, path: str, target: Parameter, entry: SolidSphere) -> Array | None:
+        if not target.name.endswith(".inertia"):
             self.problems.add(path, "gives an inertia and can vary nothing else")
             return None
-        mass = self._source(f"{path}.mass", entry.mass)
-        radius = self._source(f"{path}.radius", entry.radius)
+        mass = self._source(f"{path}.mass", entry.mass, target)
+        radius = self._source(f"{path}.radius", entry.radius, target)
         if mass is None or radius is None:
             return None
-        moment = np.broadcast_to(0.4 * mass * radius**2, self.envs)
-        return np.repeat(moment[:, None], 3, axis=1)
+        moment = 0.4 * mass * radius**2
+        if target.single:
+            return np.repeat(np.broadcast_to(moment, self.envs)[:, None], 3, axis=1)
+        return np.broadcast_to(moment, (self.envs, target.count))[..., None, None] * np.eye(3)
 
-    def _source(self, path: str, source: str | float) -> Array | None:
-        """Returns the values of a scalar parameter, or of a number, (1,) or (envs,)."""
+    def _source(self, path: str, source: str | float, target: Parameter) -> Array | None:
+        """Returns the values of a scalar parameter, or of a number, (1,) or (envs,).
+
+        For a ``target`` with items (1 or envs, 1 or items).
+        """
         if not isinstance(source, str):
-            return np.array([source])
+            return np.array([source]) if target.single else np.array([[source]])
         if source not in self.model:
             if not self.unsound(source):
                 self.problems.add(path, f"must be a number or the name of a parameter{self._hint(source)}")
             return None
         parameter = self.model.find_parameter(source)
-        if parameter.tail or not parameter.single:
+        fits = parameter.single or (not target.single and parameter.count == target.count)
+        if parameter.tail or not fits:
             self.problems.add(path, f"must be a parameter that is one number, got {source!r}")
             return None
-        return self.values.get(source, parameter.read(1))
+        values = self.values.get(source, parameter.read(1))
+        return values[:, None] if values.ndim == 1 and not target.single else values
 
     def _check(self, path: str, parameter: Parameter, values: Array, envs: int) -> bool:
         try:

@@ -18,6 +18,7 @@ from warpcontact.usd.contacts import WIDTH, ForceLines, Readings, length_scale
 from warpcontact.usd.couplings import CouplingCurve
 from warpcontact.usd.replay import Replay
 from warpcontact.usd.surfaces import Placement, define_shapes, define_surfaces
+from warpcontact.usd.swarms import Swarm, swarms_of
 
 SUFFIXES = (".usd", ".usda", ".usdc")
 # Width of what has no size, in sizes of its body.
@@ -51,9 +52,11 @@ def export_usd(
     ``<body>.linear_velocity`` and ``<body>.angular_velocity``; radius, mass and inertia of each environment
     are read from ``<contact>.radius``, ``<body>.mass`` (env) and ``<body>.inertia`` (env, 3, 3). Without
     them the radius is that of the scene, while mass and inertia are left out, as they may differ from the
-    scene's. Places and sizes of surfaces and points are those recorded, such as ``<surface>.scale``, or else, as
-    gravity always, those of the scene. Points and spheres that several contacts share are drawn once, under the
-    name of the first.
+    scene's. A set of bodies is ``/World/env_<number>/<set>``, with the spheres or points of a contact of it as one
+    ``UsdGeom.PointInstancer`` or ``UsdGeom.Points`` that moves, or its centres of mass; it has its readings and no
+    schema of UsdPhysics. Places and sizes of surfaces and points are those recorded, such as ``<surface>.scale``,
+    or else, as gravity always, those of the scene. Points and spheres that several contacts share are drawn once,
+    under the name of the first.
 
     Args:
         recording: What ``Simulation.run`` returned, or the same data set loaded from a file.
@@ -109,6 +112,7 @@ class _Export:
         self.size = geometry.scene_size(replay, list(self.placements.values()), self.spheres)
         self.poses = {body.name: replay.pose(body) for body in scene.bodies}
         named: list[Any] = [*scene.bodies, *scene.contacts, *scene.contact_couplings, *scene.couplings]
+        self.swarms = swarms_of(scene, self.spheres, self.poses)
         self.readings = {name: Readings(replay, name) for name in ("scene", *(element.name for element in named))}
         self.lines = [line for contact in scene.contacts if (line := ForceLines.of(replay, contact))]
         self.curves = [CouplingCurve(replay, coupling) for coupling in scene.couplings]
@@ -178,7 +182,8 @@ class _Export:
             prim = UsdGeom.Xform.Define(self.stage, self._path(_PROTOTYPE, body)).GetPrim()
             Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
             mark(prim, body.name)
-            physics.apply_rigid_body(prim, body)
+            if body.single:
+                physics.apply_rigid_body(prim, body)
             self.readings[body.name].declare(prim)
         for name, placement in self.placements.items():
             if placement.surface.body is not None and placement.shared:
@@ -190,9 +195,12 @@ class _Export:
             path = self._path(_PROTOTYPE, group.body)
             if group.body is None:
                 UsdGeom.Xform.Define(self.stage, path)
-            geometry.define_spheres(
-                self.stage, f"{path}/{self.names[group.name]}", group, POINT * (own or self.size)
-            )
+            width = POINT * (own or self.size)
+            if group.contacts[0].points.spread:
+                continue
+            geometry.define_spheres(self.stage, f"{path}/{self.names[group.name]}", group, width)
+        for swarm in self.swarms:
+            swarm.declare(self.stage, self._swarm_path(_PROTOTYPE, swarm), POINT * self.size)
         if scene.contacts:
             UsdGeom.Scope.Define(self.stage, f"{_PROTOTYPE}/contacts")
         for contact in scene.contacts:
@@ -234,9 +242,10 @@ class _Export:
             env.AddTranslateOp().Set(Gf.Vec3d(*self._place(row)))
         for body in replay.scene.bodies:
             prim = stage.GetPrimAtPath(self._path(path, body))
-            self._move(UsdGeom.Xformable(prim), body, row)
-            physics.write_mass(prim, replay, body, row)
-            physics.write_velocity(prim, replay, body, row)
+            if body.single:
+                self._move(UsdGeom.Xformable(prim), body, row)
+                physics.write_mass(prim, replay, body, row)
+                physics.write_velocity(prim, replay, body, row)
             self.readings[body.name].write(prim, row)
         for name, placement in self.placements.items():
             if not placement.shared:
@@ -244,8 +253,10 @@ class _Export:
                     UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
                 shape = f"{_SHAPES}/{self.names[name]}_{int(placement.mesh[row])}"
                 placement.write(stage, self._surface_path(path, name), row, shape)
+        for swarm in self.swarms:
+            swarm.write(stage.GetPrimAtPath(self._swarm_path(path, swarm)), replay.codes, row)
         for group in self.spheres:
-            if group.differs(row):
+            if not group.contacts[0].points.spread and group.differs(row):
                 geometry.set_spheres(stage, f"{self._path(path, group.body)}/{self.names[group.name]}", group, row)
         for name in self._forces():
             self.readings[name].write(stage.GetPrimAtPath(self._contact_path(path, name)), row)
@@ -274,6 +285,9 @@ class _Export:
 
     def _path(self, env: str, body: Body | None) -> str:
         return f"{env}/{'FixedPoints' if body is None else self.names[body.name]}"
+
+    def _swarm_path(self, env: str, swarm: Swarm) -> str:
+        return f"{self._path(env, swarm.body)}/{self.names.get(swarm.name, swarm.name)}"
 
     def _surface_path(self, env: str, name: str) -> str:
         body = self.placements[name].surface.body

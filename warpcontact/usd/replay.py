@@ -72,7 +72,10 @@ class Replay:
         )
 
     def pose(self, body: Body) -> tuple[Array, Array]:
-        """Returns positions (time, env, 3) [m] and unit quaternions (time, env, 4) as x, y, z, w, all finite."""
+        """Returns positions (time, env, 3) [m] and unit quaternions (time, env, 4) as x, y, z, w, all finite.
+
+        Of a set of bodies (time, env, item, …).
+        """
         found = []
         for key in ("position", "orientation"):
             values = self.data[f"{body.name}.{key}"].transpose("time", "env", ...).values.astype(np.float64)
@@ -80,10 +83,11 @@ class Replay:
             length = np.linalg.norm(values, axis=-1)
             bad = np.argwhere(~(np.isfinite(length) & (length > shortest)))
             if len(bad):
-                record, row = bad[0]
+                record, row, *item = bad[0].tolist()
+                entry, got = f"{body.name}.{key}{item or ''}", values[tuple(bad[0])].tolist()
                 raise ValueError(
-                    f"{body.name}.{key} of environment {self.envs[row]} at {self.times[record]:g} s is not a "
-                    f"{kind}: {values[record, row].tolist()}; export other environments, or the records before it"
+                    f"{entry} of environment {self.envs[row]} at {self.times[record]:g} s is not a "
+                    f"{kind}: {got}; export other environments, or the records before it"
                 )
             found.append(values if key == "position" else values / length[..., None])
         return found[0], found[1]
@@ -97,7 +101,7 @@ class Replay:
             return np.zeros((len(self.envs), contact.count))
         name, shape = f"{contact.name}.radius", (len(self.envs), contact.count)
         if name not in self.data:
-            return np.full(shape, float(contact.radius))
+            return np.array(np.broadcast_to(contact.radius, shape))
         values = self.data[name].transpose("env", ...).values.astype(np.float64)
         if values.shape not in (shape, shape[:1]):
             raise ValueError(f"{name} must have shape {shape[:1]} or {shape}, got {values.shape}")

@@ -1,0 +1,202 @@
+"""Charts: surfaces by two parameters, with first and second derivatives.
+
+A chart has an axis for a pole, 0, 1 or 2 (x, y or z), as far as the surface needs one: where it is singular,
+another pole is not. Its tangents are right-handed, u × v points out of the surface.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import warp as wp
+from warpcontact.kernels.smooth.base import Shape
+from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
+from warpcontact.kernels.smooth.patch import Jet, Patch, jet_of_patch
+from warpcontact.kernels.smooth.sphere import Sphere
+from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
+from warpcontact.kernels.smooth.torus import Torus
+
+real = wp.float64
+vec3d = wp.vec3d
+zero = wp.constant(real(0.0))
+one = wp.constant(real(1.0))
+two = wp.constant(real(2.0))
+# Cosine of the latitude from which on another pole is better; of three axes, one is always farther away than that.
+NEAR_POLE = wp.constant(real(0.5))
+
+
+@wp.func
+def turned(x: vec3d, pole: wp.int32):
+    """Moves the components x, y, z so that the third becomes that of ``pole``; keeps the handedness."""
+    if pole == 0:
+        return vec3d(x[2], x[0], x[1])
+    if pole == 1:
+        return vec3d(x[1], x[2], x[0])
+    return x
+
+
+@wp.func
+def turned_back(x: vec3d, pole: wp.int32):
+    """The reverse of ``turned``."""
+    if pole == 0:
+        return vec3d(x[1], x[2], x[0])
+    if pole == 1:
+        return vec3d(x[2], x[0], x[1])
+    return x
+
+
+@wp.func
+def best_pole(direction: vec3d):
+    """The axis that a direction is farthest from."""
+    pole = wp.int32(2)
+    for i in range(2):
+        if wp.abs(direction[i]) < wp.abs(direction[pole]):
+            pole = i
+    return pole
+
+
+@wp.func
+def powers(cosine: real, sine: real, exponent: real):
+    """sgn(cos w) |cos w|^e and its first and second derivative with respect to w."""
+    if exponent == one:
+        return cosine, -sine, -cosine
+    size = wp.abs(cosine)
+    value = wp.sign(cosine) * wp.pow(size, exponent)
+    slope = -exponent * sine * wp.pow(size, exponent - one)
+    bend = exponent * ((exponent - one) * sine * sine * wp.pow(size, exponent - two) - wp.pow(size, exponent))
+    return value, slope, wp.sign(cosine) * bend
+
+
+@wp.func
+def spherical(axes: vec3d, north: real, around: real, pole: wp.int32, u: real, v: real):
+    """Longitude u and latitude v about ``pole``, with the exponents of a superellipsoid."""
+    c, c_u, c_uu = powers(wp.cos(u), wp.sin(u), around)
+    quarter = real(wp.half_pi)
+    s, s_u, s_uu = powers(wp.cos(u - quarter), wp.sin(u - quarter), around)
+    p, p_v, p_vv = powers(wp.cos(v), wp.sin(v), north)
+    r, r_v, r_vv = powers(wp.cos(v - quarter), wp.sin(v - quarter), north)
+    jet = Jet()
+    jet.x = wp.cw_mul(axes, turned_back(vec3d(p * c, p * s, r), pole))
+    jet.u = wp.cw_mul(axes, turned_back(vec3d(p * c_u, p * s_u, zero), pole))
+    jet.v = wp.cw_mul(axes, turned_back(vec3d(p_v * c, p_v * s, r_v), pole))
+    jet.uu = wp.cw_mul(axes, turned_back(vec3d(p * c_uu, p * s_uu, zero), pole))
+    jet.uv = wp.cw_mul(axes, turned_back(vec3d(p_v * c_u, p_v * s_u, zero), pole))
+    jet.vv = wp.cw_mul(axes, turned_back(vec3d(p_vv * c, p_vv * s, r_vv), pole))
+    return jet
+
+
+@wp.func
+def longitude_and_latitude(direction: vec3d, pole: wp.int32):
+    """Of a direction that need not be of unit length."""
+    d = turned(direction, pole)
+    return wp.atan2(d[1], d[0]), wp.atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
+
+
+@wp.func
+def ellipsoid_jet(p: Any, pole: wp.int32, u: real, v: real):
+    """Of an ellipsoid."""
+    return spherical(p.semi_axes, one, one, pole, u, v)
+
+
+@wp.func
+def ellipsoid_place(p: Any, x: vec3d):
+    """Where a point of an ellipsoid is on its chart, and the best pole."""
+    direction = wp.cw_div(x, p.semi_axes)
+    pole = best_pole(direction)
+    u, v = longitude_and_latitude(direction, pole)
+    return u, v, pole
+
+
+@wp.func
+def sphere_jet(p: Any, pole: wp.int32, u: real, v: real):
+    """Of a sphere."""
+    return spherical(vec3d(p.radius, p.radius, p.radius), one, one, pole, u, v)
+
+
+@wp.func
+def sphere_place(p: Any, x: vec3d):
+    """Where a point of a sphere is on its chart, and the best pole."""
+    pole = best_pole(x)
+    u, v = longitude_and_latitude(x, pole)
+    return u, v, pole
+
+
+@wp.func
+def superellipsoid_jet(p: Any, pole: wp.int32, u: real, v: real):
+    """Of a superellipsoid: regular within each octant."""
+    return spherical(p.semi_axes, p.exponents[0], p.exponents[1], 2, u, v)
+
+
+@wp.func
+def superellipsoid_place(p: Any, x: vec3d):
+    """Where a point of a superellipsoid is on its chart."""
+    d = wp.cw_div(x, p.semi_axes)
+    cosine = wp.pow(wp.abs(d[0]), one / p.exponents[1])
+    sine = wp.pow(wp.abs(d[1]), one / p.exponents[1])
+    u = wp.atan2(wp.where(d[1] < zero, -sine, sine), wp.where(d[0] < zero, -cosine, cosine))
+    # |x/a|^(2/e₂) + |y/b|^(2/e₂) is cos(v)^(2 e₁/e₂).
+    across = wp.pow(cosine * cosine + sine * sine, real(0.5) * p.exponents[1] / p.exponents[0])
+    height = wp.pow(wp.abs(d[2]), one / p.exponents[0])
+    v = wp.atan2(wp.where(d[2] < zero, -height, height), across)
+    return u, v, 2
+
+
+@wp.func
+def torus_jet(p: Any, pole: wp.int32, u: real, v: real):
+    """Of a torus: u around the axis, v around the tube."""
+    c = wp.cos(u)
+    s = wp.sin(u)
+    out = p.minor_radius * wp.cos(v)
+    up = p.minor_radius * wp.sin(v)
+    ring = p.major_radius + out
+    jet = Jet()
+    jet.x = vec3d(ring * c, ring * s, up)
+    jet.u = vec3d(-ring * s, ring * c, zero)
+    jet.v = vec3d(-up * c, -up * s, out)
+    jet.uu = vec3d(-ring * c, -ring * s, zero)
+    jet.uv = vec3d(up * s, -up * c, zero)
+    jet.vv = vec3d(-out * c, -out * s, -up)
+    return jet
+
+
+@wp.func
+def torus_place(p: Any, x: vec3d):
+    """Where a point of a torus is on its chart."""
+    across = wp.sqrt(x[0] * x[0] + x[1] * x[1])
+    return wp.atan2(x[1], x[0]), wp.atan2(x[2], across - p.major_radius), 2
+
+
+class NoChart(TypeError):
+    """A shape that is no surface of two parameters."""
+
+
+class Chart(NamedTuple):
+    """The chart of a shape, in its frame."""
+
+    #: ``(p, pole, u, v)``: the ``Jet``.
+    jet: wp.Function
+    #: ``(p, x)``: u, v and the best pole of a point x on the surface; a patch has no such function.
+    place: wp.Function | None
+    #: Whether it has poles that it can do without.
+    poles: bool
+    #: Whether v is a latitude: beyond ±90° the tangents are left-handed.
+    latitude: bool
+
+
+@functools.cache
+def chart(A: type[Shape]) -> Chart:
+    """Returns the chart of ``A``.
+
+    Raises:
+        NoChart: If it is not one surface with a chart.
+    """
+    if issubclass(A, Patch):
+        return Chart(jet_of_patch(A), None, poles=False, latitude=False)
+    known = {
+        Sphere: Chart(sphere_jet, sphere_place, poles=True, latitude=True),
+        Ellipsoid: Chart(ellipsoid_jet, ellipsoid_place, poles=True, latitude=True),
+        Superellipsoid: Chart(superellipsoid_jet, superellipsoid_place, poles=False, latitude=True),
+        Torus: Chart(torus_jet, torus_place, poles=False, latitude=False),
+    }
+    if A not in known:
+        raise NoChart(f"{A.__name__} has no chart; {', '.join(kind.__name__ for kind in known)} and patches have")
+    return known[A]

@@ -1,0 +1,314 @@
+"""Principal curvatures of shapes where they touch, and those of a pair relative to each other.
+
+Curvatures are those of normal sections, positive where the material is convex: 1/r of a sphere, −1/r of its mould.
+Across a sharp edge the curvature is infinite, along it that of the edge in the plane of the normal; at a tip and a
+sharp corner both are. Flat faces have none. What lies between two of these, as the seam of a capsule, has that of
+one side.
+
+The gap of a pair along a displacement t in the tangent plane opens by ½ t·(S_a + S_b) t: the principal values of
+the sum are the relative curvatures, A + B = ½ (κ₁ + κ₂) in Hertz's words.
+"""
+
+import functools
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.smooth.base import Curvature, Meeting, Shape
+from warpcontact.kernels.smooth.capsule import Capsule
+from warpcontact.kernels.smooth.charts import chart
+from warpcontact.kernels.smooth.cone import Cone
+from warpcontact.kernels.smooth.cylinder import Cylinder
+from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
+from warpcontact.kernels.smooth.patch import Patch
+from warpcontact.kernels.smooth.plane import Plane
+from warpcontact.kernels.smooth.rounded_box import RoundedBox
+from warpcontact.kernels.smooth.sphere import Sphere
+from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
+from warpcontact.kernels.smooth.torus import Torus
+
+real = wp.float64
+vec3d = wp.vec3d
+zero = wp.constant(real(0.0))
+one = wp.constant(real(1.0))
+two = wp.constant(real(2.0))
+half = wp.constant(real(0.5))
+sharp = wp.constant(real(wp.inf))
+# A place is on an edge, and a normal along an axis, within this: of the size, and of a unit vector.
+CLOSE = wp.constant(real(1.0e-9))
+
+
+@wp.func
+def across(n: vec3d):
+    """A unit vector across the unit vector n."""
+    if wp.abs(n[0]) < wp.abs(n[2]):
+        return wp.normalize(vec3d(zero, n[2], -n[1]))
+    return wp.normalize(vec3d(-n[1], n[0], zero))
+
+
+@wp.func
+def round_of(k: real, n: vec3d):
+    """The same curvature in all directions."""
+    found = Curvature()
+    found.k_1 = k
+    found.k_2 = k
+    found.direction = across(n)
+    return found
+
+
+@wp.func
+def two_of(k: real, along: vec3d, other: real, beside: vec3d):
+    """Curvature k along a unit vector, and another one beside it, in order."""
+    found = Curvature()
+    found.k_1 = k
+    found.k_2 = other
+    found.direction = along
+    if other < k:
+        found.k_1 = other
+        found.k_2 = k
+        found.direction = beside
+    return found
+
+
+@wp.func
+def principal(xx: real, xy: real, yy: real, x: vec3d, y: vec3d):
+    """Principal values of the symmetric form of xx, xy, yy on the unit vectors x and y."""
+    found = Curvature()
+    mean = half * (xx + yy)
+    apart = half * (xx - yy)
+    size = wp.sqrt(apart * apart + xy * xy)
+    found.k_1 = mean - size
+    found.k_2 = mean + size
+    found.direction = x
+    if size > zero:
+        # Half the angle of (−apart, −xy): where the form is least.
+        angle = half * wp.atan2(-xy, -apart)
+        found.direction = wp.cos(angle) * x + wp.sin(angle) * y
+    return found
+
+
+@wp.func
+def of_sphere(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+    """Of a sphere."""
+    return round_of(one / p.radius, n)
+
+
+@wp.func
+def of_plane(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+    """Of a half-space."""
+    return round_of(zero, n)
+
+
+@wp.func
+def of_radii(radii: wp.mat33d, n: vec3d):
+    """Of what has the Hessian ``radii`` of its support function, which are the radii of curvature."""
+    x = across(n)
+    y = wp.cross(n, x)
+    bent = principal(wp.dot(x, radii * x), wp.dot(x, radii * y), wp.dot(y, radii * y), x, y)
+    found = Curvature()
+    # The larger radius is the smaller curvature.
+    found.k_1 = one / wp.max(bent.k_2, zero)
+    found.k_2 = one / wp.max(bent.k_1, zero)
+    found.direction = wp.cross(n, bent.direction)
+    return found
+
+
+@wp.func
+def of_ellipsoid(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+    """Of an ellipsoid: second derivatives of its equation over the length of the first."""
+    slope = wp.cw_div(wp.cw_div(point, p.semi_axes), p.semi_axes)
+    size = wp.length(slope)
+    x = across(n)
+    y = wp.cross(n, x)
+    x_scaled = wp.cw_div(x, p.semi_axes)
+    y_scaled = wp.cw_div(y, p.semi_axes)
+    xx = wp.dot(x_scaled, x_scaled) / size
+    yy = wp.dot(y_scaled, y_scaled) / size
+    return principal(xx, wp.dot(x_scaled, y_scaled) / size, yy, x, y)
+
+
+@wp.func
+def of_superellipsoid(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+    """Of a superellipsoid: infinite, or nearly so, on its edges, and nothing where it is flat."""
+    seen = Superellipsoid.expand(p, n)
+    return of_radii(seen.hessian, n)
+
+
+@wp.func
+def of_revolution(point: vec3d, n: vec3d, meridian: real):
+    """Of a surface about the z axis with the given curvature of its meridian."""
+    out = vec3d(point[0], point[1], zero)
+    radius = wp.length(out)
+    around = wp.cross(vec3d(zero, zero, one), out / radius)
+    return two_of(wp.dot(n, out) / (radius * radius), around, meridian, wp.cross(around, n))
+
+
+@wp.func
+def of_capsule(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+    """Of a capsule."""
+    if wp.abs(n[2]) <= CLOSE and wp.abs(point[2]) < p.half_length:
+        return of_revolution(point, n, zero)
+    return round_of(one / p.radius, n)
+
+
+@wp.func
+def of_cylinder(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+    """Of a cylinder: its mantle, its ends, and the rim between them."""
+    if wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= CLOSE:
+        return round_of(zero, n)
+    if wp.abs(n[2]) <= CLOSE:
+        return of_revolution(point, n, zero)
+    return of_revolution(point, n, sharp)
+
+
+@wp.func
+def of_cone(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+    """Of a cone: its mantle, its base, the rim between them, and the tip."""
+    if n[2] < zero and wp.sqrt(n[0] * n[0] + n[1] * n[1]) <= CLOSE:
+        return round_of(zero, n)
+    if point[2] >= (one - CLOSE) * p.height:
+        return round_of(sharp, n)
+    slant = wp.sqrt(p.radius * p.radius + p.height * p.height)
+    if wp.abs(n[2] - p.radius / slant) <= CLOSE:
+        return of_revolution(point, n, zero)
+    return of_revolution(point, n, sharp)
+
+
+@wp.func
+def of_rounded_box(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+    """Of a box: its faces, edges and corners, by how many axes the normal leans on."""
+    leans = wp.int32(0)
+    free = wp.int32(0)
+    for i in range(3):
+        if wp.abs(n[i]) > CLOSE:
+            leans += 1
+        else:
+            free = i
+    if leans == 1:
+        return round_of(zero, n)
+    if leans == 3:
+        return round_of(one / p.radius, n)
+    found = Curvature()
+    found.k_2 = one / p.radius
+    found.direction[free] = one
+    return found
+
+
+@wp.func
+def of_torus(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+    """Of a torus: a saddle at the inner side."""
+    return of_revolution(point, n, one / p.minor_radius)
+
+
+@functools.cache
+def curvature(A: type[Shape]) -> wp.Function:
+    """Returns ``(p, point, n, u, v)``: the ``Curvature`` at a point of the surface, all in the frame of the shape.
+
+    n is the unit normal of the contact: on an edge there are many. u and v are the parameters of a patch, and
+    unused otherwise.
+
+    Raises:
+        TypeError: If it is a shape of which no curvature is known.
+    """
+    if issubclass(A, Patch):
+        jet_of = chart(A).jet
+
+        @wp.func
+        def of_patch(p: Any, point: vec3d, n: vec3d, u: real, v: real):
+            jet = jet_of(p, 0, u, v)
+            # The second fundamental form on unit vectors along x_u and across; convex is positive.
+            length = wp.length(jet.u)
+            x = jet.u / length
+            normal = wp.normalize(wp.cross(jet.u, jet.v))
+            y = wp.cross(normal, x)
+            # x_v = c x + w y
+            c = wp.dot(jet.v, x)
+            w = wp.dot(jet.v, y)
+            uu = -wp.dot(normal, jet.uu) / (length * length)
+            uv = -wp.dot(normal, jet.uv) / length
+            vv = -wp.dot(normal, jet.vv)
+            xy = (uv - c * uu) / w
+            yy = (vv - two * c * uv + c * c * uu) / (w * w)
+            return principal(uu, xy, yy, x, y)
+
+        return of_patch
+    known = {
+        Sphere: of_sphere,
+        Plane: of_plane,
+        Ellipsoid: of_ellipsoid,
+        Superellipsoid: of_superellipsoid,
+        Cylinder: of_cylinder,
+        Capsule: of_capsule,
+        Cone: of_cone,
+        RoundedBox: of_rounded_box,
+        Torus: of_torus,
+    }
+    if A not in known:
+        raise TypeError(f"the curvature of {A.__name__} is not known")
+    return known[A]
+
+
+@wp.func
+def along(c: Curvature, n: vec3d, t: vec3d):
+    """Curvature of the section along the unit vector t."""
+    beside = wp.cross(n, c.direction)
+    first = wp.dot(t, c.direction)
+    second = wp.dot(t, beside)
+    if second * second <= CLOSE * CLOSE:
+        return c.k_1
+    return c.k_1 * first * first + c.k_2 * second * second
+
+
+@wp.func
+def relative_of(a: Curvature, b: Curvature, n: vec3d):
+    """Relative principal curvatures of two surfaces in one frame, with the normal n of either."""
+    sharp_a = a.k_2 == sharp
+    sharp_b = b.k_2 == sharp
+    if sharp_a or sharp_b:
+        found = Curvature()
+        found.k_2 = sharp
+        found.direction = b.direction
+        if sharp_a:
+            found.direction = a.direction
+        # Two edges leave a direction only if they are parallel; k_1 at a tip is infinite, too.
+        found.k_1 = along(a, n, found.direction) + along(b, n, found.direction)
+        return found
+    x = a.direction
+    y = wp.cross(n, x)
+    c = wp.dot(b.direction, x)
+    s = wp.dot(b.direction, y)
+    xx = a.k_1 + b.k_1 * c * c + b.k_2 * s * s
+    yy = a.k_2 + b.k_1 * s * s + b.k_2 * c * c
+    return principal(xx, (b.k_1 - b.k_2) * c * s, yy, x, y)
+
+
+@wp.struct
+class Bent:
+    """Curvatures of a pair where it meets, frame of b."""
+
+    a: Curvature
+    b: Curvature
+    relative: Curvature  # what Hertz contact takes
+
+
+@functools.cache
+def relative(A: type[Shape], B: type[Shape]) -> wp.Function:
+    """Returns ``(p_a, p_b, x, rotation, meeting)``: the curvatures of a pair, ``Bent``.
+
+    The relative ones are positive where the surfaces part from the contact, negative where a hollow is narrower
+    than what lies in it, infinite on edges.
+    """
+    of_a, of_b = curvature(A), curvature(B)
+
+    @wp.func
+    def bent(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, met: Meeting):
+        q = wp.normalize(rotation)
+        found = Bent()
+        u = met.seed.u
+        point_a = wp.quat_rotate_inv(q, met.point_a - x)
+        found.a = of_a(p_a, point_a, wp.quat_rotate_inv(q, -met.normal), u[2], u[3])
+        found.a.direction = wp.quat_rotate(q, found.a.direction)
+        found.b = of_b(p_b, met.point_b, met.normal, u[0], u[1])
+        found.relative = relative_of(found.a, found.b, met.normal)
+        return found
+
+    return bent

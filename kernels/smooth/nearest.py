@@ -1,0 +1,94 @@
+"""The point of a closed surface that is nearest to a place: signed distance, normal and foot."""
+
+import functools
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import coefficient_struct
+from warpcontact.kernels.smooth import convex
+from warpcontact.kernels.smooth.base import Nearest, Seed, Shape
+from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
+from warpcontact.kernels.smooth.sphere import Sphere
+
+real = wp.float64
+vec3d = wp.vec3d
+zero = wp.constant(real(0.0))
+one = wp.constant(real(1.0))
+# Newton's method for the distance from an ellipsoid ends when a step is rounding; 5 to 8 are usual.
+STEPS = wp.constant(wp.int32(60))
+ROUNDING = wp.constant(real(1.0e-15))
+
+
+@wp.func
+def from_ellipsoid(p: Any, x: vec3d):
+    """Of an ellipsoid: the point a² x/(t + a²) by axis, with the t that puts it onto the surface.
+
+    The left side of Σ (a x/(t + a²))² = 1 is convex and falls beyond −a² of the shortest axis. Its inverse root is
+    nearly straight, and Newton's method on that does not overshoot from the left.
+    """
+    squares = wp.cw_mul(p.semi_axes, p.semi_axes)
+    scaled = wp.cw_mul(p.semi_axes, x)
+    short = wp.int32(0)
+    for i in range(1, 3):
+        if squares[i] < squares[short]:
+            short = i
+    # Where each term alone is 1: the sum is at least that at the last of these.
+    t = wp.abs(scaled[0]) - squares[0]
+    for i in range(1, 3):
+        t = wp.max(t, wp.abs(scaled[i]) - squares[i])
+    least = -squares[short]
+    foot = vec3d()
+    if t <= least:
+        # In the middle of the shortest axis, between two nearest points: the upper one, where there are two.
+        t = least
+    for _i in range(STEPS):
+        total = zero
+        steep = zero
+        for i in range(3):
+            if scaled[i] != zero:
+                part = scaled[i] / (t + squares[i])
+                total += part * part
+                steep += part * part / (t + squares[i])
+        if total <= one:
+            break
+        step = (wp.sqrt(total) - one) * total / steep
+        t = t + step
+        if step <= ROUNDING * (wp.abs(t) + squares[short]):
+            break
+    rest = one
+    for i in range(3):
+        if scaled[i] != zero:
+            share = scaled[i] / (t + squares[i])
+            foot[i] = p.semi_axes[i] * share
+            rest -= share * share
+    if t == least and rest > zero:
+        # On the middle surface: what is missing lies along the shortest axis.
+        foot[short] = p.semi_axes[short] * wp.sqrt(rest)
+    found = Nearest()
+    found.point = foot
+    found.normal = wp.normalize(wp.cw_div(foot, squares))
+    found.gap = wp.dot(found.normal, x - foot)
+    return found
+
+
+@functools.cache
+def nearest(A: type[Shape]) -> wp.Function:
+    """Returns ``(p, x)``: the ``Nearest`` point of a closed shape, in its frame."""
+    if hasattr(A, "nearest"):
+        return A.nearest
+    if A is Ellipsoid:
+        return from_ellipsoid
+    # As a sphere without radius sees it.
+    of_pair = convex.meet(Sphere, A)
+    Point = coefficient_struct(Sphere, real)
+
+    @wp.func
+    def from_place(p: Any, x: vec3d):
+        met = of_pair(Point(), p, x, wp.quatd(zero, zero, zero, one), Seed())
+        found = Nearest()
+        found.gap = met.gap
+        found.normal = met.normal
+        found.point = met.point_b
+        return found
+
+    return from_place

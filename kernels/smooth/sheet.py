@@ -1,0 +1,323 @@
+"""Where a patch and a closed shape meet: the place of the patch that is deepest in the shape, or nearest to it.
+
+The signed distance D(u, v) of the patch from the shape is looked at over a grid that covers the patch, every time,
+as far as the shape's size leaves a place to be nearer than those known; from the best of them Newton's method goes
+on to where the normals face each other. The result depends on the pose alone, and on nothing that came before.
+
+The least D is the contact as long as the shape is less deep than its own middle. Deeper, the nearest way out of
+the shape is not the one back through the patch. The patch is then lowered along its normals by about the depth:
+parallel surfaces have the same normals, so the contact is that with the lowered patch, its gap less by what it was
+lowered.
+
+Beyond an edge of the patch there is no contact: as at the border of a mesh, the place nearest to the shape
+decides. Nor is there of a shape that lies wholly behind the tangent plane where it would touch.
+"""
+
+import functools
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.smooth.base import Meeting, Nearest, Shape
+from warpcontact.kernels.smooth.curvature import curvature
+from warpcontact.kernels.smooth.nearest import nearest
+from warpcontact.kernels.smooth.patch import Jet, Patch, jet_of_patch
+from warpcontact.kernels.smooth.plane import Plane
+from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
+
+real = wp.float64
+vec3d = wp.vec3d
+vec2d = wp.vec2d
+mat22d = wp.mat22d
+zero = wp.constant(real(0.0))
+one = wp.constant(real(1.0))
+half = wp.constant(real(0.5))
+
+#: Places that Newton's method starts from.
+STARTS = 4
+# How often a patch is lowered.
+LOWERINGS = wp.constant(wp.int32(8))
+# By how much more than it is deep, in terms of the shape's size.
+MARGIN = wp.constant(real(0.02))
+# 4 to 6 are usual; where a contact lies on the end of a rounded edge, it takes hundreds.
+STEPS = wp.constant(wp.int32(1000))
+HALVINGS = wp.constant(wp.int32(40))
+# Cosine between the normal of the shape and the tangents of the patch, at a contact.
+ALLOWED = wp.constant(real(1.0e-9))
+# Part of the descent that a slope promises.
+ENOUGH = wp.constant(real(0.25))
+GOAL = wp.constant(real(1.0e-14))
+FAR = wp.constant(real(wp.inf))
+
+
+@wp.struct
+class Sight:
+    """The shape from one place of the patch, frame of b."""
+
+    u: vec2d
+    jet: Jet
+    normal: vec3d  # of the patch
+    place: vec3d  # on the lowered patch
+    near: Nearest  # of the shape from there
+    tilt: vec2d  # of the shape's normal against unit vectors along x_u and x_v
+    lean: real  # their length: cosine, 0 where the normals are parallel or facing
+
+
+@functools.cache
+def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
+    """Returns the device function of a closed shape and a patch; arguments as in ``meet.py``."""
+    of_place, bent = nearest(A), curvature(A)
+    jet_of = jet_of_patch(B)
+    bounded = A is not Plane
+    closed_u, closed_v = B.u_periodic, B.v_periodic
+    u_0, u_1, v_0, v_1 = (wp.constant(real(value)) for value in (*B.u_range, *B.v_range))
+    nodes_u, nodes_v = (
+        wp.constant(wp.int32(count + (0 if closed else 1)))
+        for count, closed in zip(B.scan, (closed_u, closed_v), strict=True)
+    )
+    step_u, step_v = (
+        wp.constant(real((ends[1] - ends[0]) / count))
+        for count, ends in zip(B.scan, (B.u_range, B.v_range), strict=True)
+    )
+    Slots = wp.types.vector(STARTS, real)
+
+    @wp.func
+    def look(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, u: vec2d, lowered: real):
+        at = Sight()
+        at.u = u
+        at.jet = jet_of(p_b, 0, u[0], u[1])
+        at.normal = wp.normalize(wp.cross(at.jet.u, at.jet.v))
+        at.place = at.jet.x - lowered * at.normal
+        at.near = of_place(p_a, wp.quat_rotate_inv(q, at.place - x))
+        at.near.normal = wp.quat_rotate(q, at.near.normal)
+        at.near.point = x + wp.quat_rotate(q, at.near.point)
+        at.tilt = vec2d(
+            wp.dot(at.near.normal, at.jet.u) / wp.length(at.jet.u),
+            wp.dot(at.near.normal, at.jet.v) / wp.length(at.jet.v),
+        )
+        at.lean = wp.length(at.tilt)
+        return at
+
+    @wp.func
+    def inside(u: vec2d):
+        """The nearest parameters of the domain."""
+        first = u[0]
+        second = u[1]
+        if not wp.static(closed_u):
+            first = wp.clamp(first, u_0, u_1)
+        if not wp.static(closed_v):
+            second = wp.clamp(second, v_0, v_1)
+        return vec2d(first, second)
+
+    @wp.func
+    def at_edge(u: vec2d):
+        edge_u = (u[0] <= u_0 or u[0] >= u_1) and wp.static(not closed_u)
+        edge_v = (u[1] <= v_0 or u[1] >= v_1) and wp.static(not closed_v)
+        return edge_u or edge_v
+
+    @wp.func
+    def turn_of(p_a: Any, x: vec3d, q: wp.quatd, at: Sight, step: vec3d):
+        """How the normal of the nearest point turns when the place moves by ``step``."""
+        n = at.near.normal
+        flat = step - wp.dot(step, n) * n
+        n_A = wp.quat_rotate_inv(q, n)
+        place = wp.quat_rotate_inv(q, at.near.point - x)
+        k = bent(p_a, place, n_A, zero, zero)
+        first = wp.quat_rotate(q, k.direction)
+        second = wp.cross(n, first)
+        return (
+            stiff(k.k_1, at.near.gap) * wp.dot(flat, first) * first
+            + stiff(k.k_2, at.near.gap) * wp.dot(flat, second) * second
+        )
+
+    @wp.func
+    def stiff(k: real, gap: real):
+        """Curvature of the parallel surface at a distance."""
+        if k == zero:
+            return zero
+        radius = one / k + gap
+        if radius == zero:
+            return zero
+        return one / radius
+
+    @wp.func
+    def newton(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, at: Sight, lowered: real):
+        """Newton's step for the tangential parts of the normal, the way down, and the slope of the distance."""
+        jet = at.jet
+        n = at.normal
+        m = at.near.normal
+        E = wp.dot(jet.u, jet.u)
+        F = wp.dot(jet.u, jet.v)
+        G = wp.dot(jet.v, jet.v)
+        form = wp.inverse(mat22d(E, F, F, G))
+        uu = wp.dot(n, jet.uu)
+        uv = wp.dot(n, jet.uv)
+        vv = wp.dot(n, jet.vv)
+        # n changes by −b g⁻¹ x, the lowered patch along with it.
+        by_u = form * vec2d(uu, uv)
+        by_v = form * vec2d(uv, vv)
+        z_u = jet.u + lowered * (by_u[0] * jet.u + by_u[1] * jet.v)
+        z_v = jet.v + lowered * (by_v[0] * jet.u + by_v[1] * jet.v)
+        m_u = turn_of(p_a, x, q, at, z_u)
+        m_v = turn_of(p_a, x, q, at, z_v)
+        values = vec2d(wp.dot(m, jet.u), wp.dot(m, jet.v))
+        J = mat22d(
+            wp.dot(m, jet.uu) + wp.dot(m_u, jet.u), wp.dot(m, jet.uv) + wp.dot(m_v, jet.u),
+            wp.dot(m, jet.uv) + wp.dot(m_u, jet.v), wp.dot(m, jet.vv) + wp.dot(m_v, jet.v),
+        )  # fmt: skip
+        # The way down, if the patch were flat and the shape far.
+        down = -(form * values)
+        determinant = wp.determinant(J)
+        step = down
+        if determinant != zero:
+            step = -(wp.inverse(J) * values)
+        return step, down, vec2d(wp.dot(m, z_u), wp.dot(m, z_v))
+
+    @wp.func
+    def polish(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec2d, lowered: real):
+        """The minimum of the distance that Newton's method comes to, within the domain."""
+        at = look(p_a, p_b, x, q, start, lowered)
+        steps = wp.int32(0)
+        going = wp.bool(True)
+        while going and steps < STEPS and at.lean > GOAL:
+            steps += 1
+            step, down, slope = newton(p_a, p_b, x, q, at, lowered)
+            going = wp.bool(False)
+            # Newton's step if it leads down and nearer to a root; else, or if that fails, the way down.
+            for attempt in range(2):
+                trial = step
+                if attempt == 1:
+                    trial = (wp.abs(at.near.gap) + wp.length(at.jet.u) * (u_1 - u_0)) * down
+                rise = wp.dot(slope, trial)
+                if rise < zero:
+                    for _i in range(HALVINGS):
+                        now = look(p_a, p_b, x, q, inside(at.u + trial), lowered)
+                        slack = GOAL * (wp.abs(at.near.gap) + wp.length(at.place - x))
+                        # By a good part of what the slope promises: less is a jump across a valley.
+                        lower = now.near.gap < at.near.gap + wp.min(ENOUGH * rise, -slack)
+                        settled = now.near.gap <= at.near.gap + slack and now.lean < half * at.lean
+                        if lower or settled:
+                            at = now
+                            going = wp.bool(True)
+                            break
+                        trial = half * trial
+                        rise = half * rise
+                if going:
+                    break
+        return at, steps
+
+    @wp.func
+    def deepest(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, lowered: real):
+        """The least distance over the patch."""
+        first_u = Slots()
+        first_v = Slots()
+        gaps = Slots()
+        for k in range(STARTS):
+            gaps[k] = FAR
+        radius = zero
+        middle = x
+        if wp.static(bounded):
+            radius = wp.length(A.extents(p_a))
+        steps = wp.int32(0)
+        for i in range(nodes_u):
+            for j in range(nodes_v):
+                u = vec2d(u_0 + real(i) * step_u, v_0 + real(j) * step_v)
+                jet = jet_of(p_b, 0, u[0], u[1])
+                place = jet.x - lowered * wp.normalize(wp.cross(jet.u, jet.v))
+                # No nearer than the sphere around the shape.
+                near_enough = wp.bool(True)
+                if wp.static(bounded):
+                    near_enough = wp.length(place - middle) - radius < gaps[STARTS - 1]
+                if near_enough:
+                    near = of_place(p_a, wp.quat_rotate_inv(q, place - x))
+                    steps += 1
+                    gap = near.gap
+                    # One start for neighbours: the best of them.
+                    slot = wp.int32(STARTS)
+                    for k in range(STARTS):
+                        beside_u = wp.abs(first_u[k] - u[0]) <= real(1.5) * step_u
+                        beside_v = wp.abs(first_v[k] - u[1]) <= real(1.5) * step_v
+                        if slot == STARTS and gaps[k] < FAR and beside_u and beside_v:
+                            slot = k
+                    if slot == STARTS and gap < gaps[STARTS - 1]:
+                        slot = wp.int32(STARTS - 1)
+                        gaps[slot] = FAR
+                    if slot < STARTS and gap < gaps[slot]:
+                        gaps[slot] = gap
+                        first_u[slot] = u[0]
+                        first_v[slot] = u[1]
+                        for k in range(STARTS - 1, 0, -1):
+                            if gaps[k] < gaps[k - 1]:
+                                gaps[k] = gaps[k - 1]
+                                gaps[k - 1] = gap
+                                first_u[k] = first_u[k - 1]
+                                first_u[k - 1] = u[0]
+                                first_v[k] = first_v[k - 1]
+                                first_v[k - 1] = u[1]
+        best = Sight()
+        best.near.gap = FAR
+        for k in range(STARTS):
+            if gaps[k] < FAR:
+                now, taken = polish(p_a, p_b, x, q, vec2d(first_u[k], first_v[k]), lowered)
+                steps += taken
+                if now.near.gap < best.near.gap:
+                    best = now
+        return best, steps
+
+    @wp.func
+    def wrapped(u: vec2d):
+        """Parameters of a closed surface within their range."""
+        first = u[0]
+        second = u[1]
+        if wp.static(closed_u):
+            first = first - (u_1 - u_0) * wp.floor((first - u_0) / (u_1 - u_0))
+        if wp.static(closed_v):
+            second = second - (v_1 - v_0) * wp.floor((second - v_0) / (v_1 - v_0))
+        return vec2d(first, second)
+
+    @wp.func
+    def met_by(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, seed: Any):
+        q = wp.normalize(rotation)
+        lowered = zero
+        at, steps = deepest(p_a, p_b, x, q, lowered)
+        for attempt in range(LOWERINGS):
+            facing = wp.dot(at.near.normal, at.normal) < zero and at.lean <= ALLOWED
+            # At the edge of the patch, or apart from it, it is where it is.
+            if facing or at.near.gap >= zero:
+                break
+            if wp.static(bounded):
+                # As deep as the shape goes below the tangent plane, and a little more: outside, the distance from
+                # sharp edges is smooth.
+                lowest = x + wp.quat_rotate(q, A.support(p_a, wp.quat_rotate_inv(q, -at.normal)))
+                depth = wp.dot(at.normal, at.jet.x - lowest)
+                more_than = MARGIN * real(attempt + 1) * wp.length(A.extents(p_a))
+                lowered = wp.max(depth, lowered - at.near.gap) + more_than
+            else:
+                break
+            at, more = deepest(p_a, p_b, x, q, lowered)
+            steps += more
+
+        met = Meeting()
+        met.gap = at.near.gap - lowered
+        met.normal = at.normal
+        met.point_b = at.jet.x
+        met.point_a = at.near.point
+        met.iterations = steps
+        met.residual = at.lean
+        u = wrapped(at.u)
+        met.seed.normal = met.normal
+        met.seed.u = wp.vec4d(u[0], u[1], zero, zero)
+        met.seed.known = 1
+        met.status = MET
+        facing = wp.dot(at.near.normal, at.normal) < zero
+        if at.lean > ALLOWED or not facing:
+            met.status = NOT_CONVERGED
+            # Nearest to the edge, or apart from the patch and behind it.
+            if at_edge(at.u) or (at.lean <= ALLOWED and met.gap >= zero):
+                met.status = OUTSIDE
+        elif wp.static(bounded):
+            top = x + wp.quat_rotate(q, A.support(p_a, wp.quat_rotate_inv(q, at.normal)))
+            if wp.dot(at.normal, top - at.jet.x) < zero:
+                met.status = OUTSIDE
+        return met
+
+    return met_by
