@@ -108,13 +108,14 @@ def function(A: type[Shape], B: type[Shape]) -> wp.Function:
 
     @wp.func
     def next_direction(
-        p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, apart: vec3d, inner: real, depth: real, place: Place
+        p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, apart: vec3d, inner: real, depth: real, end: vec3d, place: Place
     ):
         """Goes on from a place to the next direction along which the overlap is less than ``depth``.
 
         Where this is infinite, or the number of fine cells is used up, to the next that it may be less about.
-        ``inner`` is the sum of the radii of two spheres inside the bodies, whose centres are ``apart``. Returns
-        the direction, 0 if there is none, and where to go on.
+        ``inner`` is the sum of the radii of two spheres inside the bodies, whose centres are ``apart``; ``end`` is
+        the difference of two points of the bodies where the best climb ended. Returns the direction, 0 if there
+        is none, and where to go on.
         """
         n = vec3d()
         cell = place.cell
@@ -157,8 +158,14 @@ def function(A: type[Shape], B: type[Shape]) -> wp.Function:
                 # No bound to compare with, or no end of cells that are as good.
                 found = found or (left and level == STARTS and (not known or fine >= MOST))
                 if left and not found:
-                    # Across an edge c jumps. Of all between this and that of the worst corner, one that rules out
-                    # the cell is enough.
+                    # Of all between this and that of the end, one that rules out the cell is enough.
+                    e = end - c
+                    to = wp.vec4d(
+                        wp.dot(corner_1, e), wp.dot(corner_2, e), wp.dot(corner_3, e), wp.dot(corner_4, e)
+                    )
+                    left = not_between(at, to, -depth)
+                if left and not found:
+                    # Across an edge c jumps: the same with that of the corner where the bound is worst.
                     worst = corner_1
                     if at[1] == wp.max(at):
                         worst = corner_2

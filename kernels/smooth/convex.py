@@ -137,7 +137,8 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
                 n = ahead(p_a, p_b, x, R, gap + NOISE * size)
                 searching = wp.length_sq(n) > zero
             if climbs < CLIMBS and not searching and (wp.static(not polyhedral) or not met):
-                n, place = next_direction(p_a, p_b, x, R, apart, inner, -gap - TIE * size, place)
+                end = best.point_a - best.point_b - margin * best.normal
+                n, place = next_direction(p_a, p_b, x, R, apart, inner, -gap - TIE * size, end, place)
                 searching = wp.length_sq(n) > zero
                 if not met:
                     # No bound yet, and so a start all around.
