@@ -49,6 +49,8 @@ SLIDES = wp.constant(real(1.0e-14))
 INSIDE = wp.constant(real(1.0 + 1.0e-9))
 # Of a component of n, the change from which its power is looked at.
 OFF = wp.constant(real(0.2))
+# Two principal curvatures that differ by less, of their mean, are the same.
+SAME = wp.constant(real(1.0e-12))
 TINY = wp.constant(real(1.0e-300))
 
 
@@ -62,7 +64,7 @@ def newton(q_11: real, q_12: real, q_22: real, rho: vec2d):
         if determinant > TINY:
             return vec2d(q_22 * rho[0] - q_12 * rho[1], q_11 * rho[1] - q_12 * rho[0]) / determinant
     high = vec2d(one, zero)
-    if radius > zero:
+    if radius > SAME * wp.abs(mean):
         # Its eigenvector, from the larger of two columns.
         if q_11 > q_22:
             high = wp.normalize(vec2d(mean + radius - q_22, q_12))
