@@ -108,14 +108,23 @@ def function(A: type[Shape], B: type[Shape]) -> wp.Function:
 
     @wp.func
     def next_direction(
-        p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, apart: vec3d, inner: real, depth: real, end: vec3d, place: Place
+        p_a: Of_a,
+        p_b: Of_b,
+        x: vec3d,
+        R: mat33d,
+        apart: vec3d,
+        inner: real,
+        depth: real,
+        end: vec3d,
+        explore: wp.bool,
+        place: Place,
     ):
         """Goes on from a place to the next direction along which the overlap is less than ``depth``.
 
-        Where this is infinite, or the number of fine cells is used up, to the next that it may be less about.
-        ``inner`` is the sum of the radii of two spheres inside the bodies, whose centres are ``apart``; ``end`` is
-        the difference of two points of the bodies where the best climb ended. Returns the direction, 0 if there
-        is none, and where to go on.
+        Where this is infinite, or all fine cells are used up and ``explore`` says so, to the next about which it
+        may be less. ``inner`` is the sum of the radii of two spheres inside the bodies, whose centres are
+        ``apart``; ``end`` is the difference of two points of the bodies where the best climb ended. Returns the
+        direction, 0 if there is none, and where to go on.
         """
         n = vec3d()
         cell = place.cell
@@ -156,7 +165,7 @@ def function(A: type[Shape], B: type[Shape]) -> wp.Function:
                 known = depth < INFINITY
                 found = left and known and wp.dot(n, c) > -depth
                 # No bound to compare with, or no end of cells that are as good.
-                found = found or (left and level == STARTS and (not known or fine >= MOST))
+                found = found or (left and level == STARTS and (not known or (explore and fine >= MOST)))
                 if left and not found:
                     # Of all between this and that of the end, one that rules out the cell is enough.
                     e = end - c

@@ -23,8 +23,9 @@ real = wp.float64
 vec3d = wp.vec3d
 mat33d = wp.mat33d
 
-#: Most climbs.
+#: Most climbs from directions that are not known to be better, and of all.
 CLIMBS = 40
+MOST_CLIMBS = 80
 #: How often a climb that is higher than all others goes on where its steps are used up.
 AGAIN = 5
 
@@ -136,9 +137,14 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
                 begun = True
                 n = ahead(p_a, p_b, x, R, gap + NOISE * size)
                 searching = wp.length_sq(n) > zero
-            if climbs < CLIMBS and not searching and (wp.static(not polyhedral) or not met):
+            go_on = climbs < CLIMBS
+            if met:
+                go_on = wp.bool(wp.static(not polyhedral)) and climbs < MOST_CLIMBS
+            if go_on and not searching:
                 end = best.point_a - best.point_b - margin * best.normal
-                n, place = next_direction(p_a, p_b, x, R, apart, inner, -gap - TIE * size, end, place)
+                depth = -gap - TIE * size
+                explore = climbs < CLIMBS
+                n, place = next_direction(p_a, p_b, x, R, apart, inner, depth, end, explore, place)
                 searching = wp.length_sq(n) > zero
                 if not met:
                     # No bound yet, and so a start all around.
