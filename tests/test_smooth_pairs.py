@@ -6,7 +6,9 @@ import json
 import numpy as np
 import pytest
 from convex_pairs import (
+    brute_force,
     check,
+    chosen,
     heights,
     random_pairs,
     random_rotations,
@@ -135,6 +137,30 @@ def test_two_planes_are_refused():
 def test_the_gap_is_the_largest_of_all_directions(pair, device):
     shapes = random_pairs(*pair, 1000, seed=3)
     check(*pair, shapes, solved(*pair, *shapes, device=device), count=1000)
+
+
+HIDDEN = [
+    # Pairs of 20 000: a better way apart close to the normal of a disc, two of them, and a climb of many steps.
+    (sh.Cylinder, sh.RoundedBox, 100, 7052),
+    (sh.Cone, sh.Cone, 104, 4475),
+    (sh.Superellipsoid, sh.Cone, 104, 12053),
+]
+
+
+@pytest.mark.parametrize(("A", "B", "seed", "which"), HIDDEN)
+def test_a_hidden_way_apart_is_found(A, B, seed, which, device):
+    a, b, x, q = random_pairs(A, B, 20_000, seed=seed)
+    pair = (A, B, *(chosen(values, [which]) for values in (a, b)), x[[which]], q[[which]])
+    found = solved(*pair, device=device)[0]
+    assert found["status"] == MET
+    assert found["gap"] == pytest.approx(brute_force(*pair, rounds=60)[0], abs=1e-9)
+
+
+def test_a_tip_within_a_tip_slides_out(device):
+    """As long as tips are all that touch, g is as curved one way as the other, but for rounding."""
+    a, b, x, q = random_pairs(sh.Cone, sh.Cone, 20_000, seed=100)
+    pair = (sh.Cone, sh.Cone, *(chosen(values, [14490]) for values in (a, b)), x[[14490]], q[[14490]])
+    assert solved(*pair, device=device)[0]["iterations"] < 30
 
 
 SOME = [

@@ -1,9 +1,10 @@
 """All directions, searched for one along which two bodies in overlap come apart by less than a given way.
 
 The set of all differences of points of the two bodies contains every difference c of two points that planes with
-one normal touch. So the overlap along any other direction n is at least −n·c, and over a cell of directions at
-least the least of its corners. Cells that this does not rule out are divided; the few that are left in the end are
-where to look. Six faces of a cube are the cells to begin with.
+one normal touch, and all between two of them. So the overlap along any other direction n is at least −n·c, and
+over a cell of directions at least the least of its corners. Cells that this does not rule out are divided, until
+the overlap along the middle of one is less or none is left: bounds err by the square of the size of a cell, those
+of the finest by no more than rounding. Six faces of a cube are the cells to begin with.
 """
 
 import functools
@@ -16,23 +17,56 @@ real = wp.float64
 vec3d = wp.vec3d
 mat33d = wp.mat33d
 
-#: How often a cell is divided into four, and how many cells of the finest a face of the cube has along an edge.
-LEVELS = 6
+#: How often a cell is divided into four at most, and for cells to start from where there is no bound.
+LEVELS = 20
+STARTS = 6
+#: Most cells finer than those that are looked at. Where ways apart are equal all along a curve, there is no end.
+MOST = 4000
+
 EDGE = 1 << LEVELS
-#: Index of the first cell that is not one.
-END = 6 * EDGE * EDGE
+# Index of the first cell that is not one, and of the finest cells.
+END = wp.constant(wp.int64(6 * EDGE * EDGE))
+IN_FACE = wp.constant(wp.int64(EDGE * EDGE - 1))
+FACE_BITS = wp.constant(wp.int64(2 * LEVELS))
+# Side of the finest cell, and the depth of nothing that is known.
+CELL = wp.constant(real(2.0 / EDGE))
+INFINITY = wp.constant(real(wp.inf))
+BIT = wp.constant(wp.int64(1))
+# Every other bit of two, two of four, and so on.
+MASKS = tuple(
+    wp.constant(wp.int64(sum(((1 << width) - 1) << (2 * width * i) for i in range(32 // width)) & (2**63 - 1)))
+    for width in (1, 2, 4, 8, 16, 32)
+)
+MASK_1, MASK_2, MASK_4, MASK_8, MASK_16, MASK_32 = MASKS
 
 one = wp.constant(real(1.0))
 zero = wp.constant(real(0.0))
 
 
+@wp.struct
+class Place:
+    """Where a search has come to."""
+
+    cell: wp.int64  # index of the first of the finest cells that are left to look at
+    level: wp.int32  # that of the cell to go on with; −1: of the largest that begins there
+    fine: wp.int32  # number of fine cells that were looked at
+
+
 @wp.func
-def every_other_bit(code: int):
+def every_other_bit(code: wp.int64):
     """The number of the even bits of ``code``."""
-    number = wp.int32(0)
-    for i in range(LEVELS):
-        number += ((code >> (2 * i)) & 1) << i
-    return number
+    number = code & MASK_1
+    number = (number | (number >> wp.int64(1))) & MASK_2
+    number = (number | (number >> wp.int64(2))) & MASK_4
+    number = (number | (number >> wp.int64(4))) & MASK_8
+    number = (number | (number >> wp.int64(8))) & MASK_16
+    return real((number | (number >> wp.int64(16))) & MASK_32)
+
+
+@wp.func
+def length_of(level: int):
+    """How many of the finest cells a cell of a level has, one after the other."""
+    return BIT << wp.int64(2 * (LEVELS - level))
 
 
 @wp.func
@@ -51,6 +85,22 @@ def onto_cube(face: int, u: real, v: real):
     return vec3d(u, v, -one)
 
 
+@wp.func
+def not_between(at: wp.vec4d, to: wp.vec4d, most: real):
+    """Whether there is no number t from 0 to 1 with at + t to ≤ most."""
+    first = real(0.0)
+    last = real(1.0)
+    for i in range(4):
+        spare = most - at[i]
+        if to[i] < zero:
+            first = wp.max(first, spare / to[i])
+        elif to[i] > zero:
+            last = wp.min(last, spare / to[i])
+        elif spare < zero:
+            first = real(2.0)
+    return first > last
+
+
 @functools.cache
 def function(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function ``next_direction`` of a pair."""
@@ -58,28 +108,40 @@ def function(A: type[Shape], B: type[Shape]) -> wp.Function:
 
     @wp.func
     def next_direction(
-        p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, apart: vec3d, inner: real, depth: real, first: int
+        p_a: Of_a,
+        p_b: Of_b,
+        x: vec3d,
+        R: mat33d,
+        apart: vec3d,
+        inner: real,
+        depth: real,
+        end: vec3d,
+        explore: wp.bool,
+        place: Place,
     ):
-        """Goes on from cell ``first`` to the next where the overlap may be less than ``depth``.
+        """Goes on from a place to the next direction along which the overlap is less than ``depth``.
 
-        ``inner`` is the sum of the radii of two spheres inside the bodies, whose centres are ``apart``. Returns
-        the middle of the cell, whether there is one, and where to go on.
+        Where this is infinite, or all fine cells are used up and ``explore`` says so, to the next about which it
+        may be less. ``inner`` is the sum of the radii of two spheres inside the bodies, whose centres are
+        ``apart``; ``end`` is the difference of two points of the bodies where the best climb ended. Returns the
+        direction, 0 if there is none, and where to go on.
         """
         n = vec3d()
-        cell = first
-        level = wp.int32(-1)
-        left = wp.bool(False)
-        while cell < END and not left:
+        cell = place.cell
+        level = place.level
+        fine = place.fine
+        found = wp.bool(False)
+        while cell < END and not found:
             if level < 0:
                 # The largest cell that begins here.
                 level = LEVELS
-                while level > 0 and cell & ((1 << (2 * (LEVELS - level + 1))) - 1) == 0:
+                while level > 0 and cell & (length_of(level - 1) - BIT) == wp.int64(0):
                     level -= 1
-            face = cell >> (2 * LEVELS)
-            code = cell & (EDGE * EDGE - 1)
-            half = real(1 << (LEVELS - level)) / real(EDGE)
-            u = real(2 * every_other_bit(code)) / real(EDGE) - one + half
-            v = real(2 * every_other_bit(code >> 1)) / real(EDGE) - one + half
+            code = cell & IN_FACE
+            face = wp.int32(cell >> FACE_BITS)
+            half = one / real(1 << level)
+            u = every_other_bit(code) * CELL - one + half
+            v = every_other_bit(code >> BIT) * CELL - one + half
             n = wp.normalize(onto_cube(face, u, v))
             corner_1 = wp.normalize(onto_cube(face, u - half, v - half))
             corner_2 = wp.normalize(onto_cube(face, u + half, v - half))
@@ -98,17 +160,45 @@ def function(A: type[Shape], B: type[Shape]) -> wp.Function:
             left = farthest > allowed
             if left:
                 c = x + R * A.support(p_a, -(n * R)) - B.support(p_b, n)
-                farthest = wp.max(
-                    wp.max(wp.dot(corner_1, c), wp.dot(corner_2, c)),
-                    wp.max(wp.dot(corner_3, c), wp.dot(corner_4, c)),
-                )
-                left = farthest > -depth
-            if left and level < LEVELS:
+                at = wp.vec4d(wp.dot(corner_1, c), wp.dot(corner_2, c), wp.dot(corner_3, c), wp.dot(corner_4, c))
+                left = wp.max(at) > -depth
+                known = depth < INFINITY
+                found = left and known and wp.dot(n, c) > -depth
+                # No bound to compare with, or no end of cells that are as good.
+                found = found or (left and level == STARTS and (not known or (explore and fine >= MOST)))
+                if left and not found:
+                    # Of all between this and that of the end, one that rules out the cell is enough.
+                    e = end - c
+                    to = wp.vec4d(
+                        wp.dot(corner_1, e), wp.dot(corner_2, e), wp.dot(corner_3, e), wp.dot(corner_4, e)
+                    )
+                    left = not_between(at, to, -depth)
+                if left and not found:
+                    # Across an edge c jumps: the same with that of the corner where the bound is worst.
+                    worst = corner_1
+                    if at[1] == wp.max(at):
+                        worst = corner_2
+                    if at[2] == wp.max(at):
+                        worst = corner_3
+                    if at[3] == wp.max(at):
+                        worst = corner_4
+                    e = x + R * A.support(p_a, -(worst * R)) - B.support(p_b, worst) - c
+                    to = wp.vec4d(
+                        wp.dot(corner_1, e), wp.dot(corner_2, e), wp.dot(corner_3, e), wp.dot(corner_4, e)
+                    )
+                    left = not_between(at, to, -depth)
+                if level > STARTS:
+                    fine += 1
+            if left and level < wp.where(fine < MOST, LEVELS, STARTS):
                 level += 1
-                left = False
             else:
-                cell += 1 << (2 * (LEVELS - level))
+                cell += length_of(level)
                 level = -1
-        return n, left, cell
+        if not found:
+            n = vec3d()
+        place.cell = cell
+        place.level = level
+        place.fine = fine
+        return n, place
 
     return next_direction

@@ -49,8 +49,8 @@ SLIDES = wp.constant(real(1.0e-14))
 INSIDE = wp.constant(real(1.0 + 1.0e-9))
 # Of a component of n, the change from which its power is looked at.
 OFF = wp.constant(real(0.2))
-# Cosine of the angle to a pole that counts as beside it.
-BESIDE = wp.constant(real(0.9999))
+# Two principal curvatures that differ by less, of their mean, are the same.
+SAME = wp.constant(real(1.0e-12))
 TINY = wp.constant(real(1.0e-300))
 
 
@@ -64,7 +64,7 @@ def newton(q_11: real, q_12: real, q_22: real, rho: vec2d):
         if determinant > TINY:
             return vec2d(q_22 * rho[0] - q_12 * rho[1], q_11 * rho[1] - q_12 * rho[0]) / determinant
     high = vec2d(one, zero)
-    if radius > zero:
+    if radius > SAME * wp.abs(mean):
         # Its eigenvector, from the larger of two columns.
         if q_11 > q_22:
             high = wp.normalize(vec2d(mean + radius - q_22, q_12))
@@ -193,11 +193,10 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         return d + (more / wp.dot(k, k)) * k
 
     @wp.func
-    def climb(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, start: vec3d, size: real, to_poles: wp.bool):
+    def climb(p_a: Of_a, p_b: Of_b, x: vec3d, R: mat33d, start: vec3d, size: real):
         """Climbs from the unit vector ``start``; ``size`` [m] is that of the pair.
 
-        With ``to_poles`` it may leap to the normal of a disc that is higher, over lower ground or past a summit.
-        Without it ends beside one.
+        It may leap to the normal of a disc that is higher, over lower ground or past a summit.
         """
         n = start
         view = look(p_a, p_b, x, R, n)
@@ -330,10 +329,6 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                     other = pole_ahead(n, vec3d(zero, zero, -one), wp.static(int(B.discs == 1)), d_3)
                     if wp.dot(n, other) > wp.dot(n, pole):
                         pole = other
-                if not to_poles:
-                    if wp.dot(n, pole) > BESIDE:
-                        break
-                    pole = vec3d()
             done = wp.bool(False)
             tried = wp.int32(0)
             if wp.static(steep):

@@ -6,7 +6,10 @@ overlap no deeper than the sum of the radii of spheres that roll inside both sur
 that size fits into the set of all differences of points of the two bodies where it touches its border, and no
 other part of the border is nearer. In deeper overlap there may be several, however good the start. Of two
 bodies with straight edges, the normals of faces and of pairs of edges are all there are. Of others, bounds on
-cells of directions rule out most, and the climb starts again from those that are left.
+cells of directions rule out all where the bodies come apart by less, and the climb starts again from any direction
+that is better than its end, until there is none. So the answer does not depend on where climbs happen to end, but
+for a body that can leave another by ways of one length all along a curve: there the search stops at a number of
+cells. An end that is lower than a direction met on the way, from where no climb arrived, is no answer.
 """
 
 import functools
@@ -20,20 +23,23 @@ real = wp.float64
 vec3d = wp.vec3d
 mat33d = wp.mat33d
 
-#: Most climbs, and how many of their ends are remembered.
+#: Most climbs from directions that are not known to be better, and of all.
 CLIMBS = 40
-KNOWN = 8
+MOST_CLIMBS = 80
+#: How often a climb that is higher than all others goes on where its steps are used up.
+AGAIN = 5
 
 zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
 # A residual above this is no solution; of steep shapes, whose points the rounding of n moves far.
 ALLOWED = wp.constant(real(1.0e-9))
 ALLOWED_STEEP = wp.constant(real(1.0e-6))
-# Cosine of the angle to an end of a climb below which no new one starts.
-SAME = wp.constant(real(0.9998))
 # Rounding of g, of the size of the pair.
 NOISE = wp.constant(real(1.0e-14))
+# Ways apart that differ by no more, of the size of the pair, are as short as each other.
+TIE = wp.constant(real(1.0e-11))
+BIT = wp.constant(wp.int64(1))
 # Cells of the finest in one of those that climbs start from as long as none has arrived.
-COARSE = wp.constant(around.EDGE * around.EDGE // 4)
+COARSE = wp.constant(wp.int64(around.EDGE * around.EDGE // 4))
 NOTHING = wp.constant(real(-wp.inf))
 
 
@@ -42,10 +48,9 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function of two convex shapes, see ``meet.py``."""
     of_pair = ascent.functions(A, B)
     Of_a, Of_b, Climb, climb = of_pair.Of_a, of_pair.Of_b, of_pair.Climb, of_pair.climb
-    Known = wp.types.matrix((KNOWN, 3), real)
     next_direction = around.function(A, B)
-    # In overlap, the sum of straight edges is least along one of the normals that ``ahead`` knows.
     allowed = ALLOWED_STEEP if A.steep or B.steep else ALLOWED
+    # The overlap of bodies with straight edges is least along one of the normals that ``ahead`` knows.
     polyhedral = A.polyhedral and B.polyhedral
 
     @wp.func
@@ -94,16 +99,17 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
             n = wp.normalize(apart)
         found = Meeting()
         best = Climb()
-        known = Known()
         climbs = wp.int32(0)
         met = wp.bool(False)
-        cell = wp.int32(-1)
+        place = around.Place()
+        place.level = -1
+        begun = wp.bool(False)
+        highest = NOTHING
+        again = wp.int32(0)
         searching = wp.bool(True)
         while searching:
-            # The normals of discs are known from the second climb on.
-            one_climb = climb(p_a, p_b, x, R, n, size, climbs < 2 or not met)
+            one_climb = climb(p_a, p_b, x, R, n, size)
             found.iterations += one_climb.steps
-            known[climbs % KNOWN] = one_climb.normal
             good = one_climb.residual <= allowed
             better = one_climb.residual < best.residual
             if met:
@@ -116,32 +122,42 @@ def meet(A: type[Shape], B: type[Shape]) -> wp.Function:
             climbs += 1
             if met and best.value - margin >= -sure:
                 break
+            if not good and one_climb.value > highest and one_climb.steps == ascent.STEPS and again < AGAIN:
+                # Higher than all, and still on its way.
+                again += 1
+                n = one_climb.normal
+                continue
+            highest = wp.max(highest, one_climb.value)
+            again = 0
             gap = NOTHING
             if met:
                 gap = best.value - margin
             searching = False
-            if cell < 0:
-                cell = 0
+            if not begun:
+                begun = True
                 n = ahead(p_a, p_b, x, R, gap + NOISE * size)
                 searching = wp.length_sq(n) > zero
-            left = wp.bool(wp.static(not polyhedral) or not met)
-            while left and not searching and climbs < CLIMBS:
-                n, left, cell = next_direction(p_a, p_b, x, R, apart, inner, -gap, cell)
-                if left:
-                    if not met:
-                        # No bound yet, and so a start all around.
-                        cell = ((cell - 1) // COARSE + 1) * COARSE
-                    searching = wp.dot(n, best.normal) < SAME
-                    for k in range(KNOWN):
-                        if k < climbs and wp.dot(n, known[k]) > SAME:
-                            searching = False
+            go_on = climbs < CLIMBS
+            if met:
+                go_on = wp.bool(wp.static(not polyhedral)) and climbs < MOST_CLIMBS
+            if go_on and not searching:
+                end = best.point_a - best.point_b - margin * best.normal
+                depth = -gap - TIE * size
+                explore = climbs < CLIMBS
+                n, place = next_direction(p_a, p_b, x, R, apart, inner, depth, end, explore, place)
+                searching = wp.length_sq(n) > zero
+                if not met:
+                    # No bound yet, and so a start all around.
+                    place.cell = (place.cell // COARSE + BIT) * COARSE
+                    place.level = -1
         found.gap = best.value - margin
         found.normal = best.normal
         found.point_a = best.point_a - A.margin(p_a) * best.normal
         found.point_b = best.point_b + B.margin(p_b) * best.normal
         found.residual = best.residual
         found.status = NOT_CONVERGED
-        if met:
+        if met and highest <= best.value + TIE * size:
+            # Nothing higher is known, not even where a climb did not arrive.
             found.status = MET
             found.seed.normal = best.normal
             found.seed.known = 1
