@@ -70,5 +70,5 @@ def test_all_problems_of_a_pile_are_told_at_once(tmp_path):
         assert words in text
     study = copy.deepcopy(STUDY)
     study["shape"][2]["form"] = {"type": "Plane"}
-    with pytest.raises(ValueError, match=r"mutual_contact\[0\].*'third' is a Plane; mutual contacts are of spheres"):
+    with pytest.raises(ValueError, match=r"mutual_contact\[0\].*'third' is a Plane; mutual contacts are of"):
         wc.Experiment.from_dict(study, tmp_path)
