@@ -70,8 +70,9 @@ class Patch(Shape):
     #: Whether the surface closes over a range.
     u_periodic: ClassVar[bool] = False
     v_periodic: ClassVar[bool] = False
-    #: Into how many steps the ranges are cut where contacts are looked for; its bulges must be wider than these.
-    scan: ClassVar[tuple[int, int]] = (24, 24)
+    #: Into how many steps the ranges are cut where contacts are looked for; its bulges, and the corners of what touches
+    #: it, must be wider than these.
+    scan: ClassVar[tuple[int, int]] = (48, 48)
     position: ClassVar[wp.Function]
 
     def __init_subclass__(cls, **keywords: Any) -> None:
