@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
+from pxr import Usd, UsdGeom, UsdValidation
 
 import warpcontact as wc
 from warpcontact.smooth.tessellate import tessellate
-
-pytest.importorskip("pxr")
-from pxr import Usd, UsdGeom
 
 SOFT = wc.Template(law=wc.laws.Hooke(stiffness=1e3))
 FORMS = {
@@ -66,9 +64,8 @@ def test_shapes_have_the_size_of_their_form(stage, name, kind, low, high):
 
 
 def test_colliders_are_what_usd_allows(stage):
-    validation = pytest.importorskip("pxr.UsdValidation")
-    validators = validation.ValidationRegistry().GetOrLoadAllValidators()
-    errors = validation.ValidationContext(validators).Validate(stage)
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
     assert [error.GetErrorAsString() for error in errors] == []
 
 

@@ -15,13 +15,9 @@ from warpcontact.couplings.adding import Couplings
 from warpcontact.couplings.elements import Coupling
 from warpcontact.elements import (
     AREA,
-    KAPPA,
-    MAX_DEPTH,
     RADIUS,
     SCALE,
     SEARCH_RADIUS,
-    SHARE,
-    TORSION_RADIUS,
     Body,
     Contact,
     Points,
@@ -32,7 +28,7 @@ from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
 from warpcontact.piles.adding import MutualContacts
 from warpcontact.piles.elements import MutualContact
-from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of
+from warpcontact.scene_checks import active_of_each, check_areas, check_arms, mesh_of, options_of
 from warpcontact.smooth.adding import SmoothContacts
 from warpcontact.smooth.elements import Shape, SmoothContact
 
@@ -294,22 +290,12 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
             surface=surface,
             template=template,
             radius=size,
-            kappa=checks.numbers(f"{name}.kappa", kappa, (), KAPPA),
-            max_depth=checks.numbers(
-                f"{name}.max_depth", math.inf if max_depth is None else max_depth, (), MAX_DEPTH
-            ),
             search_radius=checks.numbers(f"{name}.search_radius", search_radius, (), SEARCH_RADIUS),
-            torsion_radius=None
-            if torsion_radius is None
-            else checks.numbers(f"{name}.torsion_radius", torsion_radius, (), TORSION_RADIUS),
-            share=checks.numbers(f"{name}.share", share, (), SHARE),
-            enabled=np.array(float(checks.switch(f"{name}.enabled", enabled))),
             search=checks.choice(f"{name}.search", search, ("whole", "active")),
             entry=checks.choice(f"{name}.entry", entry, ("literal", "latched")),
             swept=checks.switch(f"{name}.swept", swept),
             rim=checks.choice(f"{name}.rim", rim, ("off", "outer")),
-            color=checks.color(f"{name}.color", color),
-            visible=checks.switch(f"{name}.visible", visible),
+            **options_of(name, kappa, max_depth, torsion_radius, share, enabled, color, visible),
         )
         if search == "active" and not all(active.any() for active in surface.active):
             raise ValueError(f"{name}: search='active' needs at least one active face on {surface.name!r}")

@@ -1,16 +1,47 @@
 """Checks of what a scene is given that take more than one value: meshes and their active faces, arms and areas."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from warpcontact import checks
 from warpcontact.checks import Array
-from warpcontact.elements import Points, Template, needs_radius
+from warpcontact.elements import KAPPA, MAX_DEPTH, SHARE, TORSION_RADIUS, Points, Template, needs_radius
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.groups import face_mask
+
+
+def options_of(
+    name: str,
+    kappa: float,
+    max_depth: float | None,
+    torsion_radius: float | None,
+    share: float,
+    enabled: bool,
+    color: ArrayLike | None,
+    visible: bool,
+) -> dict[str, Any]:
+    """Returns the options that contacts of all kinds have, checked; arguments are those of ``add_contact``.
+
+    Raises:
+        ValueError: If a value is out of range; the message names it.
+    """
+    depth = math.inf if max_depth is None else max_depth
+    return {
+        "kappa": checks.numbers(f"{name}.kappa", kappa, (), KAPPA),
+        "max_depth": checks.numbers(f"{name}.max_depth", depth, (), MAX_DEPTH),
+        "torsion_radius": None
+        if torsion_radius is None
+        else checks.numbers(f"{name}.torsion_radius", torsion_radius, (), TORSION_RADIUS),
+        "share": checks.numbers(f"{name}.share", share, (), SHARE),
+        "enabled": np.array(float(checks.switch(f"{name}.enabled", enabled))),
+        "color": checks.color(f"{name}.color", color),
+        "visible": checks.switch(f"{name}.visible", visible),
+    }
 
 
 def check_arms(name: str, template: Template, radius: Array, torsion_radius: float | None) -> None:

@@ -1,6 +1,5 @@
 """How mutual contacts are added to a scene. All input is checked here."""
 
-import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -9,10 +8,11 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.checks import limits
-from warpcontact.elements import KAPPA, MAX_DEPTH, SHARE, TORSION_RADIUS, Template
+from warpcontact.elements import Template
 from warpcontact.kernels.smooth.capsule import Capsule
 from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.piles.elements import MutualContact
+from warpcontact.scene_checks import options_of
 from warpcontact.smooth.adding import check_template
 from warpcontact.smooth.elements import Shape
 
@@ -119,17 +119,7 @@ class MutualContacts:
                 )
             ),
             partners=None if partners is None else int(partners),
-            kappa=checks.numbers(f"{name}.kappa", kappa, (), KAPPA),
-            max_depth=checks.numbers(
-                f"{name}.max_depth", math.inf if max_depth is None else max_depth, (), MAX_DEPTH
-            ),
-            torsion_radius=None
-            if torsion_radius is None
-            else checks.numbers(f"{name}.torsion_radius", torsion_radius, (), TORSION_RADIUS),
-            share=checks.numbers(f"{name}.share", share, (), SHARE),
-            enabled=np.array(float(checks.switch(f"{name}.enabled", enabled))),
-            color=checks.color(f"{name}.color", color),
-            visible=checks.switch(f"{name}.visible", visible),
+            **options_of(name, kappa, max_depth, torsion_radius, share, enabled, color, visible),
         )
         self.mutual_contacts.append(contact)
         self._elements[name] = contact

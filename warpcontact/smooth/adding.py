@@ -1,6 +1,5 @@
 """How shapes and smooth contacts are added to a scene. All input is checked here."""
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
@@ -9,11 +8,12 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
-from warpcontact.elements import KAPPA, MAX_DEPTH, SHARE, TORSION_RADIUS, Body, Template
+from warpcontact.elements import Body, Template
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.smooth.base import Shape as Form
 from warpcontact.kernels.smooth.curvature import relative
 from warpcontact.kernels.smooth.force import looks_at_curvature
+from warpcontact.scene_checks import options_of
 from warpcontact.smooth.elements import ALL, Shape, SmoothContact
 
 if TYPE_CHECKING:
@@ -147,17 +147,7 @@ class SmoothContacts:
             shape=shape,
             other_shape=other_shape,
             template=template,
-            kappa=checks.numbers(f"{name}.kappa", kappa, (), KAPPA),
-            max_depth=checks.numbers(
-                f"{name}.max_depth", math.inf if max_depth is None else max_depth, (), MAX_DEPTH
-            ),
-            torsion_radius=None
-            if torsion_radius is None
-            else checks.numbers(f"{name}.torsion_radius", torsion_radius, (), TORSION_RADIUS),
-            share=checks.numbers(f"{name}.share", share, (), SHARE),
-            enabled=np.array(float(checks.switch(f"{name}.enabled", enabled))),
-            color=checks.color(f"{name}.color", color),
-            visible=checks.switch(f"{name}.visible", visible),
+            **options_of(name, kappa, max_depth, torsion_radius, share, enabled, color, visible),
         )
         self.smooth_contacts.append(contact)
         self._elements[name] = contact
