@@ -31,6 +31,11 @@ WRONG_SIDE = 4
 DISABLED = 5
 UNSOLVED = 6  # of smooth shapes: no root was found, and no force acts
 
+# What a hard contact does.
+MODE_OPEN = 0
+MODE_STICK = 1
+MODE_SLIP = 2
+
 # Option bits of a contact.
 LATCHED = 1  # entry="latched"
 RIM_OUTER = 2  # rim="outer"

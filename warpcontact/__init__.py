@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from warpcontact._version import __version__
 
 if TYPE_CHECKING:
-    from warpcontact import compare, integrators, meshes
+    from warpcontact import compare, integrators, meshes, unilateral
     from warpcontact.advice import ContactWarning
     from warpcontact.benchmark import BenchReport, bench
     from warpcontact.contact_coupling import ContactCoupling
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from warpcontact.simulation import Simulation
     from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
-    from warpcontact.status import CouplingStatus, LineStatus, Status
+    from warpcontact.status import ContactMode, CouplingStatus, LineStatus, Status
     from warpcontact.usd import export_usd
 
 # Where each public name lives; a module stands for itself.
@@ -46,6 +46,7 @@ _HOME = {
     "Catenary": "warpcontact.couplings.elements",
     "Contact": "warpcontact.elements",
     "ContactCoupling": "warpcontact.contact_coupling",
+    "ContactMode": "warpcontact.status",
     "ContactRange": "warpcontact.contact_range",
     "ContactWarning": "warpcontact.advice",
     "CouplingStatus": "warpcontact.status",
@@ -90,6 +91,7 @@ _HOME = {
     "shapes": "warpcontact.kernels.smooth.shapes",
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
+    "unilateral": "warpcontact.unilateral",
 }
 
 __all__ = [
@@ -99,6 +101,7 @@ __all__ = [
     "Catenary",
     "Contact",
     "ContactCoupling",
+    "ContactMode",
     "ContactRange",
     "ContactWarning",
     "CouplingStatus",
@@ -144,6 +147,7 @@ __all__ = [
     "shapes",
     "springs",
     "table",
+    "unilateral",
 ]
 
 

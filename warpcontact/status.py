@@ -23,6 +23,17 @@ class Status(IntEnum):
     NOT_CONVERGED = types.UNSOLVED
 
 
+class ContactMode(IntEnum):
+    """What a hard contact does.
+
+    OPEN: no force. STICK: it holds, and does not slide. SLIP: it holds, and slides, or nothing keeps it from it.
+    """
+
+    OPEN = types.MODE_OPEN
+    STICK = types.MODE_STICK
+    SLIP = types.MODE_SLIP
+
+
 class CouplingStatus(IntEnum):
     """State of a spring-damper or a bushing.
 

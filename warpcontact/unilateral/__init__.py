@@ -1,0 +1,1 @@
+"""Unilateral contact: static problems, equilibrium, and the hard contacts of time stepping."""
