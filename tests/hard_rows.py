@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import warp as wp
 from warpcontact.kernels.types import WORLD, Work
-from warpcontact.kernels.unilateral import gauss_seidel
+from warpcontact.kernels.unilateral import accelerated, gauss_seidel
 from warpcontact.kernels.unilateral.impulses import change_struct
 from warpcontact.kernels.unilateral.rows import row_structs
 
-SOLVERS = {
+SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
     "gauss_seidel": gauss_seidel,
 }
 

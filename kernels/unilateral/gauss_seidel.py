@@ -62,7 +62,8 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     c = cone.functions(real)
     basis, one_contact = c.basis, c.one_contact
     f = impulses.functions(real, moves)
-    at, changed_at, push, ease, turning_ease = f.at, f.changed_at, f.push, f.ease, f.turning_ease
+    relative, spin, changed_at, push = f.relative, f.spin, f.changed_at, f.push
+    ease, turning_ease, in_discs = f.ease, f.turning_ease, f.in_discs
     block_of, inverse_of, in_cone, off_squared = f.block, f.inverse_of, f.in_cone, f.off_squared
     zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
     raw, singular, regular = wp.constant(RAW), wp.constant(SINGULAR), wp.constant(REGULAR)
@@ -73,36 +74,6 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     ROUGH = wp.constant(real(4.0))
     # Part of the tolerance below which a row is left as it is.
     KEPT = wp.constant(real(0.1))
-
-    @wp.func
-    def relative(moving: Moving, env: int, one_body: int, other: int, arm_1: vec3, arm_2: vec3):
-        """Relative velocity without contact."""
-        velocity = vec3()
-        if one_body >= 0:
-            velocity = at(moving.linear[env, one_body], moving.angular[env, one_body], arm_1)
-        if other >= 0:
-            velocity -= at(moving.linear[env, other], moving.angular[env, other], arm_2)
-        return velocity
-
-    @wp.func
-    def spin(angular: wp.array2d(dtype=vec3), env: int, one_body: int, other: int):
-        """Relative angular velocity."""
-        difference = vec3()
-        if one_body >= 0:
-            difference = angular[env, one_body]
-        if other >= 0:
-            difference -= angular[env, other]
-        return difference
-
-    @wp.func
-    def in_discs(couple: vec3, n: vec3, rolling: real, spinning: real):
-        """The couple nearest to ``couple`` that is no larger than the limits, across the normal and along it."""
-        along = wp.dot(couple, n)
-        across = couple - along * n
-        size = wp.length(across)
-        if size > rolling:
-            across = (rolling / size) * across
-        return across + wp.clamp(along, -spinning, spinning) * n
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def gauss_seidel(

@@ -149,6 +149,66 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return a * n + share * l_t
 
     @wp.func
+    def relative(moving: Moving, env: int, one_body: int, other: int, arm_1: vec3, arm_2: vec3):
+        """Relative velocity without contact."""
+        velocity = vec3()
+        if one_body >= 0:
+            velocity = at(moving.linear[env, one_body], moving.angular[env, one_body], arm_1)
+        if other >= 0:
+            velocity -= at(moving.linear[env, other], moving.angular[env, other], arm_2)
+        return velocity
+
+    @wp.func
+    def spin(angular: wp.array2d(dtype=vec3), env: int, one_body: int, other: int):
+        """Relative angular velocity."""
+        difference = vec3()
+        if one_body >= 0:
+            difference = angular[env, one_body]
+        if other >= 0:
+            difference -= angular[env, other]
+        return difference
+
+    @wp.func
+    def in_discs(couple: vec3, n: vec3, rolling: real, spinning: real):
+        """The couple nearest to ``couple`` that is no larger than the limits, across the normal and along it."""
+        along = wp.dot(couple, n)
+        across = couple - along * n
+        size = wp.length(across)
+        if size > rolling:
+            across = (rolling / size) * across
+        return across + wp.clamp(along, -spinning, spinning) * n
+
+    @wp.func
+    def pressing(impulse: vec3, couple: vec3, n: vec3, mu: real, rolling: real, spinning: real):
+        """Normal part of what is nearest, among what a contact may carry, to an impulse and a couple over an arm.
+
+        The coefficients of couples are over that arm too. Beyond their limits, which grow with it, all three draw
+        at the normal impulse; those that are within the limits they have at the result do not.
+        """
+        along = wp.dot(impulse, n)
+        turning = wp.dot(couple, n)
+        slip = wp.length(impulse - along * n)
+        roll = wp.length(couple - turning * n)
+        twist = wp.abs(turning)
+        pressed = along + mu * slip + rolling * roll + spinning * twist
+        pressed = pressed / (one + mu * mu + rolling * rolling + spinning * spinning)
+        for _ in range(3):
+            # Each that is left out makes it larger.
+            sum = along
+            weight = real(1.0)
+            if slip > mu * pressed:
+                sum += mu * slip
+                weight += mu * mu
+            if roll > rolling * pressed:
+                sum += rolling * roll
+                weight += rolling * rolling
+            if twist > spinning * pressed:
+                sum += spinning * twist
+                weight += spinning * spinning
+            pressed = sum / weight
+        return wp.max(pressed, zero)
+
+    @wp.func
     def off_squared(impulse: vec3, w: vec3, n: vec3, mu: real, rho: real):
         """Square of how far an impulse is from its law at the velocity ``w``, as ``cone.residual``; all in W."""
         w_n = wp.dot(w, n)
@@ -176,7 +236,10 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return rest * rest + wp.length_sq(l_t - share * z_t)
 
     return SimpleNamespace(
-        at=at,
+        relative=relative,
+        spin=spin,
+        in_discs=in_discs,
+        pressing=pressing,
         changed_at=changed_at,
         push=push,
         ease=ease,
