@@ -160,7 +160,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 worst = zero
                 most = scale
                 uphill = zero
-                changes = wp.where(last == 0, rough, 0)
+                changes = rough
                 for row in range(count):
                     one_body = rows.body_1[env, row]
                     other = rows.body_2[env, row]
@@ -172,8 +172,10 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                     impulse = rows.impulse[env, row]
                     w = scratch.free[env, row] + changed_at(change, env, one_body, arm_1)
                     w -= changed_at(change, env, other, arm_2)
-                    off = off_squared(impulse, w, n, mu, rho)
-                    worst = wp.max(worst, off)
+                    off = goal
+                    if rough == 0:
+                        off = off_squared(impulse, w, n, mu, rho)
+                        worst = wp.max(worst, off)
                     most = wp.max(most, wp.length_sq(impulse))
                     if last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal)):
                         changes += 1
@@ -206,6 +208,8 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                             back = scratch.before[env, row] - new
                             uphill += wp.dot(back, new - scratch.swept[env, row]) / rho
                         step = new - impulse
+                        if rough == 1:
+                            worst = wp.max(worst, wp.length_sq(step))
                         rows.impulse[env, row] = new
                         push(moving, change, env, one_body, step, wp.cross(arm_1, step))
                         push(moving, change, env, other, -step, -wp.cross(arm_2, step))
@@ -240,6 +244,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                     waited = 0
                 if sweeps >= iterations or (waited >= patience and worst < ROUNDING * ROUNDING * most):
                     last = 1
+                    rough = 0
                     continue
                 rough = wp.where(worst > ROUGH * goal, 1, 0)
 
