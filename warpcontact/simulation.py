@@ -65,6 +65,7 @@ class Simulation:
             raise TypeError(
                 f"integrator must be an object of wc.integrators, such as SemiImplicitEuler(), got {integrator!r}"
             )
+        integrator.check(model.scene)
         self.model = model
         self.integrator = integrator
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
@@ -83,9 +84,12 @@ class Simulation:
         self._advised = False
         launched = ", or take graphs=False" if any(device.is_cpu for device in model.devices) else ""
         require(self._stepping, model.envs, "to step them, ", launched if self.graphs else "")
-        self._buffers = [Buffers(part, self.dt, self.crossing_steps) for part in model.parts]
+        self._buffers = [Buffers(part, integrator, self.dt, self.crossing_steps) for part in model.parts]
         for part, buffers in zip(model.parts, self._buffers, strict=True):
             buffers.allocate(part.envs)
+            if buffers.hard is not None:
+                buffers.hard.begin(part, buffers.times.whole.dynamic)
+        self._attach()
         self._prepared: tuple[tuple[int, ...], Crew | None] = ((), None)
 
     @property
@@ -107,6 +111,11 @@ class Simulation:
     def steps(self) -> int:
         """That time in steps of this simulation."""
         return round(self.model.time / self.dt)
+
+    def _attach(self) -> None:
+        """Lets readings tell what this simulation does with contacts, not another one of the same model."""
+        for part, buffers in zip(self.model.parts, self._buffers, strict=True):
+            part.attach(buffers.hard)
 
     def memory(self) -> Footprint:
         """Returns what the model and this simulation take of memory; recordings come on top."""
@@ -143,9 +152,10 @@ class Simulation:
         if count == 0:
             return
         model = self.model
+        self._attach()
         if model.at_start and not self._advised:
             self._advised = True
-            for sentence in advice(model, self.dt):
+            for sentence in advice(model, self.dt, self.integrator.acts):
                 warnings.warn(sentence, ContactWarning, stacklevel=2)
         for part in model.parts:
             part.untouched = False
@@ -178,7 +188,9 @@ class Simulation:
         ordered = self.deterministic or not queued
         return [
             Slice(
-                Span(model, first, min(size, model.envs - first), self.distance_cache, ordered, queued),
+                Span(
+                    model, first, min(size, model.envs - first), self.distance_cache, ordered, queued, buffers.hard
+                ),
                 self.integrator,
                 buffers,
                 parts=self.crossing_steps,
