@@ -45,6 +45,7 @@ class HardContacts:
         outcome: How the last solve went.
         scratch: What the solver works in, of rows.
         change: Likewise, of bodies.
+        restraint: How far restitution was lowered in the last step.
         memory: Of each contact, from the last step in which it was closed.
         account: Of each environment, since reset.
         shown: What readings show.
@@ -92,6 +93,7 @@ class HardContacts:
         self.scratch = layout.struct(purpose, scratch(t.real, self.rolls), each_row, records=True)
         self.change = layout.struct(purpose, impulses.change_struct(t.real), bodies, records=True)
         self.outcome = layout.struct(purpose, rows.Outcome, per_env())
+        self.restraint = layout.struct(purpose, records.Restraint, per_env())
         self.memory = layout.struct(purpose, records.Memory, each, records=True)
         self.account = layout.struct(purpose, records.Account, per_env())
         self.shown = layout.struct(purpose, records.Shown, each)
@@ -120,6 +122,11 @@ class HardContacts:
         """Whether anything opposes rolling or spinning of a hard contact."""
         return any(contact.template.parts.rolls or contact.template.parts.twists for contact in self._hard)
 
+    @property
+    def bounces(self) -> bool:
+        """Whether there are restitution and friction, which may bring energy together, or several restitutions."""
+        return any("restitution" in one.template.law.parameters() for one in self._hard)
+
     def compliant_blocks(self, group: Group) -> list[tuple[int, int]]:
         """Returns the blocks of the contacts of ``group`` that are not hard: the first and their number."""
         ranges: list[tuple[int, int]] = []
@@ -145,7 +152,7 @@ class HardContacts:
     def accept_stages(self, span: "Span", step: wp.array) -> list[wp.Launch]:
         """Returns the launch that remembers what an accepted step led to; ``step`` [env, 0] [s]."""
         inputs = [span.model.arrays.status, step, span.model.body_count, self.middle, self.rows, self.moving]
-        inputs += [self.outcome, self.memory, self.account, self.reactions]
+        inputs += [self.outcome, self.restraint, self.memory, self.account, self.reactions]
         return span.prepare(remember.kernel(self._real), 1, inputs)
 
     def restart(self, chosen: wp.array) -> None:
@@ -195,6 +202,7 @@ OF_SCENE = {
     "solve_iterations": ("outcome", "iterations", "-", "iterations of its solver"),
     "solve_converged": ("outcome", "converged", "-", "1: to its tolerance"),
     "solve_failures": ("account", "failures", "-", "steps that were not solved to it, since reset"),
+    "restrained": ("account", "restrained", "-", "steps in which restitution was lowered to bring no energy"),
     "friction_loss": ("account", "friction_loss", "J", "energy that friction of hard contacts took, since reset"),
     "impact_loss": ("account", "impact_loss", "J", "energy that impacts of hard contacts took, since reset"),
 }
