@@ -12,7 +12,7 @@ from warpcontact.checks import limits
 from warpcontact.integrators.base import Integrator, formulas_of
 from warpcontact.kernels.frictions import Friction
 from warpcontact.kernels.motions import driven
-from warpcontact.kernels.unilateral import gauss_seidel, restrain, step
+from warpcontact.kernels.unilateral import accelerated, gauss_seidel, restrain, step
 from warpcontact.schedule import Span, StepLength, force_stages
 
 if TYPE_CHECKING:
@@ -21,7 +21,11 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
     from warpcontact.unilateral.hard_contacts import HardContacts
 
-SOLVERS = {"gauss_seidel": gauss_seidel}
+SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
+#: Most iterations of a step, if nothing is said.
+ITERATIONS = {"gauss_seidel": 200, "accelerated": 500}
+#: Relative residual to reach, if nothing is said, by precision.
+TOLERANCES = {wp.float32: 1.0e-5, wp.float64: 1.0e-10}
 THETA = limits("-", at_least=0.5, at_most=1.0)
 TOLERANCE = limits("-", above=0.0, at_most=1.0)
 
@@ -152,9 +156,8 @@ class MoreauJean(Integrator):
         hard, real = span.hard, span.model.types.real
         assert hard is not None
         solver = SOLVERS[self.solver]
-        tolerance, iterations = solver.defaults(real)
-        tolerance = tolerance if self.tolerance is None else self.tolerance
-        iterations = iterations if self.iterations is None else self.iterations
+        tolerance = TOLERANCES[real] if self.tolerance is None else self.tolerance
+        iterations = ITERATIONS[self.solver] if self.iterations is None else self.iterations
         kernel = solver.kernel(real, span.model.moves, hard.rolls)
         inputs = [status, hard.rows, hard.moving, hard.outcome, tolerance, iterations]
         return span.prepare(kernel, 1, [*inputs, hard.scratch, hard.change])
