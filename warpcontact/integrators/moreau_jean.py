@@ -145,7 +145,7 @@ class MoreauJean(Integrator):
             return free + self._solve(span, chosen)
 
         launches += solve(status)
-        for number in range(restrain.ROUNDS if hard.bounces else 0):
+        for number in range(restrain.ROUNDS if model.bounces else 0):
             inputs = [status, number, middle, hard.rows, hard.moving, hard.outcome, hard.restraint]
             launches += span.prepare(restrain.kernel(real), 1, inputs)
             launches += solve(hard.restraint.status)

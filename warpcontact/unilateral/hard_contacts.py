@@ -1,6 +1,6 @@
 """Hard contacts of a model on its device: the rows of a step, what is remembered, and what the step launches."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from warpcontact.groups import Group, by_code
 from warpcontact.kernels.unilateral import collect, impulses, remember
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.parameters import Parameter
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
 from warpcontact.status import ContactMode
@@ -122,10 +123,10 @@ class HardContacts:
         """Whether anything opposes rolling or spinning of a hard contact."""
         return any(contact.template.parts.rolls or contact.template.parts.twists for contact in self._hard)
 
-    @property
-    def bounces(self) -> bool:
-        """Whether there are restitution and friction, which may bring energy together, or several restitutions."""
-        return any("restitution" in one.template.law.parameters() for one in self._hard)
+    def bounces(self, parameters: Mapping[str, Parameter]) -> bool:
+        """Whether any hard contact has a restitution now: impacts may then bring energy."""
+        names = [f"{one.name}.law.restitution" for one in self._hard]
+        return any(bool(parameters[name].field.values.any()) for name in names if name in parameters)
 
     def compliant_blocks(self, group: Group) -> list[tuple[int, int]]:
         """Returns the blocks of the contacts of ``group`` that are not hard: the first and their number."""
