@@ -10,8 +10,6 @@ from warpcontact.kernels.unilateral.impulses import change_struct
 from warpcontact.kernels.unilateral.rows import row_structs
 
 SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
-    "gauss_seidel": gauss_seidel,
-}
 
 
 def cross(a):

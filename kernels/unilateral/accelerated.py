@@ -1,9 +1,9 @@
 """Accelerated projected gradients: all contacts at once, with Nesterov's momentum.
 
-The step of H. Mazhar, T. Heyn, D. Negrut, A. Tasora, "Using Nesterov's method to accelerate multibody dynamics with
-friction and contact", ACM Transactions on Graphics 34, 2015, on De Saxcé's cone: the slip lifts the normal velocity
-anew in every iteration, so that what it converges to keeps Coulomb's law and does not part while it slides. The
-momentum starts again where it leads uphill: B. O'Donoghue, E. Candès, "Adaptive restart for accelerated gradient
+The step of H. Mazhar, T. Heyn, D. Negrut, A. Tasora, "Using Nesterov's method to accelerate multibody dynamics
+with friction and contact", ACM Transactions on Graphics 34, 2015, on De Saxcé's cone: the slip lifts the normal
+velocity anew in every iteration, so that what it converges to keeps Coulomb's law and does not part while it slides.
+The momentum starts again where it leads uphill: B. O'Donoghue, E. Candès, "Adaptive restart for accelerated gradient
 schemes", Foundations of Computational Mathematics 15, 2015.
 """
 
@@ -15,17 +15,16 @@ from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
 from warpcontact.kernels.unilateral import impulses
 from warpcontact.kernels.unilateral.rows import row_structs
 
-
 # Iterations that may pass without a smaller residual where that is of the size of rounding.
-PATIENCE = 50
+PATIENCE = 100
 
 
 @functools.cache
 def scratch(real: type, rolls: bool) -> type:
     """Returns the struct of what a solve keeps of a row; declare it [env, row], as records.
 
-    Of couples there is what they are over an arm, so that they count as impulses do, and of angular velocities what
-    they are times that arm.
+    Of couples there is what they are over an arm, so that they count as impulses do, and of angular velocities
+    what they are times that arm.
     """
     vec3 = structs(real).vec3
 
@@ -61,8 +60,8 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
         moves: Whether not all bodies are free.
         rolls: Whether any contact opposes rolling or spinning.
 
-    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no more, or
-    after some iterations; then the best of them is what it leaves.
+    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no more,
+    or after some iterations; then the best of them is what it leaves.
     """
     t = structs(real)
     vec3 = t.vec3
@@ -77,7 +76,8 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     # A step that was too long becomes this part of the longest that goes down; others grow.
     SHORTER, LONGER = wp.constant(real(0.9)), wp.constant(real(1.02))
     rounding = np.finfo(wp.dtype_to_numpy(real))
-    ROUNDING = wp.constant(real(1000.0 * float(rounding.eps)))
+    # Of the largest impulse: what rounding may leave of a residual.
+    ROUNDING = wp.constant(real(4.0 * float(rounding.eps)))
     LARGEST = wp.constant(real(float(rounding.max)))
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
@@ -159,6 +159,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             while True:
                 # Where we are: the residual, and how the way here bent the velocities.
                 worst = zero
+                most = scale
                 bent = zero
                 gone = zero
                 uphill = zero
@@ -173,6 +174,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                     w -= changed_at(change, env, other, rows.arm_2[env, row])
                     scratch.moved[env, row] = w
                     worst = wp.max(worst, off_squared(impulse, w, n, mu, rho))
+                    most = wp.max(most, wp.length_sq(impulse))
                     step = impulse - scratch.trial[env, row]
                     trial_w = scratch.moved_trial[env, row]
                     if rho > zero and steps > 0:
@@ -214,7 +216,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                         scratch.best[env, row] = rows.impulse[env, row]
                         if wp.static(rolls):
                             scratch.couple_best[env, row] = rows.couple[env, row]
-                if steps >= iterations or (waited >= PATIENCE and least < ROUNDING * ROUNDING * scale):
+                if steps >= iterations or (waited >= PATIENCE and least < ROUNDING * ROUNDING * most):
                     break
 
                 if bent * length > gone:

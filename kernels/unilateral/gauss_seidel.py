@@ -14,7 +14,7 @@ SINGULAR = 1  # its block, which has no inverse
 REGULAR = 2  # its block and the inverse
 
 # Sweeps that may pass without a smaller residual where that is of the size of rounding.
-PATIENCE = 8
+PATIENCE = 50
 
 
 @functools.cache
@@ -31,7 +31,7 @@ def scratch(real: type, rolls: bool) -> type:
         inverse: wp.array2d(dtype=mat33)  # of the block, W [kg]
         block: wp.array2d(dtype=mat33)  # (normal, two tangents) [1/kg]
         before: wp.array2d(dtype=vec3)  # impulse before the sweep, W [N·s]
-        direction: wp.array2d(dtype=vec3)  # of the search, W [N·s]
+        swept: wp.array2d(dtype=vec3)  # impulse after the sweep before, W [N·s]
         if rolls:
             turning: wp.array2d(dtype=vec3)  # relative angular velocity without contact, W [rad/s]
 
@@ -47,12 +47,10 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
         moves: Whether not all bodies are free.
         rolls: Whether any contact opposes rolling or spinning.
 
-    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no more, or
-    after some sweeps. Near the end a sweep looks first: where every row keeps its law nothing is changed, and the
+    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no more,
+    or after some sweeps. Near the end a sweep looks first: where every row keeps its law nothing is changed, and the
     solve is over. What a sweep finds that changes something belongs to many states, so that the last looks alone.
-    Between sweeps impulses go on as in a method of conjugate gradients: M. Silcowitz, S. Niebe, K. Erleben, "A
-    nonsmooth nonlinear conjugate gradient method for interactive contact force problems", The Visual Computer 26,
-    2010.
+    Between sweeps impulses go on with Nesterov's momentum, as in ``accelerated``.
     """
     t = structs(real)
     vec3 = t.vec3
@@ -65,11 +63,12 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     relative, spin, changed_at, push = f.relative, f.spin, f.changed_at, f.push
     ease, turning_ease, in_discs = f.ease, f.turning_ease, f.in_discs
     block_of, inverse_of, in_cone, off_squared = f.block, f.inverse_of, f.in_cone, f.off_squared
-    zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
+    zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
     raw, singular, regular = wp.constant(RAW), wp.constant(SINGULAR), wp.constant(REGULAR)
     patience = wp.constant(PATIENCE)
     rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
-    ROUNDING = wp.constant(real(1000.0 * rounding))
+    # Of the largest impulse: what rounding may leave of a residual.
+    ROUNDING = wp.constant(real(4.0 * rounding))
     # Residual over the tolerance, squared, from which the next sweep does not look first.
     ROUGH = wp.constant(real(4.0))
     # Part of the tolerance below which a row is left as it is.
@@ -120,6 +119,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 scratch.rho[env, row] = rho
                 scratch.free[env, row] = free
                 scratch.before[env, row] = impulse
+                scratch.swept[env, row] = impulse
                 rows.impulse[env, row] = impulse
                 turn_1 = wp.cross(arm_1, impulse)
                 turn_2 = wp.cross(arm_2, impulse)
@@ -140,13 +140,14 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             goal = tolerance * tolerance * scale
             worst = zero
             least = scale
-            size_before = zero
+            theta = one
             waited = wp.int32(0)
             last = wp.where(iterations <= 0, 1, 0)
             sweeps = wp.int32(0)
             rough = wp.int32(0)
             while True:
                 worst = zero
+                most = scale
                 changes = wp.where(last == 0, rough, 0)
                 for row in range(count):
                     one_body = rows.body_1[env, row]
@@ -161,6 +162,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                     w -= changed_at(change, env, other, arm_2)
                     off = off_squared(impulse, w, n, mu, rho)
                     worst = wp.max(worst, off)
+                    most = wp.max(most, wp.length_sq(impulse))
                     if last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal)):
                         changes += 1
                         ready = scratch.ready[env, row]
@@ -221,36 +223,37 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 if worst < least:
                     least = worst
                     waited = 0
-                if sweeps >= iterations or (waited >= patience and worst < ROUNDING * ROUNDING * scale):
+                if sweeps >= iterations or (waited >= patience and worst < ROUNDING * ROUNDING * most):
                     last = 1
                     continue
                 rough = wp.where(worst > ROUGH * goal, 1, 0)
 
-                # The sweep was a step down a hill. Go on in the direction of the last ones too, conjugate as far
-                # as the hill is a paraboloid; anew from here where it was no shorter than the one before.
-                size = zero
+                # A sweep is a step down a hill. Its momentum leads on, and starts again where it leads uphill.
+                uphill = zero
                 for row in range(count):
                     if scratch.rho[env, row] > zero:
-                        gone = rows.impulse[env, row] - scratch.before[env, row]
-                        size += wp.length_sq(gone) / scratch.rho[env, row]
-                beta = zero
-                if size < size_before:
-                    beta = size / size_before
-                size_before = size
+                        swept = rows.impulse[env, row]
+                        back = scratch.before[env, row] - swept
+                        uphill += wp.dot(back, swept - scratch.swept[env, row]) / scratch.rho[env, row]
+                if uphill > zero:
+                    theta = one
+                theta_next = half * theta * (wp.sqrt(theta * theta + four) - theta)
+                beta = theta * (one - theta) / (theta * theta + theta_next)
+                theta = theta_next
                 for row in range(count):
                     swept = rows.impulse[env, row]
-                    n = rows.normal[env, row]
-                    direction = beta * scratch.direction[env, row]
-                    new = in_cone(swept + direction, n, rows.mu[env, row])
-                    scratch.direction[env, row] = direction + (swept - scratch.before[env, row])
-                    scratch.before[env, row] = new
+                    new = swept
                     if beta > zero:
+                        n = rows.normal[env, row]
+                        new = in_cone(swept + beta * (swept - scratch.swept[env, row]), n, rows.mu[env, row])
                         rows.impulse[env, row] = new
                         step = new - swept
                         one_body = rows.body_1[env, row]
                         other = rows.body_2[env, row]
                         push(moving, change, env, one_body, step, wp.cross(rows.arm_1[env, row], step))
                         push(moving, change, env, other, -step, -wp.cross(rows.arm_2[env, row], step))
+                    scratch.before[env, row] = new
+                    scratch.swept[env, row] = swept
 
             for body in range(change.linear.shape[1]):
                 moving.linear[env, body] = moving.linear[env, body] + change.linear[env, body]
