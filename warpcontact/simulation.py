@@ -244,6 +244,7 @@ class Simulation:
         frozen = len(self.model.health().frozen)
         failed = self.model.failed_lines()
         unsolved = self.model.unsolved_contacts()
+        unfinished = self.model.unfinished_solves()
         done = 0
         bar_of_run = (
             contextlib.nullcontext(progress)
@@ -275,7 +276,7 @@ class Simulation:
                     RuntimeWarning,
                     stacklevel=2,
                 )
-        for sentence in self._about_unsolved(unsolved):
+        for sentence in (*self._about_unsolved(unsolved), *self._about_unfinished(unfinished)):
             warnings.warn(sentence, RuntimeWarning, stacklevel=2)
         return recorder.finish(
             {
@@ -299,6 +300,20 @@ class Simulation:
                     "their number"
                 )
         return sentences
+
+    def _about_unfinished(self, before: NDArray[np.int32]) -> list[str]:
+        """Returns what to say about contact problems, of which more were not solved than ``before``."""
+        more = self.model.unfinished_solves() - before
+        failed = np.flatnonzero(more > 0)
+        if not len(failed):
+            return []
+        worst = int(more.argmax())
+        return [
+            f"the contact problem was not solved to the tolerance in some steps of {len(failed)} of "
+            f"{self.model.envs} environments, most in {self.model.first_env + worst}, in {more[worst]} steps; "
+            "scene.solve_failures has their number, scene.solve_residual what was left: give the integrator more "
+            "iterations, solver='accelerated', or a larger tolerance"
+        ]
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"

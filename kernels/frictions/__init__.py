@@ -43,8 +43,12 @@ CATALOGUE: tuple[type[Friction], ...] = (
     LuGre,
 )
 
+#: Those of hard contact, which have no force of their own.
+RIGID: tuple[type[Friction], ...] = (Coulomb,)
+
 __all__ = [
     "CATALOGUE",
+    "RIGID",
     "Ambrosio",
     "BengisuAkay",
     "BrownMcPhee",

@@ -68,8 +68,12 @@ CATALOGUE: tuple[type[Law], ...] = (
     Impact,
 )
 
+#: Those of hard contact, which have no force of their own.
+RIGID: tuple[type[Law], ...] = (Rigid,)
+
 __all__ = [
     "CATALOGUE",
+    "RIGID",
     "Anagnostopoulos",
     "CarvalhoMartins",
     "ContactRange",

@@ -40,8 +40,18 @@ def record_structs(real: type) -> SimpleNamespace:
 
         step: wp.array(dtype=wp.int32)  # [env] number of the last step, from 1; what has another stamp is open
         failures: wp.array(dtype=wp.int32)  # [env] steps without convergence
+        restrained: wp.array(dtype=wp.int32)  # [env] steps in which restitution was lowered
         friction_loss: wp.array(dtype=wp.float64)  # [env] energy that friction took [J]
         impact_loss: wp.array(dtype=wp.float64)  # [env] energy that impacts took [J]
+
+    @wp.struct
+    class Restraint:
+        """How much of the restitution is left in an environment in which impacts would bring energy."""
+
+        status: wp.array(dtype=wp.int32)  # [env] ENV_ACTIVE: to be solved again
+        part: wp.array(dtype=real)  # [env] of the solve, 0 to 1
+        kept: wp.array(dtype=real)  # [env] the largest that is known to bring none
+        gains: wp.array(dtype=real)  # [env] the smallest that is known to bring some
 
     @wp.struct
     class Shown:
@@ -50,4 +60,6 @@ def record_structs(real: type) -> SimpleNamespace:
         impulse: wp.array2d(dtype=vec3)  # [env, contact] on the first body, W [N·s]
         mode: wp.array2d(dtype=wp.int32)  # [env, contact] MODE_*
 
-    return SimpleNamespace(vec3=vec3, Material=Material, Memory=Memory, Account=Account, Shown=Shown)
+    return SimpleNamespace(
+        vec3=vec3, Material=Material, Memory=Memory, Account=Account, Restraint=Restraint, Shown=Shown
+    )

@@ -4,9 +4,9 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels import frames
 from warpcontact.kernels.piles.base import TOUCHES, pile_structs
 from warpcontact.kernels.types import ENV_ACTIVE, MODE_OPEN, MODE_SLIP, MODE_STICK, Work, structs
+from warpcontact.kernels.unilateral import relative
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import row_structs
 
@@ -22,27 +22,11 @@ def kernel(real: type) -> wp.Kernel:
     vec3, State, Wrenches = t.vec3, t.State, t.Wrenches
     r, records = row_structs(real), record_structs(real)
     Rows, Moving, Outcome, Memory, Account = r.Rows, r.Moving, r.Outcome, records.Memory, records.Account
-    velocity_at = frames.functions(real).velocity_at
+    Restraint = records.Restraint
+    f = relative.functions(real)
+    velocities_before, velocities_after = f.before, f.after
     # Within rounding of the edge of the cone a contact slips.
     inside = wp.constant(real(1.0 - 64.0 * t.epsilon))
-
-    @wp.func
-    def spin(state: State, env: int, body: int):
-        if body < 0:
-            return vec3()
-        return state.body_angular_velocity[env, body]
-
-    @wp.func
-    def spin_after(moving: Moving, env: int, body: int):
-        if body < 0:
-            return vec3()
-        return moving.angular[env, body]
-
-    @wp.func
-    def after(moving: Moving, env: int, body: int, arm: vec3):
-        if body < 0:
-            return vec3()
-        return moving.linear[env, body] + wp.cross(moving.angular[env, body], arm)
 
     @wp.func
     def push(wrenches: Wrenches, env: int, body: int, force: vec3, torque: vec3):
@@ -60,6 +44,7 @@ def kernel(real: type) -> wp.Kernel:
         rows: Rows,
         moving: Moving,
         outcome: Outcome,
+        restraint: Restraint,
         memory: Memory,
         account: Account,
         reactions: Wrenches,
@@ -70,6 +55,8 @@ def kernel(real: type) -> wp.Kernel:
                 continue
             number = account.step[env] + 1
             account.step[env] = number
+            if restraint.part[env] < real(1.0):
+                account.restrained[env] = account.restrained[env] + 1
             account.failures[env] = account.failures[env] + 1 - outcome.converged[env]
             for body in range(bodies):
                 reactions.force[env, body] = vec3()
@@ -87,10 +74,8 @@ def kernel(real: type) -> wp.Kernel:
                 couple = rows.couple[env, row]
                 along = wp.dot(impulse, normal)
                 across = impulse - along * normal
-                u_after = after(moving, env, body_1, arm_1) - after(moving, env, body_2, arm_2)
-                u_before = velocity_at(middle, env, body_1, arm_1) - velocity_at(middle, env, body_2, arm_2)
-                w_after = spin_after(moving, env, body_1) - spin_after(moving, env, body_2)
-                w_before = spin(middle, env, body_1) - spin(middle, env, body_2)
+                u_before, w_before = velocities_before(middle, env, body_1, body_2, arm_1, arm_2)
+                u_after, w_after = velocities_after(moving, env, body_1, body_2, arm_1, arm_2)
                 parting = wp.dot(u_after, normal)
                 slip = u_after - parting * normal
                 mean = real(0.5) * (u_after + u_before)
@@ -250,6 +235,7 @@ def forget(real: type) -> wp.Kernel:
         # No contact has the stamp of a step that none has taken.
         account.step[env] = account.step[env] + 1
         account.failures[env] = 0
+        account.restrained[env] = 0
         account.friction_loss[env] = wp.float64(0.0)
         account.impact_loss[env] = wp.float64(0.0)
         outcome.count[env] = 0

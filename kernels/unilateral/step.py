@@ -37,13 +37,16 @@ from warpcontact.kernels.unilateral.rows import row_structs
 def middle(real: type, moves: bool) -> wp.Kernel:
     """Returns the kernel that goes half a step with the velocities before it; items: bodies.
 
-    With ``moves`` some bodies are not free; those that follow a function of time are left to ``driven``.
+    The angular velocity there is that of the same angular momentum. With ``moves`` some bodies are not free; those
+    that follow a function of time are left to ``driven``. The first body of an environment empties its rows.
     """
     t = structs(real)
     Model, State = t.Model, t.State
+    Outcome = row_structs(real).Outcome
     rotated = frames.functions(real).rotated
     f = bodies.functions(real)
-    wide, moved, put, set_velocity = f.wide, f.moved, f.put, f.set_velocity
+    wide, wide_matrix, wide_quat = f.wide, f.wide_matrix, f.wide_quat
+    moved, put, set_velocity = f.moved, f.put, f.set_velocity
 
     @wp.kernel(module="unique", enable_backward=False)
     def go_half_way(
@@ -53,12 +56,15 @@ def middle(real: type, moves: bool) -> wp.Kernel:
         model: Model,
         state_in: State,
         state_out: State,
+        outcome: Outcome,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
+            if body == 0:
+                outcome.count[env] = 0
             v_W = state_in.body_linear_velocity[env, body]
             w_W = state_in.body_angular_velocity[env, body]
             half = real(0.5) * step[env, 0]
@@ -70,6 +76,12 @@ def middle(real: type, moves: bool) -> wp.Kernel:
                     v = wide(v_W)
                     w = wide(w_W)
                     base, way, orientation = moved(state_in, env, body, motion, v, w, wp.float64(half))
+                    if motion.kind == BALL:
+                        q = wide_quat(state_in.body_orientation[env, body])
+                        arm_B = wp.quat_rotate_inv(q, arm_of(motion, q))
+                        mass = wp.float64(model.body_mass[env, body])
+                        whole_B = inertia_at(wide_matrix(model.body_inertia[env, body]), mass, arm_B)
+                        w = spin_of(wp.inverse(whole_B), wide_quat(orientation), momentum_of(whole_B, q, w))
                     if motion.kind == HINGE or motion.kind == BALL:
                         v = wp.cross(w, way)
                     put(state_out, env, body, base, way)
@@ -82,7 +94,13 @@ def middle(real: type, moves: bool) -> wp.Kernel:
             gone = position - before
             state_out.body_position[env, body] = position
             state_out.body_position_remainder[env, body] = (before - (position - gone)) + (way_W - gone)
-            state_out.body_orientation[env, body] = rotated(state_in.body_orientation[env, body], half * w_W)
+            q_WB = state_in.body_orientation[env, body]
+            orientation_W = rotated(q_WB, half * w_W)
+            if not model.body_round[env, body]:
+                last_B = model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W)
+                turned_B = wp.quat_rotate_inv(orientation_W, wp.quat_rotate(q_WB, last_B))
+                w_W = wp.quat_rotate(orientation_W, model.body_inverse_inertia[env, body] * turned_B)
+            state_out.body_orientation[env, body] = orientation_W
             state_out.body_linear_velocity[env, body] = v_W
             state_out.body_angular_velocity[env, body] = w_W
 
@@ -94,12 +112,11 @@ def free(real: type, moves: bool) -> wp.Kernel:
     """Returns the kernel of the velocities without contact, and of what impulses do to each body; items: bodies.
 
     With ``moves`` some bodies are not free; ``state_out`` holds the velocities of those that follow a function of
-    time. The first body of an environment empties its list of rows.
+    time.
     """
     t = structs(real)
     mat33, Model, State, Wrenches = t.mat33, t.Model, t.State, t.Wrenches
-    r = row_structs(real)
-    Moving, Outcome = r.Moving, r.Outcome
+    Moving = row_structs(real).Moving
     f = bodies.functions(real)
     wide, narrow, wide_matrix, wide_quat = f.wide, f.narrow, f.wide_matrix, f.wide_quat
 
@@ -198,15 +215,12 @@ def free(real: type, moves: bool) -> wp.Kernel:
         wrenches: Wrenches,
         state_out: State,
         moving: Moving,
-        outcome: Outcome,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
-            if body == 0:
-                outcome.count[env] = 0
             dt = step[env, 0]
             if wp.static(moves):  # noqa: SIM102  Warp would evaluate both sides
                 if model.body_motion[env, body].kind != FREE:
@@ -271,7 +285,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
         rest = wp.float64(1.0) - theta
         v = wide(moving.linear[env, body])
         w = wide(moving.angular[env, body])
-        w_before = wide(state_in.body_angular_velocity[env, body])
+        w_before = wide(middle.body_angular_velocity[env, body])
         linear = theta * v + rest * wide(state_in.body_linear_velocity[env, body])
         whole_B = wp.mat33d()
         momentum = wp.vec3d()
@@ -281,7 +295,6 @@ def advance(real: type, moves: bool) -> wp.Kernel:
             arm_B = wp.quat_rotate_inv(q, arm_of(motion, q))
             inertia_B = wide_matrix(model.body_inertia[env, body])
             whole_B = inertia_at(inertia_B, wp.float64(model.body_mass[env, body]), arm_B)
-            w_before = spin_of(wp.inverse(whole_B), q_middle, momentum_of(whole_B, q, w_before))
             momentum = momentum_of(whole_B, q_middle, w)
         angular = theta * w + rest * w_before
         base, way, orientation = moved(state_in, env, body, motion, linear, angular, dt)
@@ -341,9 +354,8 @@ def advance(real: type, moves: bool) -> wp.Kernel:
                 inertia_B = model.body_inertia[env, body]
                 q_middle = middle.body_orientation[env, body]
                 last_B = inertia_B * wp.quat_rotate_inv(q_WB, w_W)
-                last_momentum = wp.quat_rotate(q_WB, last_B)
                 momentum = wp.quat_rotate(q_middle, inertia_B * wp.quat_rotate_inv(q_middle, turning))
-                w_before = wp.quat_rotate(q_middle, inverse_B * wp.quat_rotate_inv(q_middle, last_momentum))
+                w_before = middle.body_angular_velocity[env, body]
                 orientation = rotated(q_WB, dt * (theta * turning + rest * w_before))
                 after = wp.quat_rotate(orientation, inverse_B * wp.quat_rotate_inv(orientation, momentum))
                 # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and

@@ -12,7 +12,7 @@ from warpcontact.checks import limits
 from warpcontact.integrators.base import Integrator, formulas_of
 from warpcontact.kernels.frictions import Friction
 from warpcontact.kernels.motions import driven
-from warpcontact.kernels.unilateral import gauss_seidel, step
+from warpcontact.kernels.unilateral import gauss_seidel, restrain, step
 from warpcontact.schedule import Span, StepLength, force_stages
 
 if TYPE_CHECKING:
@@ -34,6 +34,9 @@ class MoreauJean(Integrator):
     after the step and the impulses P satisfy 0 ≤ P_n ⟂ U_n⁺ + e U_n⁻ ≥ 0 and the cone of Coulomb; then
     q⁺ = q + h (θ v⁺ + (1 − θ) v). Impacts are not located: the scheme is of first order, and steps through
     infinitely many of them. Bodies overlap by no more than they move in a step.
+
+    Newton's law and friction may together bring energy into an impact. Where they would, the restitution of the
+    contacts that do is lowered for that step until they do not.
 
     Every contact is hard, with the ``restitution`` of its law, 0 if that has none, and the coefficient of its
     friction, the dynamic one where it slipped in the step before; so the same scene may be stepped either way.
@@ -121,21 +124,31 @@ class MoreauJean(Integrator):
         a, real, moves, bodies = model.arrays, model.types.real, model.moves, model.body_count
         middle = hard.middle
         status, h = a.status, dt.dynamic
-        launches = span.prepare(step.middle(real, moves), bodies, [status, h, a.model, state_in, middle])
+        launches = span.prepare(
+            step.middle(real, moves), bodies, [status, h, a.model, state_in, middle, hard.outcome]
+        )
         for drive in model.drives:
             follow = driven.follow(drive.motion, real)
             for length, state in ((dt.half_clock, middle), (dt.clock, state_out)):
                 inputs = [status, length, a.time, a.model, *drive.inputs, a.wrenches, state]
                 launches += span.prepare(follow, drive.count, inputs)
         launches += force_stages(span, middle, h, status)
-        inputs = [status, h, a.model, state_in, middle, a.wrenches, state_out, hard.moving, hard.outcome]
-        launches += span.prepare(step.free(real, moves), bodies, inputs)
         launches += hard.collect_stages(span)
-        launches += self._solve(span)
+        free_inputs = [h, a.model, state_in, middle, a.wrenches, state_out, hard.moving]
+
+        def solve(chosen: wp.array) -> list[wp.Launch]:
+            free = span.prepare(step.free(real, moves), bodies, [chosen, *free_inputs])
+            return free + self._solve(span, chosen)
+
+        launches += solve(status)
+        for number in range(restrain.ROUNDS if hard.bounces else 0):
+            inputs = [status, number, middle, hard.rows, hard.moving, hard.outcome, hard.restraint]
+            launches += span.prepare(restrain.kernel(real), 1, inputs)
+            launches += solve(hard.restraint.status)
         inputs = [status, h, float(self.theta), a.model, state_in, middle, hard.moving, a.wrenches, state_out]
         return launches + span.prepare(step.advance(real, moves), bodies, inputs)
 
-    def _solve(self, span: Span) -> list[wp.Launch]:
+    def _solve(self, span: Span, status: wp.array) -> list[wp.Launch]:
         hard, real = span.hard, span.model.types.real
         assert hard is not None
         solver = SOLVERS[self.solver]
@@ -143,5 +156,5 @@ class MoreauJean(Integrator):
         tolerance = tolerance if self.tolerance is None else self.tolerance
         iterations = iterations if self.iterations is None else self.iterations
         kernel = solver.kernel(real, span.model.moves, hard.rolls)
-        inputs = [span.model.arrays.status, hard.rows, hard.moving, hard.outcome, tolerance, iterations]
+        inputs = [status, hard.rows, hard.moving, hard.outcome, tolerance, iterations]
         return span.prepare(kernel, 1, [*inputs, hard.scratch, hard.change])

@@ -62,13 +62,13 @@ class HardContacts:
     Attributes:
         compliant: Names of the contacts that are not hard.
         capacity: Most rows of an environment.
-        rolls: Whether anything opposes rolling or spinning of a hard contact.
         middle: State at half a step.
         rows: The closed contacts of a step.
         moving: The bodies under impulses.
         outcome: How the last solve went.
         scratch: What the solver works in, of rows.
         change: Likewise, of bodies.
+        restraint: How far restitution was lowered in the last step.
         memory: Of each contact, from the last step in which it was closed.
         account: Of each environment, since reset.
         shown: What readings show.
@@ -119,11 +119,7 @@ class HardContacts:
         self.capacity = self._mesh.count + sum(own.count for _, own in self._smooth)
         self.capacity += sum(pile.slots for pile, _ in self._piles)
         everything = (*self._shown, *self._number_of)
-        self.rolls = any(
-            contact.template.parts.rolls or contact.template.parts.twists
-            for contact in everything
-            if not self.acts(contact.name)
-        )
+        self._hard = [contact for contact in everything if not self.acts(contact.name)]
 
         bodies, each_row = per_env(model.body_count), per_env(max(1, self.capacity))
         self.middle = layout.struct(PURPOSE, t.State, bodies)
@@ -134,6 +130,7 @@ class HardContacts:
         self.scratch = layout.struct(PURPOSE, scratch(t.real, self.rolls), each_row, records=True)
         self.change = layout.struct(PURPOSE, impulses.change_struct(t.real), bodies, records=True)
         self.outcome = layout.struct(PURPOSE, rows.Outcome, per_env())
+        self.restraint = layout.struct(PURPOSE, records.Restraint, per_env())
         self.memory = layout.struct(PURPOSE, records.Memory, per_env(max(1, known)), records=True)
         self.account = layout.struct(PURPOSE, records.Account, per_env())
         self.shown = layout.struct(PURPOSE, records.Shown, per_env(max(1, count)))
@@ -174,6 +171,16 @@ class HardContacts:
         """Returns the number of the first record of a mutual contact."""
         return self._number_of[contact]
 
+    @property
+    def rolls(self) -> bool:
+        """Whether anything opposes rolling or spinning of a hard contact."""
+        return any(contact.template.parts.rolls or contact.template.parts.twists for contact in self._hard)
+
+    @property
+    def bounces(self) -> bool:
+        """Whether there are restitution and friction, which may bring energy together, or several restitutions."""
+        return any("restitution" in one.template.law.parameters() for one in self._hard)
+
     def compliant_blocks(self, group: Group) -> list[tuple[int, int]]:
         """Returns the blocks of the contacts of ``group`` that are not hard: the first and their number."""
         last = group.first_block + group.block_count
@@ -208,7 +215,7 @@ class HardContacts:
     def accept_stages(self, span: "Span", step: wp.array) -> list[wp.Launch]:
         """Returns the launch that remembers what an accepted step led to; ``step`` [env, 0] [s]."""
         inputs = [span.model.arrays.status, step, span.model.body_count, self.middle, self.rows, self.moving]
-        inputs += [self.outcome, self.memory, self.account, self.reactions]
+        inputs += [self.outcome, self.restraint, self.memory, self.account, self.reactions]
         return span.prepare(remember.kernel(self._real), 1, inputs)
 
     def restart(self, chosen: wp.array) -> None:
@@ -267,6 +274,7 @@ OF_SCENE = {
     "solve_iterations": ("outcome", "iterations", "-", "iterations of its solver"),
     "solve_converged": ("outcome", "converged", "-", "1: to its tolerance"),
     "solve_failures": ("account", "failures", "-", "steps that were not solved to it, since reset"),
+    "restrained": ("account", "restrained", "-", "steps in which restitution was lowered to bring no energy"),
     "friction_loss": ("account", "friction_loss", "J", "energy that friction of hard contacts took, since reset"),
     "impact_loss": ("account", "impact_loss", "J", "energy that impacts of hard contacts took, since reset"),
 }

@@ -48,7 +48,7 @@ class Hard:
         }
         for part, keys in names.items():
             friction = self.formulas[part]
-            cone = None if isinstance(friction, Frictionless) else friction.of_cone()  # type: ignore[attr-defined]
+            cone = None if isinstance(friction, Frictionless) else friction.of_cone()
             for key, name in zip(keys, cone or (None, None), strict=True):
                 table[key] = None if name is None else (part, name)
         return table
