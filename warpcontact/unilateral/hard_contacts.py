@@ -13,6 +13,7 @@ from warpcontact.kernels.smooth.records import contact_structs
 from warpcontact.kernels.unilateral import collect, impulses, remember
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.parameters import Parameter
 from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
@@ -176,10 +177,10 @@ class HardContacts:
         """Whether anything opposes rolling or spinning of a hard contact."""
         return any(contact.template.parts.rolls or contact.template.parts.twists for contact in self._hard)
 
-    @property
-    def bounces(self) -> bool:
-        """Whether there are restitution and friction, which may bring energy together, or several restitutions."""
-        return any("restitution" in one.template.law.parameters() for one in self._hard)
+    def bounces(self, parameters: Mapping[str, Parameter]) -> bool:
+        """Whether any hard contact has a restitution now: impacts may then bring energy."""
+        names = [f"{one.name}.law.restitution" for one in self._hard]
+        return any(bool(parameters[name].field.values.any()) for name in names if name in parameters)
 
     def compliant_blocks(self, group: Group) -> list[tuple[int, int]]:
         """Returns the blocks of the contacts of ``group`` that are not hard: the first and their number."""
