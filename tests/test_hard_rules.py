@@ -209,6 +209,15 @@ def test_what_hard_contact_cannot_do_is_said(device):
         wc.Simulation(scene.build(device=device), 1e-3, HARD)
 
 
+def test_a_start_in_overlap_is_said_to_stay(device):
+    model = ball(0.5, height=-0.02, envs=2, device=device)
+    model["ball.position"] = [(0.0, 0.0, 0.1999), (0.0, 0.0, 0.18 - 0.1)]
+    simulation = wc.Simulation(model, 1e-3, HARD)
+    with pytest.warns(wc.ContactWarning, match=r"touch: starts 0\.02 m deep in environment 1, and stays so"):
+        simulation.step(200)
+    assert model.reading("touch.gap")[1] == pytest.approx(-0.02, abs=1e-4)
+
+
 def test_memory_of_hard_contacts_is_part_of_the_estimate(device):
     model = ball(0.5, 0.2, envs=100, device=device, precision="float32")
     names = [need.purpose for need in wc.Simulation(model, 1e-3, HARD).memory().needs]

@@ -40,7 +40,8 @@ def advice(model: "Environments", dt: float, acts: Callable[[str], bool]) -> lis
     Args:
         model: The model.
         dt: Time step [s].
-        acts: Whether a contact, by its name, acts by the force of its law; nothing is said of others.
+        acts: Whether a contact, by its name, acts by the force of its law. Of others all that matters is whether
+            they start in overlap.
     """
     sentences = []
     if model.scene.contacts or model.scene.smooth_contacts:
@@ -49,6 +50,7 @@ def advice(model: "Environments", dt: float, acts: Callable[[str], bool]) -> lis
         sentences += contact_coupling_advice(model, coupling, dt)
     for contact in model.scene.contacts:
         if not acts(contact.name):
+            sentences += _about_rigid_overlap(model, f"{contact.name}.penetration", dt)
             continue
         sentences += friction_advice(model, contact, dt)
         if contact.facing is not None:
@@ -78,9 +80,13 @@ def advice(model: "Environments", dt: float, acts: Callable[[str], bool]) -> lis
     for touch in model.scene.smooth_contacts:
         if acts(touch.name):
             sentences += _smooth_advice(model, touch, dt)
+        else:
+            sentences += _about_rigid_overlap(model, f"{touch.name}.penetration", dt)
     for pile in model.scene.mutual_contacts:
         if acts(pile.name):
             sentences += _pile_advice(model, pile, dt)
+        else:
+            sentences += _about_rigid_overlap(model, f"{pile.name}.max_penetration", dt)
     return sentences + coupling_advice(model, dt)
 
 
@@ -193,6 +199,18 @@ def _about_overlap(
         f"{name}: starts {depth[worst, item]:.3g} m deep in the surface in environment {model.first_env + worst} "
         f"and will be thrown out at about {thrown[worst, body]:.3g} m/s; start outside, or set max_depth"
         + (" or entry='latched'" if latched else "")
+    ]
+
+
+def _about_rigid_overlap(model: "Environments", name: str, dt: float) -> list[str]:
+    """Returns what to say about a hard contact that starts deeper than bodies sink in within a step."""
+    depth = model.reading(name).reshape(model.envs, -1).max(axis=1)
+    worst = int(np.argmax(depth))
+    if depth[worst] <= USUAL_SPEED * dt:
+        return []
+    return [
+        f"{name.rpartition('.')[0]}: starts {depth[worst]:.3g} m deep in environment {model.first_env + worst}, "
+        "and stays so: impulses keep bodies from coming closer, and do not drive them apart; start outside"
     ]
 
 
