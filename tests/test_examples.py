@@ -133,3 +133,15 @@ def test_a_rattleback_turns_back_from_one_spin_only(tmp_path, device):
     # Both began with 5 rad/s. Kane and Levinson have the wrong spin turned into one of about half that speed.
     assert wrong > 1.5
     assert right > 4.5
+
+
+def test_pushed_blocks_stick_slide_and_tip_as_statics_say(device, tmp_path, capsys):
+    picture = tmp_path / "pushed_block.png"
+    options = ["--side", "16", "--steps", "300", "--device", device, "--picture", str(picture)]
+    result = load("pushed_block").main(options)
+    assert "agree with the theory: 100.00 %" in capsys.readouterr().out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert result["push"] == 1.0
+    assert result["growing"] == 1.0
+    # The push grows by the weight over the number of steps, and ends the rest within one of them.
+    assert result["limit"] < 98.1 / 300 + 1e-9
