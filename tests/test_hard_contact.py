@@ -1,6 +1,7 @@
 """Hard contact in time steps: impacts, sliding, sticking, rolling, tipping, against closed forms and an oracle."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -189,9 +190,10 @@ def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
     assert (v0 - v1) / 0.1 == pytest.approx(0.02 * G / 1.4, rel=1e-6)
     assert (w0 - w1) / 0.1 == pytest.approx(0.3 * 0.01 * G / 0.004, rel=1e-6)
     simulation.step(8000)
+    # To the tolerance of the solve, of the speed g h that it takes off in a step.
     for name in ("rolling", "spinning"):
-        assert np.abs(model.reading(f"{name}.angular_velocity")).max() < 1e-12
-        assert np.abs(model.reading(f"{name}.linear_velocity")).max() < 1e-12
+        assert np.abs(model.reading(f"{name}.angular_velocity")).max() < 1e-8 * G * 1e-3 / 0.1
+        assert np.abs(model.reading(f"{name}.linear_velocity")).max() < 1e-8 * G * 1e-3
 
 
 def test_losses_and_energy_of_round_bodies_add_up(device):
@@ -224,9 +226,12 @@ def test_boxes_thrown_onto_each_other_never_gain_energy(device):
     model["two.linear_velocity"] = rng.normal(size=(envs, 3))
     model["one_feet.law.restitution"] = model["two_feet.law.restitution"] = rng.uniform(0, 1, size=(envs, 1))
     dt = 1e-3
-    data = wc.Simulation(model, dt, wc.integrators.MoreauJean(iterations=2000)).run(
-        2.0, [*ENERGY, "one_feet.gap", "two_feet.gap"]
-    )
+    simulation = wc.Simulation(model, dt, wc.integrators.MoreauJean(iterations=2000))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        data = simulation.run(2.0, [*ENERGY, "one_feet.gap", "two_feet.gap"])
+    # With friction a contact problem may have no solution that is found; that is rare, and counted.
+    assert model.reading("scene.solve_failures").sum() < 2e-3 * envs * simulation.steps
     kinetic = data["scene.kinetic_energy"].values
     # A contact that is closed but parts with less than g h is held, which may lift the body by as much; turning
     # bodies keep their energy to second order in the step.

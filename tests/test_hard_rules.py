@@ -169,7 +169,7 @@ def test_a_solve_that_ends_early_is_counted_and_said(device):
         body = add_box(scene, (0.5,) * 3, below, rigid(mu=0.5), name=f"box{number}", feet=feet, position=place)
         below = scene.add_surface(wc.meshes.box((0.5,) * 3), body, name=f"top{number}")
     model = scene.build(envs=2, device=device, precision="float64")
-    simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(iterations=1))
+    simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver="gauss_seidel", iterations=1))
     with pytest.warns(RuntimeWarning, match="not solved to the tolerance in some steps of 2 of 2 environments"):
         simulation.run(0.05)
     assert (model.reading("scene.solve_failures") > 0).all()
@@ -179,7 +179,7 @@ def test_a_solve_that_ends_early_is_counted_and_said(device):
 def test_what_hard_contact_cannot_do_is_said(device):
     cases = [
         (lambda: wc.integrators.MoreauJean(theta=0.4), "theta must be at least 0.5"),
-        (lambda: wc.integrators.MoreauJean(solver="magic"), "solver must be one of 'gauss_seidel'"),
+        (lambda: wc.integrators.MoreauJean(solver="magic"), "solver must be one of 'auto', 'gauss_seidel'"),
         (
             lambda: wc.integrators.MoreauJean(iterations=0),
             "iterations must be a whole number of at least 1, got 0",
@@ -221,3 +221,18 @@ def test_memory_of_hard_contacts_is_part_of_the_estimate(device):
         .memory()
         .needs
     ]
+
+
+def test_simulations_of_one_model_each_follow_its_parameters_and_leave_nothing_behind(device):
+    model = ball(0.5, height=0.01, velocity=(0.0, 0.0, -1.0), gravity=0.0, device=device)
+    parameter = model.find_parameter("touch.law.restitution")
+    before = len(parameter.uploads)
+    simulations = [wc.Simulation(model, 1e-3, HARD) for _ in range(3)]
+    assert len(parameter.uploads) == before + 1
+    for simulation, restitution in zip(simulations, (0.2, 0.4, 0.6), strict=True):
+        model["touch.law.restitution"] = restitution
+        simulation.reset()
+        simulation.step(20)
+        assert model.reading("ball.linear_velocity")[0, 2] == pytest.approx(restitution, rel=1e-12)
+    wc.Simulation(ball(template=wc.Template(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3)
+    assert len(parameter.uploads) == before + 1

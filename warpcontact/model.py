@@ -171,14 +171,20 @@ class Model(Environments, OfScene):
 
     @beside_captures()
     def attach(self, hard: HardContacts | None) -> None:
-        """Lets contacts be those of the simulation that is to step: ``hard`` ones, or all with their forces."""
+        """Lets contacts be those of the simulation that is to step: ``hard`` ones, or all with their forces.
+
+        Hard ones remember nothing then: what they do may be of before a reset, or of a step of another simulation.
+        """
         if hard is self.hard:
             return
-        for own in () if self.hard is None else self.hard.readings():
-            del self.readings[own.name]
+        if self.hard is not None:
+            self.hard.let_go(self)
+            for own in self.hard.readings():
+                del self.readings[own.name]
         self.hard = self.arrays.hard = hard
-        for own in () if hard is None else hard.readings():
-            self.readings[own.name] = own
+        if hard is not None:
+            hard.follow(self)
+            self.readings.update((own.name, own) for own in hard.readings())
         self._look_for_bounces()
         # Nobody writes what hard contacts would do to bodies by a force.
         near, ends = self.arrays.near, self.arrays.ends
