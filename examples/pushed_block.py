@@ -21,8 +21,7 @@ WEIGHT = MASS * GRAVITY
 INERTIA = MASS / 12.0 * (WIDTH**2 + HEIGHT**2)  # about the axis into the picture
 MU, LARGEST = 0.35, 0.82 * WEIGHT  # of the first map: friction, and the largest push [N]
 DT = 1e-3  # s
-# A block about to slide on four feet is hard for Gauss–Seidel: what one foot does is undone by the others.
-INTEGRATOR = wc.integrators.MoreauJean(solver="accelerated")
+INTEGRATOR = wc.integrators.MoreauJean()
 STICKS, SLIDES, TIPS, TIPS_AND_SLIDES = range(4)
 NAMES = ("sticks", "slides", "tips", "tips and slides")
 COLORS = ("#d9d9d9", "#7fb3d5", "#f0b27a", "#c39bd3")

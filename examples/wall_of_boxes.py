@@ -84,7 +84,7 @@ def strike(
     """Runs the wall with a solver; returns figures and the recording."""
     scene = wall(columns, rows)
     model = scene.build(device=device, precision="float64")
-    integrator = wc.integrators.MoreauJean(solver=solver, tolerance=TOLERANCE, iterations=1000)
+    integrator = wc.integrators.MoreauJean(solver=solver, tolerance=TOLERANCE)
     simulation = wc.Simulation(model, DT, integrator)
     depths = [f"{contact.name}.penetration" for contact in scene.contacts]
     record = ["scene.kinetic_energy", "scene.potential_energy", "scene.closed_contacts", "scene.solve_failures"]
