@@ -133,3 +133,38 @@ def test_a_rattleback_turns_back_from_one_spin_only(tmp_path, device):
     # Both began with 5 rad/s. Kane and Levinson have the wrong spin turned into one of about half that speed.
     assert wrong > 1.5
     assert right > 4.5
+
+
+def test_pushed_blocks_stick_slide_and_tip_as_statics_say(device, tmp_path, capsys):
+    picture = tmp_path / "pushed_block.png"
+    options = ["--side", "16", "--steps", "300", "--device", device, "--picture", str(picture)]
+    result = load("pushed_block").main(options)
+    assert "agree with the theory: 100.00 %" in capsys.readouterr().out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert result["push"] == 1.0
+    assert result["growing"] == 1.0
+    # The push grows by the weight over the number of steps, and ends the rest within one of them.
+    assert result["limit"] < 98.1 / 300 + 1e-9
+
+
+def test_a_ball_breaks_through_a_wall_of_boxes(device, tmp_path, capsys):
+    picture, animation = tmp_path / "wall.png", tmp_path / "wall.usdc"
+    options = ["--columns", "3", "--rows", "2", "--duration", "0.5", "--device", device]
+    example = load("wall_of_boxes")
+    results = example.main([*options, "--picture", str(picture), "--usd", str(animation)])
+    assert "7 boxes" in capsys.readouterr().out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    for result in results.values():
+        assert 0.0 < result["penetration"] < result["bound"]
+        # Of 1.5 kJ; a contact that parts with less than g dt is held, which may lift its body by as much.
+        assert result["gain"] < 1e-3
+        assert result["friction"] > 10.0
+        assert result["impact"] > 100.0
+        # What rounding and turning add to it is of second order in the step.
+        assert result["friction"] + result["impact"] == pytest.approx(result["lost"], rel=1e-2)
+        assert result["converged"] > 0.5
+    usd = pytest.importorskip("pxr.Usd")
+    stage = usd.Stage.Open(str(animation))
+    ball = stage.GetPrimAtPath("/World/env_0/ball")
+    assert ball.GetAttribute("xformOp:translate").GetNumTimeSamples() == 51
+    assert len([prim for prim in ball.GetParent().GetChildren() if prim.GetName().startswith("box")]) == 7
