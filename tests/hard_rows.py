@@ -10,6 +10,8 @@ from warpcontact.kernels.unilateral.impulses import change_struct
 from warpcontact.kernels.unilateral.rows import row_structs
 
 SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
+#: Where they run.
+DEVICE = "cpu"
 
 
 def cross(a):
@@ -117,15 +119,26 @@ class Step:
                     after[body] += sign * self.inverse[body] @ wrench
         return after
 
-    def solve(self, solver, real=wp.float64, tolerance=None, iterations=1000, device="cpu", status=(0, 1, 0)):
+    def solve(self, solver, real=wp.float64, tolerance=None, iterations=1000, status=(0, 1, 0)):
         """Returns what a solver makes of it in the last of some environments, and of one that is not active."""
-        arrays = self.arrays(real, len(status), device)
+        arrays = self.arrays(real, len(status))
         if tolerance is None:
             tolerance = 1e-12 if real == wp.float64 else 1e-5
-        launch(solver, arrays, real, self.moves, self.rolls, tolerance, iterations, status, device)
+        launch(solver, arrays, real, self.moves, self.rolls, tolerance, iterations, status)
         return Result(arrays, len(self.rows))
 
-    def arrays(self, real, envs, device):
+    def solve_in_turn(self, solvers, tolerance, iterations, status=(0, 1, 0)):
+        """Likewise with a number of iterations of each, where those before have not converged."""
+        arrays = self.arrays(wp.float64, len(status))
+        change = None
+        for solver, most in zip(solvers, iterations, strict=True):
+            options = {} if change is None else {"after": True}
+            change = launch(
+                solver, arrays, wp.float64, self.moves, self.rolls, tolerance, most, status, change, **options
+            )
+        return Result(arrays, len(self.rows))
+
+    def arrays(self, real, envs):
         r = row_structs(real)
         kind = wp.dtype_to_numpy(real)
         rows, moving, outcome = r.Rows(), r.Moving(), r.Outcome()
@@ -133,7 +146,7 @@ class Step:
         def put(owner, name, values, dtype):
             values = np.asarray(values, np.int32 if dtype == wp.int32 else kind)
             tiled = np.repeat(values[None], envs, axis=0)
-            setattr(owner, name, wp.array(tiled, dtype=dtype, device=device))
+            setattr(owner, name, wp.array(tiled, dtype=dtype, device=DEVICE))
 
         # One more than there are, which is not to be looked at.
         spare = Row(9999, 9999, *(np.full(3, np.nan),) * 3, *(np.nan,) * 4, *(np.full(3, np.nan),) * 2)
@@ -151,32 +164,28 @@ class Step:
         put(moving, "by_force", self.inverse[:, :3, :3], r.mat33)
         put(moving, "across", self.inverse[:, :3, 3:], r.mat33)
         put(moving, "by_torque", self.inverse[:, 3:, 3:], r.mat33)
-        outcome.count = wp.full(envs, len(self.rows), dtype=wp.int32, device=device)
-        outcome.residual = wp.full(envs, -1.0, dtype=real, device=device)
-        outcome.iterations = wp.full(envs, -1, dtype=wp.int32, device=device)
-        outcome.converged = wp.full(envs, -1, dtype=wp.int32, device=device)
+        outcome.count = wp.full(envs, len(self.rows), dtype=wp.int32, device=DEVICE)
+        outcome.residual = wp.full(envs, -1.0, dtype=real, device=DEVICE)
+        outcome.iterations = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)
+        outcome.converged = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)
         return rows, moving, outcome
 
 
-def launch(solver, arrays, real, moves, rolls, tolerance, iterations, status, device):
-    """Runs a solver once on all environments."""
+def launch(solver, arrays, real, moves, rolls, tolerance, iterations, status, change=None, **options):
+    """Runs a solver once on all environments; returns what it leaves of changes."""
     rows, moving, outcome = arrays
-    kernel, more = prepared(solver, arrays, real, moves, rolls, device)
+    module = SOLVERS[solver]
+    scratch = _zeros(module.scratch(real, rolls), rows.body_1.shape)
+    if change is None:
+        change = _zeros(change_struct(real), moving.linear.shape)
+    kernel = module.kernel(real, moves, rolls, **options)
     work = Work()
     work.first, work.items, work.tasks = 0, 1, len(status)
-    work.threads = work.tasks if wp.get_device(device).is_cuda else 1
-    states = wp.array(np.asarray(status, np.int32), device=device)
-    inputs = [work, states, rows, moving, outcome, real(tolerance), iterations, *more]
-    wp.launch(kernel, work.threads, inputs, device=device)
-
-
-def prepared(solver, arrays, real, moves, rolls, device):
-    """The kernel of a solver and its memory."""
-    rows, moving, _ = arrays
-    module = SOLVERS[solver]
-    memory = [_zeros(module.scratch(real, rolls), rows.body_1.shape, device)]
-    memory.append(_zeros(change_struct(real), moving.linear.shape, device))
-    return module.kernel(real, moves, rolls), memory
+    work.threads = work.tasks if wp.get_device(DEVICE).is_cuda else 1
+    states = wp.array(np.asarray(status, np.int32), device=DEVICE)
+    inputs = [work, states, rows, moving, outcome, real(tolerance), iterations, scratch, change]
+    wp.launch(kernel, work.threads, inputs, device=DEVICE)
+    return change
 
 
 class Result:
@@ -193,10 +202,10 @@ class Result:
         self.converged = bool(outcome.converged.numpy()[-1] == 1)
 
 
-def _zeros(struct, shape, device):
+def _zeros(struct, shape):
     instance = struct()
     for name, variable in struct.vars.items():
-        setattr(instance, name, wp.zeros(shape, dtype=variable.type.dtype, device=device))
+        setattr(instance, name, wp.zeros(shape, dtype=variable.type.dtype, device=DEVICE))
     return instance
 
 

@@ -221,3 +221,18 @@ def test_memory_of_hard_contacts_is_part_of_the_estimate(device):
         .memory()
         .needs
     ]
+
+
+def test_simulations_of_one_model_each_follow_its_parameters_and_leave_nothing_behind(device):
+    model = ball(0.5, height=0.01, velocity=(0.0, 0.0, -1.0), gravity=0.0, device=device)
+    parameter = model.find_parameter("touch.law.restitution")
+    before = len(parameter.uploads)
+    simulations = [wc.Simulation(model, 1e-3, HARD) for _ in range(3)]
+    assert len(parameter.uploads) == before + 1
+    for simulation, restitution in zip(simulations, (0.2, 0.4, 0.6), strict=True):
+        model["touch.law.restitution"] = restitution
+        simulation.reset()
+        simulation.step(20)
+        assert model.reading("ball.linear_velocity")[0, 2] == pytest.approx(restitution, rel=1e-12)
+    wc.Simulation(ball(template=wc.Template(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3)
+    assert len(parameter.uploads) == before + 1

@@ -177,11 +177,13 @@ class Model(Environments, OfScene):
         """
         if hard is self.hard:
             return
-        for own in () if self.hard is None else self.hard.readings():
-            del self.readings[own.name]
+        if self.hard is not None:
+            self.hard.let_go(self)
+            for own in self.hard.readings():
+                del self.readings[own.name]
         self.hard = self.arrays.hard = hard
         if hard is not None:
-            hard.restart(wp.full(self.envs, True, dtype=wp.bool, device=self.device))
+            hard.follow(self)
             self.readings.update((own.name, own) for own in hard.readings())
         self._look_for_bounces()
         # Nobody writes what hard contacts would do to bodies by a force.

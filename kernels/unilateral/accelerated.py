@@ -2,9 +2,9 @@
 
 The step of H. Mazhar, T. Heyn, D. Negrut, A. Tasora, "Using Nesterov's method to accelerate multibody dynamics
 with friction and contact", ACM Transactions on Graphics 34, 2015, on De Saxcé's cone: the slip lifts the normal
-velocity anew in every iteration, so that what it converges to keeps Coulomb's law and does not part while it slides.
-The momentum starts again where it leads uphill: B. O'Donoghue, E. Candès, "Adaptive restart for accelerated gradient
-schemes", Foundations of Computational Mathematics 15, 2015.
+velocity anew in every iteration, so that what it converges to keeps Coulomb's law and does not part while it
+slides. The momentum starts again where it leads uphill: B. O'Donoghue, E. Candès, "Adaptive restart for
+accelerated gradient schemes", Foundations of Computational Mathematics 15, 2015.
 """
 
 import functools
@@ -52,13 +52,15 @@ def scratch(real: type, rolls: bool) -> type:
 
 
 @functools.cache
-def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
+def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kernel:
     """Returns the solver of a step; items: one per environment.
 
     Args:
         real: Precision.
         moves: Whether not all bodies are free.
         rolls: Whether any contact opposes rolling or spinning.
+        after: Whether it takes up what another solver left, in the environments where that did not converge: from
+            its impulses, with its ``change`` taken back, and counting on from its iterations.
 
     It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no more,
     or after some iterations; then the best of them is what it leaves.
@@ -96,6 +98,14 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             env = work.first + task
             if status[env] != ENV_ACTIVE:
                 continue
+            done = wp.int32(0)
+            if wp.static(after):
+                if outcome.converged[env] == 1:
+                    continue
+                done = outcome.iterations[env]
+                for body in range(change.linear.shape[1]):
+                    moving.linear[env, body] = moving.linear[env, body] - change.linear[env, body]
+                    moving.angular[env, body] = moving.angular[env, body] - change.angular[env, body]
             count = outcome.count[env]
             if count == 0:
                 outcome.residual[env] = zero
@@ -107,6 +117,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 change.linear[env, body] = vec3()
                 change.angular[env, body] = vec3()
             scale = zero
+            finite = zero  # only if all terms are
             for row in range(count):
                 one_body = rows.body_1[env, row]
                 other = rows.body_2[env, row]
@@ -120,7 +131,9 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 if trace > zero:
                     rho = three / trace
                     impulse = rows.impulse[env, row]
-                scale = wp.max(scale, rho * rho * wp.length_sq(free))
+                size = rho * rho * wp.length_sq(free)
+                scale = wp.max(scale, size)
+                finite += size + wp.length_sq(impulse)
                 scratch.rho[env, row] = rho
                 scratch.free[env, row] = free
                 rows.impulse[env, row] = impulse
@@ -145,6 +158,11 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                     turn_2 += couple
                 push(moving, change, env, one_body, impulse, turn_1)
                 push(moving, change, env, other, -impulse, -turn_2)
+            if not wp.isfinite(finite):
+                outcome.residual[env] = finite
+                outcome.iterations[env] = 0
+                outcome.converged[env] = 0
+                continue
             if scale == zero:
                 scale = one
 
@@ -304,7 +322,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 moving.linear[env, body] = moving.linear[env, body] + change.linear[env, body]
                 moving.angular[env, body] = moving.angular[env, body] + change.angular[env, body]
             outcome.residual[env] = wp.sqrt(worst / scale)
-            outcome.iterations[env] = steps
+            outcome.iterations[env] = done + steps
             outcome.converged[env] = wp.where(worst <= goal, 1, 0)
 
     return accelerated

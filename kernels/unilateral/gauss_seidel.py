@@ -13,6 +13,9 @@ RAW = 0
 SINGULAR = 1  # its block, which has no inverse
 REGULAR = 2  # its block and the inverse
 
+# Sweeps without a smaller residual after which momentum is left out: some, and some for every row. Small problems
+# with much friction can go in circles with it.
+LONG, LONGER = 64, 8
 # Sweeps that may pass without a smaller residual where that is of the size of rounding.
 PATIENCE = 50
 
@@ -47,10 +50,10 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
         moves: Whether not all bodies are free.
         rolls: Whether any contact opposes rolling or spinning.
 
-    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no more,
-    or after some sweeps. Near the end a sweep looks first: where every row keeps its law nothing is changed, and the
-    solve is over. What a sweep finds that changes something belongs to many states, so that the last looks alone.
-    Between sweeps impulses go on with Nesterov's momentum, as in ``accelerated``.
+    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no
+    more, or after some sweeps. Near the end a sweep looks first: where every row keeps its law nothing is
+    changed, and the solve is over. What a sweep finds that changes something belongs to many states, so that
+    the last looks alone. Between sweeps impulses go on with Nesterov's momentum, as in ``accelerated``.
     """
     t = structs(real)
     vec3 = t.vec3
@@ -101,6 +104,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 change.linear[env, body] = vec3()
                 change.angular[env, body] = vec3()
             scale = zero
+            finite = zero  # only if all terms are
             for row in range(count):
                 one_body = rows.body_1[env, row]
                 other = rows.body_2[env, row]
@@ -114,7 +118,9 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 if trace > zero:
                     rho = three / trace
                     impulse = rows.impulse[env, row]
-                scale = wp.max(scale, rho * rho * wp.length_sq(free))
+                size = rho * rho * wp.length_sq(free)
+                scale = wp.max(scale, size)
+                finite += size + wp.length_sq(impulse)
                 scratch.ready[env, row] = raw
                 scratch.rho[env, row] = rho
                 scratch.free[env, row] = free
@@ -134,6 +140,11 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                     turn_2 += couple
                 push(moving, change, env, one_body, impulse, turn_1)
                 push(moving, change, env, other, -impulse, -turn_2)
+            if not wp.isfinite(finite):
+                outcome.residual[env] = finite
+                outcome.iterations[env] = 0
+                outcome.converged[env] = 0
+                continue
             if scale == zero:
                 scale = one
 
@@ -148,6 +159,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             while True:
                 worst = zero
                 most = scale
+                uphill = zero
                 changes = wp.where(last == 0, rough, 0)
                 for row in range(count):
                     one_body = rows.body_1[env, row]
@@ -190,6 +202,9 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                             b = vec3(wp.dot(w, n), wp.dot(w, across_1), wp.dot(w, across_2)) - W * local
                             local = one_contact(W, b, mu)
                             new = local[0] * n + local[1] * across_1 + local[2] * across_2
+                        if rho > zero:
+                            back = scratch.before[env, row] - new
+                            uphill += wp.dot(back, new - scratch.swept[env, row]) / rho
                         step = new - impulse
                         rows.impulse[env, row] = new
                         push(moving, change, env, one_body, step, wp.cross(arm_1, step))
@@ -229,13 +244,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 rough = wp.where(worst > ROUGH * goal, 1, 0)
 
                 # A sweep is a step down a hill. Its momentum leads on, and starts again where it leads uphill.
-                uphill = zero
-                for row in range(count):
-                    if scratch.rho[env, row] > zero:
-                        swept = rows.impulse[env, row]
-                        back = scratch.before[env, row] - swept
-                        uphill += wp.dot(back, swept - scratch.swept[env, row]) / scratch.rho[env, row]
-                if uphill > zero:
+                if uphill > zero or waited > LONG + LONGER * count:
                     theta = one
                 theta_next = half * theta * (wp.sqrt(theta * theta + four) - theta)
                 beta = theta * (one - theta) / (theta * theta + theta_next)

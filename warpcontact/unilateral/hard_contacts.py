@@ -21,7 +21,7 @@ from warpcontact.scene import Contact, Scene
 from warpcontact.smooth.contact_sets import SmoothSet
 from warpcontact.smooth.elements import SmoothContact
 from warpcontact.status import ContactMode
-from warpcontact.unilateral.materials import Hard, material_upload
+from warpcontact.unilateral.materials import Hard, material_upload, parameters_of
 
 if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
@@ -138,6 +138,7 @@ class HardContacts:
         self.reactions = layout.struct(PURPOSE, t.Wrenches, bodies)
         self.material: Any = None
         self._bodies, self._step = 0, None
+        self._upload: Any = None
         self._materials = [
             Hard(one, one.template.formulas, own.stop - own.start) for one, own in self._shown.items()
         ]
@@ -153,16 +154,23 @@ class HardContacts:
         return made
 
     def begin(self, model: "Model", step: wp.array) -> None:
-        """Readies what is allocated: restitution and coefficients of friction follow their parameters from now on.
-
-        Args:
-            model: The model.
-            step: Length of a step [env, 0] [s].
-        """
+        """Takes what is allocated: the model, and the length of a step [env, 0] [s]."""
         self._bodies, self._step = model.body_count, step
-        upload = material_upload(self, self._materials, model.parameters, model.device, self._real)
-        model.send([upload], [upload.content()])
+        self._upload = material_upload(self, self._materials, model.parameters, model.device, self._real)
+
+    def follow(self, model: "Model") -> None:
+        """Lets restitution and coefficients of friction follow their parameters; no contact remembers anything."""
+        for parameter in parameters_of(self._materials, model.parameters):
+            if self._upload not in parameter.uploads:
+                parameter.uploads.append(self._upload)
+        model.send([self._upload], [self._upload.content()])
         self.restart(wp.full(model.envs, True, dtype=wp.bool, device=model.device))
+
+    def let_go(self, model: "Model") -> None:
+        """Follows the parameters no longer."""
+        for parameter in parameters_of(self._materials, model.parameters):
+            if self._upload in parameter.uploads:
+                parameter.uploads.remove(self._upload)
 
     def acts(self, name: str) -> bool:
         """Whether the contact ``name`` acts by the force of its law."""
