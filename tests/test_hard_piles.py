@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hard_scenes import ENERGY, HARD, G, rigid
+from hard_scenes import ENERGY, HARD, G, energy, rigid
 from scenes import square
 
 import warpcontact as wc
@@ -315,9 +315,9 @@ def test_radii_of_each_environment_roll_with_their_own(device):
         np.testing.assert_allclose(change[env], np.array([-couple, couple]) / INERTIA[0], rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize(("restitution", "mu"), [(1.0, 0.0), (0.0, 0.8)], ids=["elastic", "with friction"])
-def test_six_by_six_by_six_balls_of_ten_kilograms_fall_on_a_plane(restitution, mu, device):
-    """The benchmark of J. Hwangbo and D. Kang, SimBenchmark, 2018: energy and overlap of 216 balls."""
+@pytest.mark.parametrize("restitution", [0.0, 1.0])
+def test_six_by_six_by_six_balls_of_ten_kilograms_fall_on_a_plane(restitution, device):
+    """Overlap and energy of smooth balls: "666" of leggedrobotics.github.io/SimBenchmark."""
     radius, mass, dt = 0.5, 10.0, 4e-3
     grid = np.stack(np.meshgrid(*[np.arange(6)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     # A little out of line, so that columns do not stand.
@@ -325,23 +325,24 @@ def test_six_by_six_by_six_balls_of_ten_kilograms_fall_on_a_plane(restitution, m
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     balls = scene.add_bodies(places, mass, [0.4 * mass * radius**2] * 3, name="ball")
     shapes = scene.add_shape(balls, wc.shapes.Sphere(radius))
-    scene.add_mutual_contact(shapes, rigid(restitution, mu), name="pile")
+    scene.add_mutual_contact(shapes, rigid(restitution), name="pile")
     plane = scene.add_shape(None, wc.shapes.Plane())
-    scene.add_smooth_contact(shapes, plane, rigid(restitution, mu), name="floor")
+    scene.add_smooth_contact(shapes, plane, rigid(restitution), name="floor")
     model = scene.build(device=device, precision="float64")
-    names = [*ENERGY, "ball.linear_velocity", "pile.max_penetration", "floor.penetration", "scene.closed_contacts"]
-    integrator = wc.integrators.MoreauJean(iterations=2000, tolerance=1e-5)
-    data = wc.Simulation(model, dt, integrator).run(2.0, names)
-    kinetic = data["scene.kinetic_energy"].values[:, 0]
-    total = kinetic + data["scene.potential_energy"].values[:, 0]
-    speed = np.linalg.norm(data["ball.linear_velocity"].values[:, 0], axis=-1).max()
+    names = [*ENERGY, "ball.linear_velocity", "scene.closed_contacts"]
+    names += ["pile.max_penetration", "pile.normal_force", "floor.penetration", "floor.normal_force"]
+    data = wc.Simulation(model, dt, INTEGRATOR).run(3.0, names)
+    total = energy(data)[:, 0]
+    speed = np.linalg.norm(data["ball.linear_velocity"].values[:, 0], axis=-1).max(axis=1)
     overlap = max(data["pile.max_penetration"].values.max(), data["floor.penetration"].values.max())
     # Each of two balls moves by no more than v h in the step in which they meet.
-    assert overlap <= 2.0 * speed * dt
+    assert overlap <= 2.0 * speed.max() * dt
     assert data["scene.closed_contacts"].values.max() > 100
-    assert np.diff(total).max() <= 1e-6 * total[0]
+    # See the heap above.
+    force = data["pile.normal_force"].values[:, 0] + data["floor.normal_force"].values[:, 0].sum(axis=-1)
+    assert (np.diff(total) <= force[1:] * (speed[1:] * dt) ** 2 / radius + 1e-9 * total[0]).all()
     if restitution == 1.0:
         # What is lost is the restitution of steps in which some bounce off what others push.
-        assert total[-1] == pytest.approx(total[0], rel=2e-2)
+        assert total[-1] > 0.9 * total[0]
     else:
         assert total[-1] < 0.5 * total[0]
