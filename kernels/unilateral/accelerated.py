@@ -76,7 +76,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
     off_squared, pressing = f.off_squared, f.pressing
     zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
     # A step that was too long becomes this part of the longest that goes down; others grow.
-    SHORTER, LONGER = wp.constant(real(0.9)), wp.constant(real(1.02))
+    SHORTER, LONGER = wp.constant(real(0.9)), wp.constant(real(1.005))
     rounding = np.finfo(wp.dtype_to_numpy(real))
     # Of the largest impulse: what rounding may leave of a residual.
     ROUNDING = wp.constant(real(4.0 * float(rounding.eps)))

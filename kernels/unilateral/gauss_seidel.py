@@ -8,14 +8,12 @@ from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
 from warpcontact.kernels.unilateral import cone, impulses
 from warpcontact.kernels.unilateral.rows import row_structs
 
-# What a row has ready.
-RAW = 0
-SINGULAR = 1  # its block, which has no inverse
-REGULAR = 2  # its block and the inverse
-
-# Sweeps without a smaller residual after which momentum is left out: some, and some for every row. Small problems
-# with much friction can go in circles with it.
-LONG, LONGER = 64, 8
+# Stages of a solve: the block of a row is made where it is first needed, and made anew, softer, after some sweeps.
+RAW, EXACT, SOFTENED = 0, 1, 2
+LATE = 50
+# How much softer, over a third of its trace: a block without an inverse, and any block late. A row then goes less
+# far from where it was, to the same solution; exact steps may go in circles, or grow, where friction is strong.
+SOFT, SOFTER = 0.02, 0.3
 # Sweeps that may pass without a smaller residual where that is of the size of rounding.
 PATIENCE = 50
 
@@ -28,11 +26,11 @@ def scratch(real: type, rolls: bool) -> type:
 
     @wp.struct
     class Scratch:
-        ready: wp.array2d(dtype=wp.int32)  # RAW, …
+        stage: wp.array2d(dtype=wp.int32)  # of the solve that the block is of
         rho: wp.array2d(dtype=real)  # [kg]
         free: wp.array2d(dtype=vec3)  # q, W [m/s]
         inverse: wp.array2d(dtype=mat33)  # of the block, W [kg]
-        block: wp.array2d(dtype=mat33)  # (normal, two tangents) [1/kg]
+        block: wp.array2d(dtype=mat33)  # w over an impulse, (normal, two tangents) [1/kg]
         before: wp.array2d(dtype=vec3)  # impulse before the sweep, W [N·s]
         swept: wp.array2d(dtype=vec3)  # impulse after the sweep before, W [N·s]
         if rolls:
@@ -67,7 +65,8 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     ease, turning_ease, in_discs = f.ease, f.turning_ease, f.in_discs
     block_of, inverse_of, in_cone, off_squared = f.block, f.inverse_of, f.in_cone, f.off_squared
     zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
-    raw, singular, regular = wp.constant(RAW), wp.constant(SINGULAR), wp.constant(REGULAR)
+    raw, softened = wp.constant(RAW), wp.constant(SOFTENED)
+    soft, softer = wp.constant(real(SOFT)), wp.constant(real(SOFTER))
     patience = wp.constant(PATIENCE)
     rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
     # Of the largest impulse: what rounding may leave of a residual.
@@ -121,7 +120,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 size = rho * rho * wp.length_sq(free)
                 scale = wp.max(scale, size)
                 finite += size + wp.length_sq(impulse)
-                scratch.ready[env, row] = raw
+                scratch.stage[env, row] = raw
                 scratch.rho[env, row] = rho
                 scratch.free[env, row] = free
                 scratch.before[env, row] = impulse
@@ -156,11 +155,12 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             last = wp.where(iterations <= 0, 1, 0)
             sweeps = wp.int32(0)
             rough = wp.int32(0)
+            stage = wp.int32(EXACT)
             while True:
                 worst = zero
                 most = scale
                 uphill = zero
-                changes = wp.where(last == 0, rough, 0)
+                changes = rough
                 for row in range(count):
                     one_body = rows.body_1[env, row]
                     other = rows.body_2[env, row]
@@ -172,29 +172,31 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                     impulse = rows.impulse[env, row]
                     w = scratch.free[env, row] + changed_at(change, env, one_body, arm_1)
                     w -= changed_at(change, env, other, arm_2)
-                    off = off_squared(impulse, w, n, mu, rho)
-                    worst = wp.max(worst, off)
+                    off = zero
+                    if rough == 0:
+                        off = off_squared(impulse, w, n, mu, rho)
+                        worst = wp.max(worst, off)
                     most = wp.max(most, wp.length_sq(impulse))
-                    if last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal)):
+                    if rough == 1 or (last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal))):
                         changes += 1
-                        ready = scratch.ready[env, row]
-                        if ready == raw:
+                        if scratch.stage[env, row] != stage:
+                            scratch.stage[env, row] = stage
                             W = block_of(moving, env, one_body, arm_1) + block_of(moving, env, other, arm_2)
+                            inverse, invertible = inverse_of(W)
+                            if rho > zero and (stage == softened or invertible == 0):
+                                more = wp.where(stage == softened, softer, soft) / rho
+                                W += wp.diag(vec3(more, more, more))
+                                inverse, invertible = inverse_of(W)
                             across_1, across_2 = basis(n)
                             R = wp.matrix_from_cols(n, across_1, across_2)
                             scratch.block[env, row] = wp.transpose(R) * W * R
-                            inverse, invertible = inverse_of(W)
                             scratch.inverse[env, row] = inverse
-                            ready = singular + invertible
-                            scratch.ready[env, row] = ready
-                        new = vec3()
+                        # Without slip, if the cone allows.
                         sticks = wp.int32(0)
-                        if ready == regular:
-                            # Without slip, if the cone allows.
-                            new = impulse - scratch.inverse[env, row] * w
-                            along = wp.dot(new, n)
-                            if along >= zero and wp.length_sq(new) <= (one + mu * mu) * along * along:
-                                sticks = 1
+                        new = impulse - scratch.inverse[env, row] * w
+                        along = wp.dot(new, n)
+                        if along >= zero and wp.length_sq(new) <= (one + mu * mu) * along * along:
+                            sticks = 1
                         if sticks == 0:
                             across_1, across_2 = basis(n)
                             W = scratch.block[env, row]
@@ -206,6 +208,8 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                             back = scratch.before[env, row] - new
                             uphill += wp.dot(back, new - scratch.swept[env, row]) / rho
                         step = new - impulse
+                        if rough == 1:
+                            worst = wp.max(worst, wp.length_sq(step))
                         rows.impulse[env, row] = new
                         push(moving, change, env, one_body, step, wp.cross(arm_1, step))
                         push(moving, change, env, other, -step, -wp.cross(arm_2, step))
@@ -234,17 +238,20 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 if changes == 0:
                     break
                 sweeps += 1
+                if sweeps == LATE:
+                    stage = softened
                 waited += 1
                 if worst < least:
                     least = worst
                     waited = 0
                 if sweeps >= iterations or (waited >= patience and worst < ROUNDING * ROUNDING * most):
                     last = 1
+                    rough = 0
                     continue
                 rough = wp.where(worst > ROUGH * goal, 1, 0)
 
                 # A sweep is a step down a hill. Its momentum leads on, and starts again where it leads uphill.
-                if uphill > zero or waited > LONG + LONGER * count:
+                if uphill > zero:
                     theta = one
                 theta_next = half * theta * (wp.sqrt(theta * theta + four) - theta)
                 beta = theta * (one - theta) / (theta * theta + theta_next)
