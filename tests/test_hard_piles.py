@@ -197,8 +197,8 @@ def start(skin, device, **options):
 WALLS = ["floor", "left", "right", "front", "back"]
 STEP = 1e-3
 FALL = 1200
-# Heaps are solved to less than single contacts, in many sweeps.
-INTEGRATOR = wc.integrators.MoreauJean(iterations=5000, tolerance=1e-8)
+# Heaps are solved to less than single contacts, in more sweeps.
+INTEGRATOR = wc.integrators.MoreauJean(iterations=1000, tolerance=1e-6)
 
 
 def bits(model):
