@@ -71,7 +71,7 @@ def test_a_slider_and_a_plane_keep_to_their_freedoms(device):
     # On its axis the slider parts with the speed of Newton's law along the normal.
     hit = np.flatnonzero(data["slider_touch.impulse"].values[:, 0, 2])[0]
     v = data["slider.linear_velocity"].values[:, 0]
-    assert v[hit, 2] == pytest.approx(-0.5 * v[hit - 1, 2], rel=1e-9)
+    assert v[hit, 2] == pytest.approx(-0.5 * v[hit - 1, 2], rel=1e-8)  # the tolerance of the solve
     # Without rotation, friction and impulse change the momentum by themselves.
     hit = np.flatnonzero(data["translation_touch.impulse"].values[:, 0, 2])[0]
     v, p = data["translation.linear_velocity"].values[:, 0], data["translation_touch.impulse"].values[:, 0]

@@ -21,9 +21,13 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
     from warpcontact.unilateral.hard_contacts import HardContacts
 
-SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
-#: Most iterations of a step, if nothing is said.
-ITERATIONS = {"gauss_seidel": 200, "accelerated": 500}
+SOLVERS = {
+    "auto": (gauss_seidel, accelerated),
+    "gauss_seidel": (gauss_seidel,),
+    "accelerated": (accelerated,),
+}
+#: Most iterations of each in a step, if nothing is said.
+ITERATIONS = {gauss_seidel: 200, accelerated: 1000}
 #: Relative residual to reach, if nothing is said, by precision.
 TOLERANCES = {wp.float32: 1.0e-5, wp.float64: 1.0e-8}
 THETA = limits("-", at_least=0.5, at_most=1.0)
@@ -48,9 +52,10 @@ class MoreauJean(Integrator):
 
     Args:
         theta: θ, from ½, which keeps the energy, to 1.
-        solver: ``"gauss_seidel"``, one contact after the other, or ``"accelerated"``, all at once with momentum,
-            for heavy bodies on light ones and tall stacks.
-        iterations: Most iterations of a step; ``None``: those of the solver.
+        solver: ``"gauss_seidel"``, one contact after the other; ``"accelerated"``, all at once by projected
+            gradients with momentum, for heavy bodies on light ones and feet that share a load; ``"auto"``, the
+            first, and the other from there on in the environments where that was not enough.
+        iterations: Most iterations of a solver in a step; ``None``: 200 of the first, 1000 of the other.
         tolerance: Relative residual to reach; ``None``: 1e-5 in float32, 1e-8 in float64.
         compliant: Names of contacts that act by the force of their law instead.
 
@@ -59,7 +64,7 @@ class MoreauJean(Integrator):
     """
 
     theta: float = 0.5
-    solver: str = "gauss_seidel"
+    solver: str = "auto"
     iterations: int | None = None
     tolerance: float | None = None
     compliant: Collection[str] = ()
@@ -117,7 +122,8 @@ class MoreauJean(Integrator):
         """Declares the hard contacts of ``model``."""
         from warpcontact.unilateral.hard_contacts import HardContacts
 
-        return HardContacts(model, self.compliant, SOLVERS[self.solver].scratch, layout)
+        scratch = [solver.scratch for solver in SOLVERS[self.solver]]
+        return HardContacts(model, self.compliant, scratch, layout)
 
     def step_stages(
         self, span: Span, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
@@ -153,11 +159,15 @@ class MoreauJean(Integrator):
         return launches + span.prepare(step.advance(real, moves), bodies, inputs)
 
     def _solve(self, span: Span, status: wp.array) -> list[wp.Launch]:
+        """Returns the launches that solve the contact problem where ``status`` [env] is active."""
         hard, real = span.hard, span.model.types.real
         assert hard is not None
-        solver = SOLVERS[self.solver]
         tolerance = TOLERANCES[real] if self.tolerance is None else self.tolerance
-        iterations = ITERATIONS[self.solver] if self.iterations is None else self.iterations
-        kernel = solver.kernel(real, span.model.moves, hard.rolls)
-        inputs = [status, hard.rows, hard.moving, hard.outcome, tolerance, iterations]
-        return span.prepare(kernel, 1, [*inputs, hard.scratch, hard.change])
+        launches: list[wp.Launch] = []
+        for solver, scratch in zip(SOLVERS[self.solver], hard.scratch, strict=True):
+            iterations = ITERATIONS[solver] if self.iterations is None else self.iterations
+            after = {"after": True} if launches else {}
+            kernel = solver.kernel(real, span.model.moves, hard.rolls, **after)
+            inputs = [status, hard.rows, hard.moving, hard.outcome, tolerance, iterations]
+            launches += span.prepare(kernel, 1, [*inputs, scratch, hard.change])
+        return launches

@@ -1,6 +1,6 @@
 """Hard contacts of a model on its device: the rows of a step, what is remembered, and what the step launches."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -56,8 +56,8 @@ class HardContacts:
     Args:
         model: The model, or what is drawn up of it.
         compliant: Names of the contacts that are not hard.
-        scratch: Returns the struct of arrays [env, row] that the solver works in, by precision and whether
-            anything opposes rolling or spinning.
+        scratch: For each solver, what returns the struct of arrays [env, row] that it works in, by precision and
+            whether anything opposes rolling or spinning.
         layout: Where to declare arrays.
 
     Attributes:
@@ -67,7 +67,7 @@ class HardContacts:
         rows: The closed contacts of a step.
         moving: The bodies under impulses.
         outcome: How the last solve went.
-        scratch: What the solver works in, of rows.
+        scratch: What each solver works in, of rows.
         change: Likewise, of bodies.
         restraint: How far restitution was lowered in the last step.
         memory: Of each contact, from the last step in which it was closed.
@@ -81,7 +81,7 @@ class HardContacts:
         self,
         model: "Model | PartDraft",
         compliant: Collection[str],
-        scratch: Callable[[type, bool], Any],
+        scratch: Sequence[Callable[[type, bool], Any]],
         layout: Layout,
     ) -> None:
         t = model.types
@@ -128,7 +128,9 @@ class HardContacts:
         nothing = fixed(1, 1)
         self.moving = layout.struct(PURPOSE, rows.Moving, bodies, records=True, **dict.fromkeys(apart, nothing))
         self.rows = layout.struct(PURPOSE, rows.Rows, each_row, records=True)
-        self.scratch = layout.struct(PURPOSE, scratch(t.real, self.rolls), each_row, records=True)
+        self.scratch = [
+            layout.struct(PURPOSE, make(t.real, self.rolls), each_row, records=True) for make in scratch
+        ]
         self.change = layout.struct(PURPOSE, impulses.change_struct(t.real), bodies, records=True)
         self.outcome = layout.struct(PURPOSE, rows.Outcome, per_env())
         self.restraint = layout.struct(PURPOSE, records.Restraint, per_env())
