@@ -51,7 +51,7 @@ class HardContacts:
     """What stepping hard contacts takes beside a model.
 
     Contacts are numbered: those with meshes as they lie on the device, then smooth ones, then the records of pairs
-    of mutual contacts, one mutual contact after the other. Materials likewise, but one for all of these pairs.
+    of mutual contacts that are hard. Materials likewise, but one for all pairs of a mutual contact.
 
     Args:
         model: The model, or what is drawn up of it.
@@ -112,11 +112,11 @@ class HardContacts:
         known = count
         self._number_of: dict[MutualContact, int] = {}
         self._piles: list[tuple[Pile, int]] = []  # those that are hard, with their material
-        for number, pile in enumerate(model.piles):
-            self._number_of[pile.contact] = known
-            known += pile.slots
+        for pile in model.piles:
             if not self.acts(pile.contact.name):
-                self._piles.append((pile, count + number))
+                self._piles.append((pile, count + len(self._piles)))
+                self._number_of[pile.contact] = known
+                known += pile.slots
         self.capacity = self._mesh.count + sum(own.count for _, own in self._smooth)
         self.capacity += sum(pile.slots for pile, _ in self._piles)
         everything = (*self._shown, *self._number_of)
@@ -179,7 +179,7 @@ class HardContacts:
         return name in self.compliant
 
     def number_of(self, contact: MutualContact) -> int:
-        """Returns the number of the first record of a mutual contact."""
+        """Returns the number of the first record of a mutual contact that is hard."""
         return self._number_of[contact]
 
     @property

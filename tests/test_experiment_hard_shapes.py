@@ -1,0 +1,57 @@
+"""Experiment files with hard contact of shapes and of piles: the words are those of Python."""
+
+import numpy as np
+import pytest
+
+import warpcontact as wc
+
+STUDY = {
+    "envs": 2,
+    "duration": 0.3,
+    "dt": 1e-3,
+    "precision": "float64",
+    "gravity": [0.0, 0.0, 0.0],
+    "integrator": {"type": "MoreauJean", "theta": 0.5},
+    "body": [
+        {"name": "left", "mass": 1.0, "inertia": [0.01] * 3, "linear_velocity": [1.0, 0.0, 0.0]},
+        {"name": "right", "mass": 1.0, "inertia": [0.01] * 3, "position": [0.25, 0.0, 0.0]},
+    ],
+    "shape": [
+        {"name": "first", "body": "left", "form": {"type": "Sphere", "radius": 0.1}},
+        {"name": "second", "body": "right", "form": {"type": "Sphere", "radius": 0.1}},
+        {
+            "name": "wall",
+            "form": {"type": "Plane"},
+            "position": [0.45, 0.0, 0.0],
+            "orientation": [0.0, -(0.5**0.5), 0.0, 0.5**0.5],
+        },
+    ],
+    "template": [{"name": "hard", "law": {"type": "Rigid", "restitution": 1.0}}],
+    "mutual_contact": [{"name": "pile", "shapes": ["first", "second"], "template": "hard"}],
+    "smooth_contact": [{"name": "touch", "shape": "second", "other_shape": "wall", "template": "hard"}],
+    "variation": {"pile.law.restitution": {"values": [0.5, 1.0]}},
+    "record": {
+        "every": 1e-3,
+        "readings": ["touch.impulse", "touch.mode", "pile.normal_force", "scene.impact_loss"],
+    },
+}
+
+
+def test_two_balls_and_a_wall(tmp_path, device):
+    run = wc.Experiment.from_dict(STUDY, tmp_path).run(tmp_path / "out", device=device)
+    data = run.recording
+    # The first gives the second (1 + e)/2 of its speed, and that is turned round by the wall.
+    passed = np.array([0.75, 1.0])
+    assert data["pile.normal_force"].values.max(axis=0) == pytest.approx(passed / 1e-3, rel=1e-9)
+    assert data["touch.impulse"].values[:, :, 0].min(axis=0) == pytest.approx(-2.0 * passed, rel=1e-9)
+    assert set(np.unique(data["touch.mode"])) == {wc.ContactMode.OPEN, wc.ContactMode.SLIP}
+    # (1 − e²) m/4 times the square of their speed, in each impact of the two.
+    loss = data["scene.impact_loss"].values[-1]
+    assert loss[1] == pytest.approx(0.0, abs=1e-12)
+    assert loss[0] >= 0.25 * 0.75 - 1e-12
+
+
+def test_a_compliant_contact_needs_a_force(tmp_path):
+    study = {**STUDY, "integrator": {"type": "MoreauJean", "compliant": ["touch"]}}
+    with pytest.raises(ValueError, match=r"touch\.law is Rigid, which has no force of its own"):
+        wc.Experiment.from_dict(study, tmp_path).run(tmp_path / "out")
