@@ -12,7 +12,7 @@ from warpcontact.unilateral.iterations import iterate
 from warpcontact.unilateral.newton import newton
 
 #: Most iterations by default.
-ITERATIONS = {"enumeration": 0, "energy": 50_000, "projection": 300, "prox": 100_000, "gauss_seidel": 20_000}
+ITERATIONS = {"enumeration": 0, "energy": 50_000, "projection": 600, "prox": 100_000, "gauss_seidel": 20_000}
 #: Methods with a parameter of one's own, and its name.
 PARAMETERS = {"projection": "c", "prox": "r"}
 
