@@ -354,15 +354,23 @@ def test_friction_below_the_bound_has_one_solution():
 
 
 def test_much_friction_may_have_several_solutions():
-    # Pressing and sliding move the same thing: it slides, or jams.
-    K, G = np.array([[1.0, 0.9], [0.9, 1.0]]), np.eye(2)[None]
-    problem = Problem(np.linalg.inv(K), np.linalg.solve(K, [1.0, -2.0]), G, [1.2], mu=2.0)
+    # W = [[1, 0.9], [0.9, 1]] and q = (0.2, 1): open, λ = 0; sticking, λ = −W⁻¹ q; or slipping with λ_t = −2 λ_n,
+    # where friction presses more than pressing parts, 0.2 + (1 − 1.8) λ_n = 0.
+    K = np.linalg.inv([[1.0, 0.9], [0.9, 1.0]])
+    problem = Problem(K, [0.0, 0.0], np.eye(2)[None], [0.2], mu=2.0, previous=1.0)
+    solutions = sorted(problem.all_solutions(), key=lambda one: one.lam[0, 0])
+    np.testing.assert_allclose(solutions[0].lam, [[0.0, 0.0]])
+    np.testing.assert_allclose(solutions[1].lam, [[0.25, -0.5]])
+    np.testing.assert_allclose(solutions[2].lam, -(K @ [0.2, 1.0])[None])
+    assert [one.status[0] for one in solutions] == [wc.ContactMode.OPEN, wc.ContactMode.SLIP, wc.ContactMode.STICK]
     diagnosis = problem.diagnose()
-    assert diagnosis.solutions is not None
     assert diagnosis.mu_bound < 2.0
-    solutions = problem.all_solutions()
-    assert len(solutions) == len(diagnosis.solutions)
-    assert all(one.converged for one in solutions)
+    assert (diagnosis.exists, diagnosis.unique_u, diagnosis.unique_lam) == (True, False, False)
+    assert "3 different solutions were found." in str(diagnosis)
+    for method in ("enumeration", *METHODS):
+        solution = problem.solve(method)
+        assert solution.converged
+        assert any(np.allclose(solution.lam, one.lam, atol=1e-8) for one in solutions)
 
 
 @pytest.mark.parametrize("k", [0.0, -1000.0])

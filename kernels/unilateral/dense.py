@@ -140,11 +140,7 @@ def gauss_seidel(dim: int) -> wp.Kernel:
         taken = wp.int32(0)
         while taken < iterations and reached > tolerance:
             most = zero
-            for s in range(contacts):
-                # To and fro: what one end of a chain does comes back in one sweep, not in one per contact.
-                i = s
-                if taken % 2 == 1:
-                    i = contacts - 1 - s
+            for i in range(contacts):
                 mu = p.mu[e % p.mu.shape[0], i]
                 v = velocity(p, p.lam, e, k, i)
                 old = load(p.lam, e, i)
