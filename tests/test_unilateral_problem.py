@@ -157,6 +157,13 @@ def test_gaps_of_three_axes_are_read_as_problems_or_as_tangents():
     assert Problem(chain(), f, G, [[0.1, 0.1]], mu=0.3).count == 1
 
 
+def test_a_contact_that_nothing_can_close_is_open_or_unsolvable():
+    G = np.eye(4)[:2] * [[1.0], [0.0]]
+    for method in METHODS:
+        assert solve(chain(), 100.0 * np.ones(4), G, [0.1, 0.1], method=method).converged
+        assert not solve(chain(), 100.0 * np.ones(4), G, [0.1, -0.1], method=method, iterations=300).converged
+
+
 def test_no_contacts_at_all():
     solution = solve(chain(), np.ones(4), np.zeros((0, 4)), np.zeros(0))
     np.testing.assert_allclose(solution.u, np.linalg.solve(chain(), np.ones(4)))
@@ -188,6 +195,7 @@ BAD = [
     ({"tolerance": 0.0}, "tolerance must be a number between 0 and 1, got 0.0"),
     ({"iterations": 0}, "iterations must be a whole number, at least 1, got 0"),
     ({"iterations": 5, "method": "enumeration"}, "iterations: method 'enumeration' has none to limit"),
+    ({"initial": [0.0, 0.0], "method": "enumeration"}, "initial: method 'enumeration' has no start"),
     ({"parameter": 1.0, "method": "energy"}, "parameter: method 'energy' has none"),
     ({"parameter": -1.0}, "parameter c must be a positive number, got -1.0"),
     ({"initial": [1.0]}, "initial must be of shape (m,) or (problems, m) with m = 2, got shape (1,)"),

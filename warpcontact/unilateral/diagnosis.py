@@ -52,7 +52,6 @@ class Diagnosis:
     unique_lam: bool | None
     mu_bound: float | None
     solutions: list[Solution] | None
-    dim: int
     _text: list[str] = field(repr=False)
 
     def unique_sum(self, weights: ArrayLike) -> bool:
@@ -84,7 +83,7 @@ def diagnose(problem: Problem) -> Diagnosis:
             system = system if friction else system.normals()
         except SingularError:
             stiffness = "singular"
-    rows = problem.contacts * (problem.dim) if friction else problem.contacts
+    rows = problem.contacts * problem.dim if friction else problem.contacts
     rank, free, bound = None, np.zeros((rows, 0)), None
     if system is not None:
         rank, free, condition = _spectrum(system)
@@ -114,9 +113,7 @@ def diagnose(problem: Problem) -> Diagnosis:
         elif solutions and rank == rows:
             unique_u = unique_lam = True
     text = _sentences(stiffness, friction, rows, rank, bound, largest, exists, unique_u, unique_lam, solutions)
-    return Diagnosis(
-        stiffness, rows, rank, free, exists, unique_u, unique_lam, bound, solutions, problem.dim, text
-    )
+    return Diagnosis(stiffness, rows, rank, free, exists, unique_u, unique_lam, bound, solutions, text)
 
 
 def _kind(problem: Problem) -> str:
@@ -174,7 +171,7 @@ def _room(problem: Problem, friction: bool) -> float:
 
 
 def _look(problem: Problem, friction: bool) -> list[Solution] | None:
-    dim = (problem.dim) if friction else 1
+    dim = problem.dim if friction else 1
     if dim == 3 or problem.contacts > MOST[dim] or (2 * dim) ** problem.contacts > _FEW_STATES:
         return None
     if problem.K.shape[-1] > 200:

@@ -33,6 +33,8 @@ def run(
         lam, taken = run(system.normals(), method, tolerance, iterations, normals, parameter, device)
         return np.concatenate([lam, np.zeros(system.q[..., 1:].shape)], axis=-1), taken
     if method == "enumeration":
+        if initial is not None:
+            raise ValueError("initial: method 'enumeration' has no start")
         check_size(system)
     lam = np.zeros(system.q.shape) if initial is None else np.array(initial)
     if not system.contacts or not system.count:
