@@ -80,11 +80,12 @@ def test_all_methods_agree_where_the_solution_is_unique(dim, contacts, device):
         np.testing.assert_allclose(solution.lam, found[0].lam, atol=1e-9 * size)
 
 
-def test_one_alone_is_what_it_is_among_many(device):
-    W, q, mu = problems(6, 50, 4, 3)
-    for method in ("projection", "gauss_seidel"):
-        many = wc.unilateral.solve_delassus(W, q, mu, method, device=device)
-        for k in (0, 17, 49):
-            one = wc.unilateral.solve_delassus(W[k], q[k], mu[k], method, device=device)
-            np.testing.assert_allclose(one.lam, many.lam[k], atol=1e-12 * np.abs(one.lam).max())
-            assert one.iterations == many.iterations[k]
+@pytest.mark.parametrize("method", ["projection", "gauss_seidel"])
+def test_one_alone_is_what_it_is_among_many(method, device):
+    W, q, mu = problems(6, 200, 4, 2, 0.75)
+    many = wc.unilateral.solve_delassus(W, q, mu, method, device=device)
+    # Those that took longest, where Newton's method started again, and some others.
+    for k in [*np.argsort(many.iterations)[-5:], *range(5)]:
+        one = wc.unilateral.solve_delassus(W[k], q[k], mu[k], method, device=device)
+        np.testing.assert_allclose(one.lam, many.lam[k], atol=1e-12 * np.abs(one.lam).max(initial=1.0))
+        assert one.iterations == many.iterations[k]

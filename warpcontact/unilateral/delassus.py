@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 
+_ROUNDING = float(np.finfo(np.float64).eps)
+
 
 @dataclass
 class Delassus:
@@ -56,7 +58,8 @@ class Delassus:
         """Returns how far each problem is from solved, shape (problems,), without unit.
 
         It is the largest |l − P(l − ρ ŵ)| of a contact over the largest ρ |q|, with ŵ = (w_n + μ |w_t|, w_t), the
-        projection P onto the cone |l_t| ≤ μ l_n, and ρ = dim / trace of the contact's block of W.
+        projection P onto the cone |l_t| ≤ μ l_n, and ρ = dim / trace of the contact's block of W. It is not less
+        than the rounding of the largest l, in which w may drown.
         """
         if not self.contacts:
             return np.zeros(self.count)
@@ -64,7 +67,8 @@ class Delassus:
         moved = w.copy()
         moved[..., 0] += self.mu * np.linalg.norm(w[..., 1:], axis=-1)
         away = lam - project(lam - self.rho[..., None] * moved, self.mu)
-        return np.linalg.norm(away, axis=-1).max(axis=1) / self.scale
+        off = np.linalg.norm(away, axis=-1).max(axis=1)
+        return np.maximum(off, _ROUNDING * np.abs(lam).max(axis=(1, 2))) / self.scale
 
     def part(self, which: NDArray[np.intp]) -> "Delassus":
         """Returns the problems of an index array."""

@@ -106,7 +106,7 @@ def diagnose(problem: Problem) -> Diagnosis:
                 unique_u = unique_lam = True
     solutions = _look(problem, friction) if exists is None or unique_u is None else None
     if solutions is not None:
-        exists = bool(solutions)
+        exists = bool(solutions) if exists is None else exists
         if len(solutions) > 1:
             unique_u = not _differ([one.u for one in solutions])  # type: ignore[misc]
             unique_lam = not _differ([one.lam for one in solutions])

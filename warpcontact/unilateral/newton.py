@@ -12,6 +12,9 @@ _STEPS = 30
 _OTHERS = (("gauss_seidel", 50), ("prox", 1000))
 # Exchanges of all that is wrong that may fail to help before one by one is exchanged.
 _PATIENCE = 10
+_ROUNDING = 1e-15
+# Forces over those that q asks for, beyond which a step is taken to have failed.
+_FARTHEST = 1e10
 # A pivot of W this small, over the largest entry, says that W is singular.
 _SINGULAR = 1e-12
 # How much of its mean diagonal such a W is lifted by, and how often the lift is taken back.
@@ -115,9 +118,8 @@ def _solve(matrix: Array, right: Array) -> Array:
     try:
         found = np.linalg.solve(matrix, right[..., None])
     except np.linalg.LinAlgError:
-        lift = 1e-14 * np.abs(matrix).max(axis=(1, 2), initial=1e-300)
-        lifted = matrix + lift[:, None, None] * np.eye(matrix.shape[-1])
-        found = np.linalg.solve(lifted, right[..., None])
+        lift = np.where(np.linalg.slogdet(matrix)[0] == 0.0, 1e-10 * np.abs(matrix).max(axis=(1, 2)), 0.0)
+        found = np.linalg.solve(matrix + lift[:, None, None] * np.eye(matrix.shape[-1]), right[..., None])
     return np.asarray(found, dtype=np.float64)[..., 0]
 
 
@@ -145,8 +147,9 @@ def _with_friction(
             start, _ = iterate(method, part, found[left], tolerance, effort * sweeps, None, device)
         else:
             effort *= 2
-            size = part.scale[:, None, None] * random.exponential(1.0, (len(left), problem.contacts, 1))
-            start = project(size * random.normal(0.0, 1.0, (len(left), *problem.q.shape[1:])), part.mu)
+            # The same of each problem, whatever others there are.
+            shape = random.exponential(1.0, (problem.contacts, 1)) * random.normal(0.0, 1.0, problem.q.shape[1:])
+            start = project(part.scale[:, None, None] * shape, part.mu)
     return found, taken
 
 
@@ -173,7 +176,9 @@ def _friction_steps(
             length[worse] *= 0.4
             ahead[worse] = now[worse] + length[worse][:, None, None] * step[worse]
             after[worse] = _misfit(part.part(np.flatnonzero(worse)), ahead[worse], parameter)
-        now = np.where(np.isfinite(ahead), ahead, 0.0)
+        # What a nearly singular step threw away does not come back by itself.
+        size = np.abs(ahead).max(axis=(1, 2))
+        now = np.where((size < _FARTHEST * part.scale)[:, None, None], ahead, 0.0)
         taken[left] += 1
         # Into the cone: what a step leaves outside is less than the residual, or is none of ours.
         inside = _into_cone(part, now)
@@ -205,7 +210,10 @@ def _projected(problem: Delassus, lam: Array, parameter: float | None) -> tuple[
 
 
 def _misfit(problem: Delassus, lam: Array, parameter: float | None) -> Array:
-    size = np.linalg.norm((lam - _projected(problem, lam, parameter)[0]).reshape(problem.count, -1), axis=1)
+    away, flat = lam - _projected(problem, lam, parameter)[0], (problem.count, -1)
+    # A step to where everything drowns in rounding is none.
+    drowned = _ROUNDING * np.linalg.norm(lam.reshape(flat), axis=1)
+    size = np.linalg.norm(away.reshape(flat), axis=1) + drowned
     return np.where(np.isfinite(size), size, np.inf)
 
 
