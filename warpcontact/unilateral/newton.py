@@ -13,6 +13,8 @@ _OTHERS = (("gauss_seidel", 50), ("prox", 1000))
 # Exchanges of all that is wrong that may fail to help before one by one is exchanged.
 _PATIENCE = 10
 _ROUNDING = 1e-15
+# Rows from which on it pays to leave open contacts out of each system.
+_LARGE = 90
 # Forces over those that q asks for, beyond which a step is taken to have failed.
 _FARTHEST = 1e10
 # A pivot of W this small, over the largest entry, says that W is singular.
@@ -234,10 +236,33 @@ def _direction(problem: Delassus, lam: Array, parameter: float | None) -> tuple[
     D[..., 1:, 1:] = np.where((closed & stick)[..., None, None], np.eye(dim - 1), turn)
     slip = closed & ~stick
     D[..., 1:, 0] = np.where(slip[..., None], problem.mu[..., None] * d, 0.0)
+    size = np.linalg.norm(F.reshape(count, -1), axis=1)
     # dF = dl − D (dl − ρ W dl)
+    if contacts * dim > _LARGE:
+        steps = [
+            _closed_step(problem.W[k % len(problem.W)], F[k], D[k], rho[k % len(rho)], closed[k])
+            for k in range(count)
+        ]
+        step = np.stack(steps)
+        return np.where(np.isfinite(step), step, 0.0), size
     W = problem.W.reshape(-1, contacts, dim, contacts * dim)
     J = np.einsum("biac,bicn->bian", D * rho[..., None, None], W).reshape(count, contacts * dim, -1)
     k = np.arange(contacts * dim).reshape(contacts, dim)
     J[:, k[:, :, None], k[:, None, :]] += np.eye(dim) - D
     step = -_solve(J, F.reshape(count, -1)).reshape(lam.shape)
-    return np.where(np.isfinite(step), step, 0.0), np.linalg.norm(F.reshape(count, -1), axis=1)
+    return np.where(np.isfinite(step), step, 0.0), size
+
+
+def _closed_step(W: Array, F: Array, D: Array, rho: Array, closed: NDArray[np.bool_]) -> Array:
+    """Returns Newton's step of a single problem. What is open goes to 0; a system is left for what is closed."""
+    step, dim = -F, F.shape[1]
+    rows = np.repeat(closed, dim)
+    count = int(closed.sum())
+    across = W[rows].reshape(count, dim, -1)
+    A = ((D[closed] * rho[closed, None, None]) @ across).reshape(count * dim, -1)
+    J = A[:, rows]
+    k = np.arange(count * dim).reshape(count, dim)
+    J[k[:, :, None], k[:, None, :]] += np.eye(dim) - D[closed]
+    right = -F[closed].reshape(-1) - A[:, ~rows] @ step.reshape(-1)[~rows]
+    step[closed] = _solve(J[None], right[None])[0].reshape(count, dim)
+    return step
