@@ -25,6 +25,7 @@ from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import Span, force_stages
 from warpcontact.smooth.contact_sets import SmoothSet
 from warpcontact.smooth.measures import measure
+from warpcontact.unilateral.hard_contacts import HardContacts
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,10 @@ class Model(Environments, OfScene):
         # Status [env] of environments that are all active: a frozen one can be measured as well.
         self._all_active = broadcast(arrays.active, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
+        # Contacts that the last simulation solves for impulses.
+        self.hard: HardContacts | None = None
+        # Whether any of them has a restitution.
+        self.bounces = False
         self._handed_out = False
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
         self.send(uploads, (upload.content() for upload in uploads))
@@ -157,6 +162,35 @@ class Model(Environments, OfScene):
                 self.assign(name, values[:, None] if self.scene.bodies[0].single else values)
         model = self.arrays.model
         return External(force=model.body_external_force, torque=model.body_external_torque)
+
+    def _look_for_bounces(self) -> None:
+        bounces = self.hard is not None and self.hard.bounces(self.parameters)
+        if self.bounces != bounces:
+            self.bounces = bounces
+            self.revision += 1
+
+    @beside_captures()
+    def attach(self, hard: HardContacts | None) -> None:
+        """Lets contacts be those of the simulation that is to step: ``hard`` ones, or all with their forces.
+
+        Hard ones remember nothing then: what they do may be of before a reset, or of a step of another simulation.
+        """
+        if hard is self.hard:
+            return
+        if self.hard is not None:
+            self.hard.let_go(self)
+            for own in self.hard.readings():
+                del self.readings[own.name]
+        self.hard = self.arrays.hard = hard
+        if hard is not None:
+            hard.follow(self)
+            self.readings.update((own.name, own) for own in hard.readings())
+        self._look_for_bounces()
+        # Nobody writes what hard contacts would do to bodies by a force.
+        near, ends = self.arrays.near, self.arrays.ends
+        for array in (near.force, near.torque_1, near.torque_2, ends.force, ends.torque):
+            array.zero_()
+        self._evaluation = (-1, [])
 
     def _is_pushed(self) -> bool:
         names = [f"{self.scene.bodies[0].name}.{quantity}" for quantity in ("external_force", "external_torque")]
@@ -217,6 +251,8 @@ class Model(Environments, OfScene):
             contacts.restart(chosen, self.envs)
         for pile in self.piles:
             pile.restart(chosen, self.envs)
+        if self.hard is not None:
+            self.hard.restart(chosen)
         if self.moves:
             self._start_motions(chosen)
 
@@ -237,11 +273,13 @@ class Model(Environments, OfScene):
 
     def _evaluate(self) -> None:
         if self._evaluation[0] != self.revision:
-            everything = Span(self, 0, self.envs, cached=False, ordered=True)
+            everything = Span(self, 0, self.envs, cached=False, ordered=True, hard=self.hard)
             stages = force_stages(everything, self.arrays.state, self.no_step, self._all_active)
             self._evaluation = (self.revision, stages)
         for launch in self._evaluation[1]:
             launch.launch()
+        if self.hard is not None:
+            self.hard.show(self)
 
     @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
@@ -338,6 +376,7 @@ class Model(Environments, OfScene):
         if self.pushed != (pushed := self._is_pushed()):
             self.pushed = pushed
             self.revision += 1
+        self._look_for_bounces()
         # What was known of distances may not hold for other radii, poses or meshes.
         cache = self.arrays.cache
         for known in (cache.set_wake, cache.block_wake, cache.wake, cache.faces):

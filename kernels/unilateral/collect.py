@@ -1,0 +1,251 @@
+"""The closed contacts of a step as rows of its contact problem: one thread goes through an environment.
+
+A row takes as its guess the impulse of the last step, if its contact was closed in that.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels import frames
+from warpcontact.kernels.piles.base import TOUCHES, pile_structs
+from warpcontact.kernels.smooth.records import Members, Settings, contact_structs
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, MODE_SLIP, Work, structs
+from warpcontact.kernels.unilateral.records import record_structs
+from warpcontact.kernels.unilateral.rows import row_structs
+
+
+@functools.cache
+def add_row(real: type) -> wp.Function:
+    """Returns the device function that adds a contact to the rows of its environment.
+
+    Its arguments are ``(state, rows, outcome, memory, account, env, contact, material, body_1, body_2, arm_1,
+    arm_2, normal, radius, torsion_radius)``; the state has the velocities before the step, of which restitution
+    takes that of approach.
+    """
+    t = structs(real)
+    vec3, State = t.vec3, t.State
+    r, records = row_structs(real), record_structs(real)
+    Rows, Outcome, Memory, Account, Material = r.Rows, r.Outcome, records.Memory, records.Account, records.Material
+    velocity_at = frames.functions(real).velocity_at
+
+    @wp.func
+    def add_row(
+        state: State,
+        rows: Rows,
+        outcome: Outcome,
+        memory: Memory,
+        account: Account,
+        env: int,
+        contact: int,
+        material: Material,
+        body_1: int,
+        body_2: int,
+        arm_1: vec3,
+        arm_2: vec3,
+        normal: vec3,
+        radius: real,
+        torsion_radius: real,
+    ):
+        row = outcome.count[env]
+        outcome.count[env] = row + 1
+        rows.contact[env, row] = contact
+        rows.body_1[env, row] = body_1
+        rows.body_2[env, row] = body_2
+        rows.arm_1[env, row] = arm_1
+        rows.arm_2[env, row] = arm_2
+        rows.normal[env, row] = normal
+        rows.rolling[env, row] = material.rolling * radius
+        rows.spinning[env, row] = material.spinning * torsion_radius
+        mu = material.mu_static
+        impulse = vec3()
+        couple = vec3()
+        if memory.stamp[env, contact] == account.step[env]:
+            impulse = memory.impulse[env, contact]
+            couple = memory.couple[env, contact]
+            if memory.mode[env, contact] == MODE_SLIP:
+                mu = material.mu_dynamic
+        rows.mu[env, row] = mu
+        rows.impulse[env, row] = impulse
+        rows.couple[env, row] = couple
+        bounce = real(0.0)
+        if material.restitution > real(0.0):
+            approach = velocity_at(state, env, body_2, arm_2) - velocity_at(state, env, body_1, arm_1)
+            bounce = material.restitution * wp.max(wp.dot(approach, normal), real(0.0))
+        rows.bounce[env, row] = bounce
+
+    return add_row
+
+
+@functools.cache
+def mesh(real: type) -> wp.Kernel:
+    """Returns the kernel that adds what touches a mesh; items: 1."""
+    t = structs(real)
+    Model, State, Contacts, Near = t.Model, t.State, t.Contacts, t.Near
+    r, records = row_structs(real), record_structs(real)
+    Rows, Outcome, Memory, Account, Material = r.Rows, r.Outcome, records.Memory, records.Account, records.Material
+    apart = frames.functions(real).apart
+    add = add_row(real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def collect_mesh_contacts(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        contacts: Contacts,
+        near: Near,
+        blocks: wp.array(dtype=wp.int32),  # those of hard contacts
+        block_count: wp.int32,
+        material: wp.array2d(dtype=Material),
+        memory: Memory,
+        account: Account,
+        rows: Rows,
+        outcome: Outcome,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            for number in range(block_count):
+                block = blocks[number]
+                count = near.count[env, block]
+                if count == 0:
+                    continue
+                start = model.block_start[block]
+                contact = model.block_contact[start]
+                surface = model.patch_surface[model.contact_patch[contact]]
+                point = model.contact_point[contact]
+                body_1 = model.point_body[point]
+                body_2 = model.surface_body[surface]
+                apart_W = apart(model, state, env, point, surface)
+                for place in range(start, start + count):
+                    contact = near.contact[env, place]
+                    if contacts.status[env, contact] != CONTACT:
+                        continue
+                    geometry = model.contact_geometry[env, contact]
+                    torsion_radius = geometry.torsion_radius
+                    if (model.contact_options[contact] & HERTZ_PATCH) != 0:
+                        # Rigid bodies have no overlap, and touch in a point.
+                        torsion_radius = real(0.0)
+                    arm_W = contacts.arm[env, contact]
+                    add(
+                        state, rows, outcome, memory, account, env, contact, material[env, contact],
+                        body_1, body_2, arm_W, apart_W + arm_W, contacts.normal[env, contact],
+                        geometry.radius, torsion_radius,
+                    )  # fmt: skip
+
+    return collect_mesh_contacts
+
+
+@functools.cache
+def smooth(real: type, rolls: bool) -> wp.Kernel:
+    """Returns the kernel that adds smooth contacts of one group; items: 1.
+
+    ``rolls``: whether their radii of rolling are known.
+    """
+    State, Smooth = structs(real).State, contact_structs(real).Smooth
+    r, records = row_structs(real), record_structs(real)
+    Rows, Outcome, Memory, Account, Material = r.Rows, r.Outcome, records.Memory, records.Account, records.Material
+    add = add_row(real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def collect_smooth_contacts(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        state: State,
+        first: wp.int32,  # number of the first contact of the group
+        items: wp.array(dtype=wp.int32),  # those of the group that are hard
+        item_count: wp.int32,
+        members: Members,
+        settings: wp.array2d(dtype=Settings),
+        smooth: Smooth,
+        material: wp.array2d(dtype=Material),
+        memory: Memory,
+        account: Account,
+        rows: Rows,
+        outcome: Outcome,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            for place in range(item_count):
+                item = items[place]
+                # For a law that is to act later it began at rest.
+                smooth.approach_speed[env, item] = real(0.0)
+                if smooth.status[env, item] != CONTACT:
+                    continue
+                radius = real(0.0)
+                if wp.static(rolls):
+                    radius = smooth.radius[env, item]
+                # Rigid bodies have no overlap, and touch in a point.
+                torsion_radius = wp.max(real(settings[env, item].torsion_radius), real(0.0))
+                contact = first + item
+                add(
+                    state, rows, outcome, memory, account, env, contact, material[env, contact],
+                    members.body_a[item], members.body_b[item], smooth.arm_a[env, item], smooth.arm_b[env, item],
+                    smooth.normal[env, item], radius, torsion_radius,
+                )  # fmt: skip
+
+    return collect_smooth_contacts
+
+
+@functools.cache
+def pile(real: type) -> wp.Kernel:
+    """Returns the kernel that adds the pairs of a pile in the order of their records; items: 1."""
+    State = structs(real).State
+    p = pile_structs(real)
+    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
+    r, records = row_structs(real), record_structs(real)
+    Rows, Outcome, Memory, Account, Material = r.Rows, r.Outcome, records.Memory, records.Account, records.Material
+    add = add_row(real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def collect_pile(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        state: State,
+        shape_count: wp.int32,
+        shapes: Shapes,
+        lists: Lists,
+        touches: Touches,
+        first: wp.int32,  # number of the contact of the first record
+        substance: wp.int32,  # number of the material of all pairs
+        material: wp.array2d(dtype=Material),
+        memory: Memory,
+        account: Account,
+        rows: Rows,
+        outcome: Outcome,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            own = material[env, substance]
+            # Rigid bodies have no overlap, and touch in a point.
+            torsion_radius = wp.max(shapes.settings[env, 0].torsion_radius, real(0.0))
+            for shape in range(shape_count):
+                if (touches.busy[env, shape] & TOUCHES) == 0:
+                    continue
+                start = shapes.entry_start[shape]
+                slot = shapes.slot_start[shape]
+                for k in range(lists.owned[env, shape]):
+                    if (touches.bits[env, slot + k] & TOUCHES) == 0:
+                        continue
+                    partner = lists.partner[env, start + k]
+                    body_1 = shapes.body[wp.min(shape, partner)]
+                    body_2 = shapes.body[wp.max(shape, partner)]
+                    apart = state.body_position[env, body_1] - state.body_position[env, body_2]
+                    apart += (
+                        state.body_position_remainder[env, body_1] - state.body_position_remainder[env, body_2]
+                    )
+                    arm = touches.arm[env, slot + k]
+                    radius_1 = shapes.radius[env, shape]
+                    radius_2 = shapes.radius[env, partner]
+                    add(
+                        state, rows, outcome, memory, account, env, first + slot + k, own, body_1, body_2, arm,
+                        apart + arm, touches.normal[env, slot + k], radius_1 * radius_2 / (radius_1 + radius_2),
+                        torsion_radius,
+                    )  # fmt: skip
+
+    return collect_pile
