@@ -1,0 +1,226 @@
+"""What closed contacts do next: the complementarity problem of accelerations, with Coulomb friction.
+
+Relative accelerations of contacts are w = W λ + b. Where nothing slides, λ is in the cone of friction at rest and
+w = 0 or opposite to it; where a contact slides already, its friction has the direction of sliding. From the solution
+follows what each contact does, and with that the forces once more, as those of a linear system, to rounding.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.checks import Array
+from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP, MODE_STICK
+
+# Accelerations below this share of the largest without contact are none: far above what a solver leaves.
+SMALL = 1.0e-7
+# What a linear system may leave, as a share of that: rounding, of bodies as unlike as 1 to 1e6.
+LEFT = 1.0e-8
+# Singular values below this share of the largest are zero: of redundant contacts.
+SINGULAR = 1.0e-11
+# Steps of Newton's method from the answer of a solver: a few bring it to rounding.
+NEWTON = 20
+# Most sliding contacts of which all sets are looked at.
+MOST_MINORS = 10
+
+
+class ParadoxError(RuntimeError):
+    """Rigid bodies with Coulomb friction have no acceleration there, or several.
+
+    As Painlevé found: a contact that slides pushes so that it presses itself together.
+
+    Attributes:
+        run: What was computed up to there, of ``EventDriven.run``; ``None`` otherwise.
+    """
+
+    run: object = None
+
+
+@dataclass(frozen=True)
+class Modes:
+    """What closed contacts do from an instant on.
+
+    Attributes:
+        mode: ``ContactMode`` of each (contacts,).
+        direction: Of sliding that goes on or begins, unit vectors (t1, t2), (contacts, 2); 0 of others.
+        force: λ (contacts, 3) [N].
+        acceleration: w (contacts, 3) [m/s²].
+    """
+
+    mode: NDArray[np.int_]
+    direction: Array
+    force: Array
+    acceleration: Array
+
+
+def find_modes(
+    W: Array,
+    b: Array,
+    mu_static: Array,
+    mu: Array,
+    slip: Array,
+    sliding: NDArray[np.bool_],
+    labels: list[str],
+    method: str = "gauss_seidel",
+) -> Modes:
+    """Returns what closed contacts do.
+
+    Args:
+        W: Delassus matrix (3 contacts, 3 contacts) [1/kg].
+        b: Relative accelerations without contact forces (contacts, 3) [m/s²].
+        mu_static: Coefficients of friction at rest (contacts,).
+        mu: Coefficients of friction in sliding (contacts,).
+        slip: Tangential velocities (contacts, 2) [m/s].
+        sliding: Whether each slides already.
+        labels: What to call the contacts in messages.
+        method: Of ``wc.unilateral.solve_delassus``.
+
+    Raises:
+        ParadoxError: If there is no solution, or more than one where contacts slide.
+    """
+    from warpcontact.unilateral import solve_delassus
+
+    count = len(b)
+    direction = np.zeros((count, 2))
+    rubs = sliding & (mu > 0.0)
+    direction[rubs] = slip[rubs] / np.linalg.norm(slip[rubs], axis=1, keepdims=True)
+    if not count:
+        return Modes(np.zeros(0, dtype=int), direction, np.zeros((0, 3)), np.zeros((0, 3)))
+    # A contact that slides has its normal force alone, which pulls its friction along.
+    pushed = columns(np.where(rubs, MODE_SLIP, MODE_STICK), direction, mu)
+    bent = np.zeros_like(W)
+    normals = 3 * np.arange(count)
+    kept = np.ones(3 * count, dtype=bool)
+    kept[np.concatenate([normals[sliding] + 1, normals[sliding] + 2])] = False
+    bent[np.ix_(kept, kept)] = (W @ _spread(pushed, rubs, count))[np.ix_(kept, kept)]
+    check_slides(bent[np.ix_(normals[rubs], normals[rubs])], [labels[i] for i in np.flatnonzero(rubs)])
+    asked = np.where(kept.reshape(count, 3), b, 0.0)
+    solution = solve_delassus(bent, asked, np.where(sliding, 0.0, mu_static), method=method)
+    if not solution.converged:
+        raise ParadoxError(
+            f"no accelerations were found of {', '.join(labels)}: the residual stayed at {solution.residual:.1e}. "
+            "Where friction is strong there may be none"
+        )
+    force = np.asarray(solution.lam).reshape(count, 3).copy()
+    force[rubs, 1:] = -mu[rubs, None] * force[rubs, :1] * direction[rubs]
+    w = (W @ force.reshape(-1)).reshape(count, 3) + b
+    scale = np.abs(b).max() or 1.0
+    mode = np.full(count, MODE_STICK)
+    starts = ~sliding & (np.linalg.norm(w[:, 1:], axis=1) > SMALL * scale)
+    mode[sliding | starts | (mu_static == 0.0)] = MODE_SLIP
+    mode[w[:, 0] > SMALL * scale] = MODE_OPEN
+    return _exact(W, b, mu, mode, direction, force, starts & (mode == MODE_SLIP) & (mu > 0.0), labels)
+
+
+def columns(mode: NDArray[np.int_], direction: Array, mu: Array) -> Array:
+    """Returns the forces that unknowns stand for, as columns (3 contacts, unknowns).
+
+    Three of a contact that sticks, the normal force with the friction of it of one that slides.
+    """
+    found = []
+    for contact, what in enumerate(mode):
+        block = np.zeros((len(mode), 3, 3))
+        block[contact] = np.eye(3)
+        if what == MODE_STICK:
+            found.append(block.reshape(-1, 3))
+        elif what == MODE_SLIP:
+            block[contact, 1:, 0] = -mu[contact] * direction[contact]
+            found.append(block.reshape(-1, 3)[:, :1])
+    return np.hstack(found) if found else np.zeros((3 * len(mode), 0))
+
+
+def equations(mode: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Returns the rows of w that are zero: those of contacts that stick, the first of those that slide."""
+    each = [range(3 * i, 3 * i + (3 if what == MODE_STICK else 1)) for i, what in enumerate(mode) if what]
+    return np.array([row for rows in each for row in rows], dtype=int)
+
+
+def forces_of_modes(W: Array, b: Array, mu: Array, mode: NDArray[np.int_], direction: Array, near: Array) -> Array:
+    """Returns the forces (contacts, 3) with which contacts do what their modes say.
+
+    Of those that do it, the one nearest to ``near`` (contacts, 3).
+    """
+    push, rows = columns(mode, direction, mu), equations(mode)
+    start = np.where((mode == MODE_OPEN)[:, None], 0.0, near)
+    slides = mode == MODE_SLIP
+    start[slides, 1:] = -mu[slides, None] * start[slides, :1] * direction[slides]
+    lacking = (W @ start.reshape(-1) + b.reshape(-1))[rows]
+    change = np.linalg.lstsq((W @ push)[rows], -lacking, rcond=SINGULAR)[0]
+    return start + (push @ change).reshape(-1, 3)
+
+
+def _exact(
+    W: Array,
+    b: Array,
+    mu: Array,
+    mode: NDArray[np.int_],
+    direction: Array,
+    force: Array,
+    starts: NDArray[np.bool_],
+    labels: list[str],
+) -> Modes:
+    """Returns the solution of which the modes are known, to rounding."""
+    scale = np.abs(b).max() or 1.0
+    # The friction of a slide that starts is unknown like that of a contact that sticks.
+    unknown = np.where(starts, MODE_STICK, mode)
+    push, rows = columns(unknown, direction, mu), equations(unknown)
+    force = np.where((mode == MODE_OPEN)[:, None], 0.0, force)
+    last = np.inf
+    for _ in range(NEWTON):
+        w = (W @ force.reshape(-1)).reshape(-1, 3) + b
+        left, slopes = w.copy(), W.copy()
+        for contact in np.flatnonzero(starts):
+            _oppose(contact, W, mu[contact], force, w, left, slopes)
+        change = push @ np.linalg.lstsq(slopes[rows] @ push, -left.reshape(-1)[rows], rcond=SINGULAR)[0]
+        size = np.abs(change).max(initial=0.0)
+        if size >= last:
+            break
+        last = size
+        force = force + change.reshape(-1, 3)
+    w = (W @ force.reshape(-1)).reshape(-1, 3) + b
+    direction[starts] = w[starts, 1:] / np.linalg.norm(w[starts, 1:], axis=1, keepdims=True)
+    force = forces_of_modes(W, b, mu, mode, direction, force)
+    w = (W @ force.reshape(-1)).reshape(-1, 3) + b
+    wrong = np.abs(w.reshape(-1)[equations(mode)]).max(initial=0.0)
+    holds = np.abs(force).max(initial=0.0)
+    pulls = force[:, 0] < -LEFT * holds
+    if wrong > LEFT * scale or pulls.any():
+        who = ", ".join(labels[i] for i in np.flatnonzero(pulls)) or ", ".join(labels)
+        raise ParadoxError(f"no accelerations agree with what {who} would do: they have none, or several")
+    return Modes(mode, np.where((mode == MODE_SLIP)[:, None], direction, 0.0), force, w)
+
+
+def _oppose(contact: int, W: Array, mu: float, force: Array, w: Array, left: Array, slopes: Array) -> None:
+    """Writes that friction is opposite to sliding, λ_t |w_t| + μ λ_n w_t = 0, and its slopes, in place of w_t."""
+    own = slice(3 * contact + 1, 3 * contact + 3)
+    l_n, l_t, w_t = force[contact, 0], force[contact, 1:], w[contact, 1:]
+    speed = np.linalg.norm(w_t)
+    left[contact, 1:] = l_t * speed + mu * l_n * w_t
+    slopes[own] = np.outer(l_t, w_t / speed) @ W[own] + mu * l_n * W[own]
+    slopes[own, 3 * contact] += mu * w_t
+    slopes[own, own] += speed * np.eye(2)
+
+
+def _spread(pushed: Array, rubs: NDArray[np.bool_], count: int) -> Array:
+    """Returns ``pushed`` with one column for each component of each contact, zero of friction that follows."""
+    result = np.zeros((3 * count, 3 * count))
+    places = [3 * i + k for i in range(count) for k in range(1 if rubs[i] else 3)]
+    result[:, places] = pushed
+    return result
+
+
+def check_slides(matrix: Array, labels: list[str]) -> None:
+    """Raises ``ParadoxError`` if contacts that slide do not determine their normal forces.
+
+    They do if every principal minor is positive (a P-matrix); of redundant contacts some are zero.
+    """
+    count = len(matrix)
+    scale = np.abs(np.diag(matrix)).max(initial=0.0)
+    for subset in range(1, 2 ** min(count, MOST_MINORS)):
+        chosen = [i for i in range(count) if subset >> i & 1]
+        if np.linalg.det(matrix[np.ix_(chosen, chosen)] / (scale or 1.0)) < -LEFT:
+            raise ParadoxError(
+                f"sliding, {', '.join(labels[i] for i in chosen)} would press itself on: friction makes the "
+                "accelerations ambiguous, or leaves none (Painlevé)"
+            )

@@ -1,0 +1,450 @@
+"""Event-driven motion of rigid bodies with hard contacts: reference solutions for few of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact import checks
+from warpcontact.checks import Array
+from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP, MODE_STICK
+from warpcontact.unilateral.acceleration import ParadoxError, find_modes
+from warpcontact.unilateral.assembly import Assembler
+from warpcontact.unilateral.events import Event, EventKind, EventRun, in_order
+from warpcontact.unilateral.snapshot import Snapshot, follow
+from warpcontact.unilateral.trajectory import Hold, Trajectory, View, held
+
+# Speeds below this are zero: far above the rounding of speeds, far below those of impacts that are not summed up [m/s].
+STILL = 1.0e-9
+# Forces below this share of the largest are zero.
+NO_FORCE = 1.0e-9
+# Most that a body turns between two looks at contacts [rad].
+TURN = 0.2
+# How far beyond where a contact may close at the earliest the next look is, so that it is seen closed.
+BEYOND = 1.3
+# Part of a step after an event at which it is looked what the contacts do: at the event itself it is undecided.
+AFTER = 1.0e-4
+# Halvings of a step in search of where a contact was still open.
+HALVINGS = 60
+
+
+@dataclass(frozen=True)
+class _Crossing:
+    """A function of the state that turns negative within a step.
+
+    Attributes:
+        value: The function.
+        pair: The pair whose gap it is; −1 of others.
+        decided: Whether velocities say what comes next, or contacts must be seen a little later.
+        threshold: Below its negative the function is negative.
+    """
+
+    value: Callable[[View], float]
+    decided: bool
+    threshold: float
+    pair: int = -1
+
+
+class EventDriven:
+    """The motion of one environment with hard contacts, from event to event.
+
+    All contacts of the scene are rigid: they close without penetration, bounce by Newton's law with the
+    ``restitution`` of their law (0 if it has none), and slide or stick by Coulomb's with the ``mu`` of their friction
+    (``mu_static`` and ``mu_dynamic`` if it has two). Contact couplings and other couplings are forces, as the model
+    computes them; what these remember stays as it is.
+
+    Flight is in closed form where accelerations are uniform, else by DOP853 to 1e-12. Times at which a gap closes, a
+    contact parts, slides or stops are roots, to rounding. Contacts that impact together do so in one problem with
+    friction, and impacts that come ever closer are summed up as a geometric series. What is smooth must be so: where
+    a ball rolls over the edges of a tessellated surface, its acceleration is that of the faces.
+
+    Args:
+        model: From ``Scene.build``, best with ``precision="float64"`` and few environments: each evaluation of forces
+            is one of all of them. Its state stays as it is.
+        env: Number of the environment.
+        closed: Gaps up to this are zero [m].
+        step: Longest time between two looks at the contacts [s].
+        zeno: Impacts of a contact that follow one another within this time, ever closer, are summed up [s].
+        method: Of ``wc.unilateral.solve_delassus``.
+        most_events: After so many events a run is given up.
+
+    Attributes:
+        state: The state that the run has come to, at first that of the model.
+
+    Raises:
+        TypeError: If ``model`` is none.
+        ValueError: If an argument is out of range, or a contact has a friction that a cone cannot take.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        env: int = 0,
+        *,
+        closed: float = 1.0e-9,
+        step: float = 0.02,
+        zeno: float = 1.0e-5,
+        method: str = "gauss_seidel",
+        most_events: int = 10_000,
+    ) -> None:
+        seconds = checks.limits("s", above=0.0)
+        self.closed = float(checks.numbers("closed", closed, (), checks.limits("m", above=0.0)))
+        self.step = float(checks.numbers("step", step, (), seconds))
+        self.zeno = float(checks.numbers("zeno", zeno, (), seconds))
+        self.method, self.most_events = method, most_events
+        self.assembler = Assembler(model, env)
+        self.trajectory = Trajectory(self.assembler)
+        self.state = self.assembler.bodies.settled(self.assembler.now())
+        self._hold: Hold | None = None
+        self._impacts: dict[int, tuple[float, float]] = {}  # of a pair: when it was last, and how long before that
+        self._events: list[Event] = []
+
+    def run(self, duration: float, every: float | None = None) -> EventRun:
+        """Goes on for ``duration`` [s].
+
+        Args:
+            duration: Simulated time [s].
+            every: Time between the states that are kept [s]; ``None``: those of all steps, and before and after each
+                event.
+
+        Raises:
+            ValueError: If a time is not positive, or a contact begins in overlap.
+            ParadoxError: If at some time no accelerations agree with rigid bodies and Coulomb friction, or several;
+                ``error.run`` has what was computed up to there.
+            RuntimeError: If there are too many events, or the motion could not be integrated.
+        """
+        seconds = checks.limits("s", above=0.0)
+        end = self.state.time + float(checks.numbers("duration", duration, (), seconds))
+        if every is not None:
+            every = float(checks.numbers("every", every, (), seconds))
+        kept = _Kept(self.state.time, every)
+        self._events = []
+        before = self.assembler.now()
+        try:
+            self._go(end, kept)
+        except ParadoxError as error:
+            told = ParadoxError(f"t = {self.state.time:.9g} s: {error}")
+            told.run = self._result(kept)
+            raise told from error
+        finally:
+            self.assembler.put(before)
+        return self._result(kept)
+
+    def _result(self, kept: "_Kept") -> EventRun:
+        times = np.array([state.time for state in kept.states])
+        return EventRun(times, tuple(kept.states), in_order(self._events), self.assembler.model.scene)
+
+    def _go(self, end: float, kept: "_Kept") -> None:
+        if self._hold is None:
+            self.state = follow(self.assembler.model, self.assembler.env, self.state)
+            self._hold = Hold.nothing()
+            self._refuse_overlaps()
+            self._meet(self.state, None)
+            self._events = []
+        kept.first(self.state)
+        view = self.trajectory.view(self.state, self._hold)
+        while self.state.time < end:
+            self.trajectory.check(view, self._hold)
+            length = min(self._safe_step(view), end - self.state.time)
+            state, hold = self.state, self._hold
+
+            def advanced(time: float, state: Snapshot = state, hold: Hold = hold) -> Snapshot:
+                return self.trajectory.advance(state, hold, time)
+
+            after = advanced(length)
+            seen = self.trajectory.view(after, hold)
+            found = self._first_crossing(view, seen, length, advanced)
+            if found is None:
+                kept.between(state, length, advanced)
+                # The last step of a run ends there, whatever the sum of times is rounded to.
+                self.state = self.trajectory.projected(after, hold)
+                if length == end - state.time:
+                    self.state = _at(self.state, end)
+                kept.step(self.state)
+            else:
+                time, decided = found
+                kept.between(state, time, advanced)
+                self.state = advanced(time)
+                kept.step(self.state)
+                later = None if decided else advanced(time + AFTER * length)
+                self._meet(self.state, later)
+                kept.step(self.state)
+                if len(self._events) > self.most_events:
+                    raise RuntimeError(
+                        f"more than {self.most_events} events up to t = {self.state.time:.9g} s; "
+                        "zeno= may be too small for them, or most_events="
+                    )
+            view = self.trajectory.view(self.state, self._hold)
+
+    def _refuse_overlaps(self) -> None:
+        gap = self.assembler.candidates.measure(self.state).gap
+        deep = np.flatnonzero(gap < -self.closed)
+        if len(deep):
+            label = self.assembler.candidates.labels[deep[0]]
+            raise ValueError(f"{label} begins in overlap, {-gap[deep[0]]:.3g} m deep; hard contacts begin apart or closed")
+
+    def _safe_step(self, view: View) -> float:
+        """Returns a time [s] within which no contact that is open closes unseen by more than ``closed``."""
+        assert self._hold is not None
+        longest = self.step
+        spin = np.linalg.norm(self.state.angular_velocity, axis=1).max(initial=0.0)
+        if spin > 0.0:
+            longest = min(longest, TURN / spin)
+        is_open = np.isfinite(view.measured.gap)
+        is_open[self._hold.pairs] = False
+        gap, rate, change = (values[is_open] for values in (view.measured.gap, view.rate, view.change))
+        gap = np.maximum(gap, 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bent = (rate + np.sqrt(rate**2 + 2.0 * change * gap)) / change
+            straight = np.where(rate < 0.0, -gap / rate, np.inf)
+            earliest = np.where(change > 0.0, bent, straight)
+            shortest = np.sqrt(8.0 * self.closed / change)
+        return float(np.maximum(BEYOND * earliest, shortest).min(initial=longest))
+
+    def _first_crossing(
+        self, view: View, seen: View, length: float, advanced: Callable[[float], Snapshot]
+    ) -> tuple[float, bool] | None:
+        """Returns when within a step the first event is, and whether velocities say what comes next."""
+        hold = self._hold
+        assert hold is not None
+        first: tuple[float, bool] | None = None
+
+        def value_at(crossing: _Crossing, time: float) -> float:
+            return crossing.value(self.trajectory.view(advanced(time), hold))
+
+        for crossing in self._crossings(view, seen, length):
+            end = length if first is None else first[0]
+            late = seen if first is None else self.trajectory.view(advanced(end), hold)
+            if crossing.value(late) >= -crossing.threshold:
+                end = self._dip(crossing, view, late, end, advanced)
+                if end is None:
+                    continue
+            time = self._root(lambda s, one=crossing: value_at(one, s), crossing.value(view), end)
+            if first is None or time < first[0]:
+                first = (time, crossing.decided)
+        return first
+
+    def _crossings(self, view: View, seen: View, length: float) -> list[_Crossing]:
+        """Returns what may have turned negative within a step."""
+        hold = self._hold
+        assert hold is not None
+        found: list[_Crossing] = []
+        tiny = 1.0e-3 * self.closed
+        is_open = np.isfinite(view.measured.gap) | np.isfinite(seen.measured.gap)
+        is_open[hold.pairs] = False
+        for pair in np.flatnonzero(is_open):
+            dips = view.rate[pair] < 0.0 < seen.rate[pair]
+            if seen.measured.gap[pair] < -tiny or dips:
+                found.append(_Crossing(lambda view, i=pair: _size(view.measured.gap[i]), True, tiny, pair))
+        scale = max(np.abs(view.force).max(initial=0.0), np.abs(seen.force).max(initial=0.0))
+        normal, left = held(seen, hold)
+        for number, pair in enumerate(hold.pairs):
+            if not np.isfinite(seen.measured.gap[pair]):
+                found.append(_Crossing(lambda view, i=pair: 1.0 if np.isfinite(view.measured.gap[i]) else -1.0, True, 0.0))
+            if normal[number] < -NO_FORCE * scale:
+                found.append(_Crossing(lambda view, i=number: held(view, hold)[0][i], False, NO_FORCE * scale))
+            if left[number] < -NO_FORCE * scale:
+                found.append(_Crossing(lambda view, i=number: held(view, hold)[1][i], False, NO_FORCE * scale))
+            if seen.slide[number] < -STILL:
+                found.append(_Crossing(lambda view, i=number: view.slide[i], True, STILL))
+        return found
+
+    def _dip(
+        self, crossing: _Crossing, view: View, seen: View, end: float, advanced: Callable[[float], Snapshot]
+    ) -> float | None:
+        """Returns when a gap that closes and opens within a step is least, if it is closed then."""
+        pair, hold = crossing.pair, self._hold
+        if pair < 0:
+            return None
+        if not view.rate[pair] < 0.0 < seen.rate[pair]:
+            return None
+        from scipy.optimize import brentq
+
+        def rate(time: float) -> float:
+            return float(self.trajectory.view(advanced(time), hold).rate[pair])
+
+        least = float(brentq(rate, 0.0, end, xtol=1.0e-3 * end))
+        return least if crossing.value(self.trajectory.view(advanced(least), hold)) < -crossing.threshold else None
+
+    @staticmethod
+    def _root(value: Callable[[float], float], at_start: float, end: float) -> float:
+        """Returns the root of a function that is negative at ``end``, 0 if it is nowhere positive before."""
+        from scipy.optimize import brentq
+
+        start = 0.0
+        if at_start <= 0.0:
+            start = end
+            for _ in range(HALVINGS):
+                start *= 0.5
+                if value(start) > 0.0:
+                    break
+            else:
+                return 0.0
+        return float(brentq(value, start, end, xtol=1.0e-16, rtol=8.9e-16, maxiter=200))
+
+    def _meet(self, state: Snapshot, later: Snapshot | None) -> None:
+        """Lets contacts that are closed impact, and finds what they do from then on.
+
+        Args:
+            state: The state of the event.
+            later: A state a little after it in which the contacts still do what they did: forces that they cannot have
+                show what they will do. ``None``: that of the event tells.
+        """
+        before = self._hold
+        assert before is not None
+        measured = self.assembler.candidates.measure(state)
+        is_closed = np.abs(measured.gap) <= self.closed
+        is_closed[before.pairs[np.isfinite(measured.gap[before.pairs])]] = True
+        pairs = np.flatnonzero(is_closed)
+        state, parted = self._impact(state, pairs)
+        pairs = pairs[~parted]
+        told = state if later is None else later
+        self._hold = self._held_from(told, pairs)
+        self._tell_changes(state.time, before, self._hold)
+        self.state = self.trajectory.projected(state, self._hold)
+
+    def _impact(self, state: Snapshot, pairs: NDArray[np.int_]) -> tuple[Snapshot, NDArray[np.bool_]]:
+        """Returns the state after the impacts of closed contacts, and which of these part (contacts,)."""
+        measured = self.assembler.candidates.measure(state)
+        own = self.assembler.assembly(state, measured, pairs)
+        speed = own.contact_velocity
+        if not (speed[:, 0] < -STILL).any():
+            return state, speed[:, 0] > STILL
+        nothing = np.zeros(own.count, dtype=bool)
+        ending = self._series(state.time, pairs, speed[:, 0])
+        restitution = np.where(np.isin(pairs, list(ending)), 0.0, own.restitution)
+        asked = speed.copy()
+        asked[:, 0] += restitution * np.minimum(speed[:, 0], 0.0)
+        found = find_modes(
+            own.delassus, asked, own.mu, own.mu, np.zeros((own.count, 2)), nothing, own.labels, self.method
+        )
+        velocity = state.velocity + own.inverse_mass @ (own.rows.T @ found.force.reshape(-1))
+        after = (own.rows @ velocity).reshape(-1, 3)[:, 0]
+        summed = np.isin(pairs, list(ending)) & (after > 0.0)
+        if summed.any():
+            # What is left of a series of impacts that follow each other ever closer.
+            rows = own.H[summed, 0]
+            response = own.inverse_mass @ rows.T
+            velocity = velocity - response @ np.linalg.lstsq(rows @ response, rows @ velocity, rcond=1.0e-11)[0]
+            after = (own.rows @ velocity).reshape(-1, 3)[:, 0]
+        impulse = (found.force[:, None, :] @ own.axes)[:, 0]
+        for number, pair in enumerate(pairs):
+            if found.force[number, 0] > NO_FORCE * found.force[:, 0].max():
+                self._tell(
+                    state.time, EventKind.IMPACT, pair, impulse[number], -speed[number, 0], after[number]
+                )
+        for pair, time in ending.items():
+            self._tell(time, EventKind.REST, pair)
+        return state.with_velocity(velocity), after > STILL
+
+    def _series(self, time: float, pairs: NDArray[np.int_], speed: Array) -> dict[int, float]:
+        """Returns the contacts of which impacts that come ever closer are summed up, and when they will have ended.
+
+        Remembers the impacts.
+        """
+        limit = None
+        for pair, approach in zip(pairs.tolist(), speed, strict=True):
+            if approach >= -STILL:
+                continue
+            last, interval = self._impacts.get(pair, (-np.inf, np.inf))
+            since = time - last
+            if np.isfinite(interval) and since <= self.zeno and since < interval:
+                ratio = since / interval
+                limit = max(limit or 0.0, time + since * ratio / (1.0 - ratio))
+            self._impacts[pair] = (time, since)
+        if limit is None:
+            return {}
+        # Contacts that take turns come to rest together.
+        recent = [pair for pair, (last, _) in self._impacts.items() if time - last <= 2.0 * self.zeno]
+        ending = {pair: limit for pair in recent if pair in pairs}
+        for pair in ending:
+            del self._impacts[pair]
+        return ending
+
+    def _held_from(self, state: Snapshot, pairs: NDArray[np.int_]) -> Hold:
+        """Returns what closed contacts that do not part do from a state on."""
+        measured = self.assembler.candidates.measure(state)
+        own = self.assembler.assembly(state, measured, pairs)
+        b = self.trajectory.free_relative(state, own, pairs)
+        slip = own.contact_velocity[:, 1:]
+        sliding = np.linalg.norm(slip, axis=1) > STILL
+        found = find_modes(own.delassus, b, own.mu_static, own.mu, slip, sliding, own.labels, self.method)
+        stays = found.mode != MODE_OPEN
+        tangents = own.axes[stays, 1:]
+        return Hold(
+            pairs=pairs[stays],
+            mode=found.mode[stays],
+            direction=(found.direction[stays, None, :] @ tangents)[:, 0],
+            force=(found.force[stays, None, :] @ own.axes[stays])[:, 0],
+        )
+
+    def _tell_changes(self, time: float, before: Hold, after: Hold) -> None:
+        """Adds the events of contacts that do something else than before."""
+        was = dict(zip(before.pairs.tolist(), before.mode.tolist(), strict=True))
+        now = dict(zip(after.pairs.tolist(), after.mode.tolist(), strict=True))
+        for pair in was:
+            if pair not in now:
+                self._tell(time, EventKind.LIFT_OFF, pair)
+        rubs = self.assembler.candidates.mu_static > 0.0
+        for pair, mode in now.items():
+            if rubs[pair] and was.get(pair) != mode:
+                self._tell(time, EventKind.STICK if mode == MODE_STICK else EventKind.SLIP, pair)
+
+    def _tell(
+        self,
+        time: float,
+        kind: EventKind,
+        pair: int,
+        impulse: Array | None = None,
+        approach: float = 0.0,
+        separation: float = 0.0,
+    ) -> None:
+        own = self.assembler.candidates
+        self._events.append(
+            Event(
+                time=float(time),
+                kind=kind,
+                contact=str(own.names[pair]),
+                item=int(own.items[pair]),
+                label=own.labels[pair],
+                impulse=np.zeros(3) if impulse is None else impulse,
+                approach_speed=float(approach),
+                separation_speed=float(separation),
+            )
+        )
+
+
+class _Kept:
+    """The states that a run keeps."""
+
+    def __init__(self, start: float, every: float | None) -> None:
+        self.start, self.every = start, every
+        self.states: list[Snapshot] = []
+
+    def first(self, state: Snapshot) -> None:
+        self.states.append(state)
+
+    def between(self, state: Snapshot, length: float, advanced: Callable[[float], Snapshot]) -> None:
+        """Keeps the states at whole intervals within a step."""
+        if self.every is None:
+            return
+        # Of a time that a step ends at to rounding, the state at its end.
+        while (next_time := self.start + len(self.states) * self.every) <= state.time + length * (1.0 + 1.0e-12):
+            within = min(max(next_time - state.time, 0.0), length)
+            self.states.append(_at(advanced(within), next_time))
+
+    def step(self, state: Snapshot) -> None:
+        """Keeps the state at the end of a step, or before or after an event."""
+        if self.every is None:
+            self.states.append(state)
+
+
+def _size(gap: float) -> float:
+    """Returns a gap that a root can be found of: where nothing can touch it is large."""
+    return float(min(gap, 1.0e9))
+
+
+def _at(state: Snapshot, time: float) -> Snapshot:
+    return Snapshot(time, state.position, state.orientation, state.linear_velocity, state.angular_velocity)
