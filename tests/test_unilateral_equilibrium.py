@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hard_scenes import G, block, ladder, rigid, three_balls
+from rigid_scenes import G, block, ladder, rigid, three_balls
 
 import warpcontact as wc
 from warpcontact.status import ContactMode
