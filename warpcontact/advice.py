@@ -1,5 +1,6 @@
 """Warnings about scenes that run and give nonsense: steps too long for a contact, starts in deep overlap."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,12 +30,17 @@ class ContactWarning(UserWarning):
     """A scene that will run but hardly mean what its author wants."""
 
 
-def advice(model: "Environments", dt: float) -> list[str]:
+def advice(model: "Environments", dt: float, acts: Callable[[str], bool]) -> list[str]:
     """Returns what to say about the start of a model, a sentence or two per contact or coupling.
 
     Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
     steeply a friction rises; nothing is said of laws that do not tell their elastic part. Of a set of points as
     many are taken to touch at once as do in a fall on a plane across an axis of their body: see ``_together``.
+
+    Args:
+        model: The model.
+        dt: Time step [s].
+        acts: Whether a contact, by its name, acts by the force of its law; nothing is said of others.
     """
     sentences = []
     if model.scene.contacts or model.scene.smooth_contacts:
@@ -42,6 +48,8 @@ def advice(model: "Environments", dt: float) -> list[str]:
     for coupling in model.scene.contact_couplings:
         sentences += contact_coupling_advice(model, coupling, dt)
     for contact in model.scene.contacts:
+        if not acts(contact.name):
+            continue
         sentences += friction_advice(model, contact, dt)
         if contact.facing is not None:
             continue
@@ -68,9 +76,11 @@ def advice(model: "Environments", dt: float) -> list[str]:
         # The energy of all overlaps of a body, as speed.
         sentences += _about_overlap(model, contact.name, depth, np.sqrt(2.0 * energy / mass), speed)
     for touch in model.scene.smooth_contacts:
-        sentences += _smooth_advice(model, touch, dt)
+        if acts(touch.name):
+            sentences += _smooth_advice(model, touch, dt)
     for pile in model.scene.mutual_contacts:
-        sentences += _pile_advice(model, pile, dt)
+        if acts(pile.name):
+            sentences += _pile_advice(model, pile, dt)
     return sentences + coupling_advice(model, dt)
 
 

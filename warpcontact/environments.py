@@ -339,6 +339,15 @@ class Environments(ABC):
             for contact in self.scene.smooth_contacts
         }
 
+    def unfinished_solves(self) -> NDArray[np.int32]:
+        """Returns in how many steps since reset the problem of hard contacts was not solved, (envs,)."""
+        return np.concatenate(
+            [
+                np.zeros(part.envs, np.int32) if part.hard is None else part.hard.account.failures.numpy()
+                for part in self.parts
+            ]
+        )
+
     def touching(self, name: str) -> xr.Dataset:
         """Returns which pairs of a mutual contact touch at the current state.
 

@@ -30,13 +30,17 @@ LEGEND = (
 )
 
 
+#: What hard contact is given.
+HARD: tuple[type[Formula], ...] = (*laws.RIGID, *frictions.RIGID)
+
+
 class UnknownName(ValueError):
     """A name that is not in the catalogue."""
 
 
 def every() -> dict[str, type[Formula]]:
     """Returns all entries by their names, laws first."""
-    return {formula.__name__: formula for formula in (*laws.CATALOGUE, *frictions.CATALOGUE)}
+    return {formula.__name__: formula for formula in (*laws.CATALOGUE, *frictions.CATALOGUE, *HARD)}
 
 
 def find(name: str) -> type[Formula]:
@@ -57,7 +61,7 @@ def find(name: str) -> type[Formula]:
 def catalogue() -> str:
     """Returns the whole catalogue."""
     lines = [*LETTERS, *LEGEND]
-    for title, formulas in (("LAWS", laws.CATALOGUE), ("FRICTIONS", frictions.CATALOGUE)):
+    for title, formulas in (("LAWS", laws.CATALOGUE), ("FRICTIONS", frictions.CATALOGUE), ("HARD CONTACT", HARD)):
         lines += ["", title]
         for formula in formulas:
             lines += ["", *entry(formula)]

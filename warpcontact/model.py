@@ -25,6 +25,7 @@ from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import Span, force_stages
 from warpcontact.smooth.contact_sets import SmoothSet
 from warpcontact.smooth.measures import measure
+from warpcontact.unilateral.hard_contacts import HardContacts
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,8 @@ class Model(Environments, OfScene):
         # Status [env] of environments that are all active: a frozen one can be measured as well.
         self._all_active = broadcast(arrays.active, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
+        # Contacts that the last simulation solves for impulses.
+        self.hard: HardContacts | None = None
         self._handed_out = False
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
         self.send(uploads, (upload.content() for upload in uploads))
@@ -157,6 +160,22 @@ class Model(Environments, OfScene):
                 self.assign(name, values[:, None] if self.scene.bodies[0].single else values)
         model = self.arrays.model
         return External(force=model.body_external_force, torque=model.body_external_torque)
+
+    @beside_captures()
+    def attach(self, hard: HardContacts | None) -> None:
+        """Lets contacts be those of the simulation that is to step: ``hard`` ones, or all with their forces."""
+        if hard is self.hard:
+            return
+        for own in () if self.hard is None else self.hard.readings():
+            del self.readings[own.name]
+        self.hard = self.arrays.hard = hard
+        for own in () if hard is None else hard.readings():
+            self.readings[own.name] = own
+        # Nobody writes what hard contacts would do to bodies by a force.
+        near, ends = self.arrays.near, self.arrays.ends
+        for array in (near.force, near.torque_1, near.torque_2, ends.force, ends.torque):
+            array.zero_()
+        self._evaluation = (-1, [])
 
     def _is_pushed(self) -> bool:
         names = [f"{self.scene.bodies[0].name}.{quantity}" for quantity in ("external_force", "external_torque")]
@@ -217,6 +236,8 @@ class Model(Environments, OfScene):
             contacts.restart(chosen, self.envs)
         for pile in self.piles:
             pile.restart(chosen, self.envs)
+        if self.hard is not None:
+            self.hard.restart(chosen)
         if self.moves:
             self._start_motions(chosen)
 
@@ -237,11 +258,13 @@ class Model(Environments, OfScene):
 
     def _evaluate(self) -> None:
         if self._evaluation[0] != self.revision:
-            everything = Span(self, 0, self.envs, cached=False, ordered=True)
+            everything = Span(self, 0, self.envs, cached=False, ordered=True, hard=self.hard)
             stages = force_stages(everything, self.arrays.state, self.no_step, self._all_active)
             self._evaluation = (self.revision, stages)
         for launch in self._evaluation[1]:
             launch.launch()
+        if self.hard is not None:
+            self.hard.show(self)
 
     @beside_captures()
     def prepare(self, needs: Set[str]) -> None:

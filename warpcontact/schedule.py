@@ -4,6 +4,9 @@ Each stage reads what earlier ones wrote:
 
     travel → closest point → couplings → smooth contacts → contact force (one launch per law) → wrenches → piles
     → integrate, motions → sweep → finish → history
+
+What an integrator does between forces and ``finish`` is its own: ``integrators.py``, and for hard contacts
+``unilateral/moreau_jean.py``.
 """
 
 from dataclasses import dataclass
@@ -13,12 +16,11 @@ import warp as wp
 
 from warpcontact.kernels import contact_coupling, history, integrate, near, queues, sweep, travel, wrenches
 from warpcontact.kernels.closest_point import KNOWN, LISTED, SEARCH
-from warpcontact.kernels.motions import driven, step
 from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
-    from warpcontact.integrators import Integrator
     from warpcontact.model import Model
+    from warpcontact.unilateral.hard_contacts import HardContacts
 
 
 # Most threads of a GPU that work off a queue, in whole warps, however long it is.
@@ -39,6 +41,7 @@ class Span:
         cached: Whether what is known of distances saves work.
         ordered: Whether wrenches are summed in one order, the same in every run.
         queued: Whether threads share out contacts by what they need, not by blocks: for many threads.
+        hard: The contacts that are solved for impulses and have no force; ``None``: all have theirs.
     """
 
     model: "Model"
@@ -47,6 +50,7 @@ class Span:
     cached: bool
     ordered: bool
     queued: bool = False
+    hard: "HardContacts | None" = None
 
     def prepare(
         self,
@@ -82,10 +86,12 @@ class StepLength:
     Attributes:
         dynamic: In the precision of the model, for what forces do over it.
         clock: In float64, for clocks and for motions that are functions of time.
+        half_clock: Half of that.
     """
 
     dynamic: wp.array
     clock: wp.array
+    half_clock: wp.array
 
 
 def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
@@ -119,26 +125,11 @@ def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> li
         kernel = wrenches.clear(real, *sources)
         launches += span.prepare(kernel, model.body_count, [status, a.model, a.ends, a.wrenches])
     for group in model.groups:
-        launches += span.prepare(
-            group.kernel,
-            group.block_count,
-            [
-                status,
-                a.model,
-                state,
-                a.history,
-                group.memory,
-                step,
-                group.first_block,
-                group.first,
-                group.coefficients,
-                a.contacts,
-                group.kept,
-                a.near,
-                span.ordered,
-                a.wrenches,
-            ],
-        )
+        blocks = [(group.first_block, group.block_count)]
+        for first_block, count in blocks if span.hard is None else span.hard.compliant_blocks(group):
+            inputs = [status, a.model, state, a.history, group.memory, step, first_block]
+            inputs += [group.first, group.coefficients, a.contacts, group.kept, a.near, span.ordered, a.wrenches]
+            launches += span.prepare(group.kernel, count, inputs)
     if span.ordered:
         kernel = wrenches.add_up(real, *sources)
         launches += span.prepare(kernel, model.body_count, [status, a.model, a.near, a.ends, a.wrenches])
@@ -174,92 +165,6 @@ def queue_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
             together=FEW_TOGETHER,
         )
     return launches + span.prepare(queues.gather(real), blocks, [status, a.model, a.cache, a.near])
-
-
-def step_stages(
-    span: Span, integrator: "Integrator", dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
-) -> list[wp.Launch]:
-    """Returns the launches that propose a step from ``state_in`` to ``state_out``.
-
-    ``mark`` [0] is set, and the status of the environment changed, where a swept point crosses a surface; with
-    ``None`` such a step is taken as it is.
-    """
-    model = span.model
-    a, real = model.arrays, model.types.real
-    launches = force_stages(span, state_in, dt.dynamic, a.status)
-    launches += span.prepare(
-        integrator.kernel(real, model.moves),
-        model.body_count,
-        [a.status, dt.dynamic, a.model, state_in, a.wrenches, state_out],
-    )
-    launches += motion_stages(span, integrator, dt, state_in, state_out)
-    if model.sweeps:
-        marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark
-        launches += span.prepare(
-            sweep.kernel(real),
-            model.blocks.count,
-            [
-                a.status,
-                a.model,
-                state_in,
-                state_out,
-                span.cached,
-                a.cache,
-                a.contacts,
-                a.near,
-                int(mark is not None),
-                marked,
-            ],
-        )
-    return launches
-
-
-def motion_stages(
-    span: Span, integrator: "Integrator", dt: StepLength, state_in: Any, state_out: Any
-) -> list[wp.Launch]:
-    """Returns the launches that step the bodies that are not free; none if all are."""
-    model = span.model
-    a, real = model.arrays, model.types.real
-    if not model.moves:
-        return []
-    launches = span.prepare(
-        integrator.motions(real),
-        model.constrained_count,
-        [a.status, dt.dynamic, a.model, a.constrained, state_in, a.wrenches, state_out],
-    )
-    for drive in model.drives:
-        launches += span.prepare(
-            driven.follow(drive.motion, real),
-            drive.count,
-            [a.status, dt.clock, a.time, a.model, *drive.inputs, a.wrenches, state_out],
-        )
-    return launches
-
-
-def change_stages(span: Span, integrator: "Integrator", change: wp.array, state: Any) -> list[wp.Launch]:
-    """Returns the launches that ready ``state`` for steps longer by ``change`` [env, 0] than those before [s]."""
-    model = span.model
-    a, real = model.arrays, model.types.real
-    kernel = integrator.change_step(real, model.moves)
-    if kernel is None:
-        return []
-    launches = force_stages(span, state, model.no_step, a.status) + span.prepare(
-        kernel, model.body_count, [a.status, change, a.model, a.wrenches, state]
-    )
-    if not model.moves:
-        return launches
-    launches += span.prepare(
-        step.change_step(real),
-        model.constrained_count,
-        [a.status, change, a.model, a.constrained, a.wrenches, state],
-    )
-    for drive in model.drives:
-        launches += span.prepare(
-            driven.change_step(drive.motion, real),
-            drive.count,
-            [a.status, change, a.time, a.model, *drive.inputs, state],
-        )
-    return launches
 
 
 def accept_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
@@ -304,6 +209,8 @@ def accept_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> 
         launches += contacts.accept_stages(span)
     for pile in model.piles:
         launches += pile.accept_stages(span)
+    if span.hard is not None:
+        launches += span.hard.accept_stages(span, dt.dynamic)
     return launches
 
 

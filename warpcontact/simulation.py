@@ -65,6 +65,7 @@ class Simulation:
             raise TypeError(
                 f"integrator must be an object of wc.integrators, such as SemiImplicitEuler(), got {integrator!r}"
             )
+        integrator.check(model.scene)
         self.model = model
         self.integrator = integrator
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
@@ -83,9 +84,12 @@ class Simulation:
         self._advised = False
         launched = ", or take graphs=False" if any(device.is_cpu for device in model.devices) else ""
         require(self._stepping, model.envs, "to step them, ", launched if self.graphs else "")
-        self._buffers = [Buffers(part, self.dt, self.crossing_steps) for part in model.parts]
+        self._buffers = [Buffers(part, integrator, self.dt, self.crossing_steps) for part in model.parts]
         for part, buffers in zip(model.parts, self._buffers, strict=True):
             buffers.allocate(part.envs)
+            if buffers.hard is not None:
+                buffers.hard.begin(part, buffers.times.whole.dynamic)
+        self._attach()
         self._prepared: tuple[tuple[int, ...], Crew | None] = ((), None)
 
     @property
@@ -107,6 +111,11 @@ class Simulation:
     def steps(self) -> int:
         """That time in steps of this simulation."""
         return round(self.model.time / self.dt)
+
+    def _attach(self) -> None:
+        """Lets readings tell what this simulation does with contacts, not another one of the same model."""
+        for part, buffers in zip(self.model.parts, self._buffers, strict=True):
+            part.attach(buffers.hard)
 
     def memory(self) -> Footprint:
         """Returns what the model and this simulation take of memory; recordings come on top."""
@@ -143,9 +152,10 @@ class Simulation:
         if count == 0:
             return
         model = self.model
+        self._attach()
         if model.at_start and not self._advised:
             self._advised = True
-            for sentence in advice(model, self.dt):
+            for sentence in advice(model, self.dt, self.integrator.acts):
                 warnings.warn(sentence, ContactWarning, stacklevel=2)
         for part in model.parts:
             part.untouched = False
@@ -178,7 +188,9 @@ class Simulation:
         ordered = self.deterministic or not queued
         return [
             Slice(
-                Span(model, first, min(size, model.envs - first), self.distance_cache, ordered, queued),
+                Span(
+                    model, first, min(size, model.envs - first), self.distance_cache, ordered, queued, buffers.hard
+                ),
                 self.integrator,
                 buffers,
                 parts=self.crossing_steps,
@@ -232,6 +244,7 @@ class Simulation:
         frozen = len(self.model.health().frozen)
         failed = self.model.failed_lines()
         unsolved = self.model.unsolved_contacts()
+        unfinished = self.model.unfinished_solves()
         done = 0
         bar_of_run = (
             contextlib.nullcontext(progress)
@@ -263,7 +276,7 @@ class Simulation:
                     RuntimeWarning,
                     stacklevel=2,
                 )
-        for sentence in self._about_unsolved(unsolved):
+        for sentence in (*self._about_unsolved(unsolved), *self._about_unfinished(unfinished)):
             warnings.warn(sentence, RuntimeWarning, stacklevel=2)
         return recorder.finish(
             {
@@ -287,6 +300,20 @@ class Simulation:
                     "their number"
                 )
         return sentences
+
+    def _about_unfinished(self, before: NDArray[np.int32]) -> list[str]:
+        """Returns what to say about contact problems, of which more were not solved than ``before``."""
+        more = self.model.unfinished_solves() - before
+        failed = np.flatnonzero(more > 0)
+        if not len(failed):
+            return []
+        worst = int(more.argmax())
+        return [
+            f"the contact problem was not solved to the tolerance in some steps of {len(failed)} of "
+            f"{self.model.envs} environments, most in {self.model.first_env + worst}, in {more[worst]} steps; "
+            "scene.solve_failures has their number, scene.solve_residual what was left: give the integrator more "
+            "iterations, solver='accelerated', or a larger tolerance"
+        ]
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"

@@ -18,8 +18,6 @@ from warpcontact.schedule import (
     StepLength,
     accept_stages,
     adopt_stage,
-    change_stages,
-    step_stages,
     turn_stage,
 )
 
@@ -48,6 +46,7 @@ class Buffers:
 
     Args:
         model: The model, or what is drawn up of it.
+        integrator: The scheme.
         dt: Length of a step [s].
         parts: Parts into which a step with a crossing is divided.
 
@@ -55,27 +54,36 @@ class Buffers:
         layout: What is to lie on the device.
         times: Lengths of steps.
         other: A second state. Steps go from the model's to it and back; between calls the state is in the model's.
+        hard: The contacts that the scheme solves for impulses, ``None``: it has none.
     """
 
-    def __init__(self, model: "Model | PartDraft", dt: float = 0.0, parts: int = 1) -> None:
+    def __init__(
+        self, model: "Model | PartDraft", integrator: Integrator, dt: float = 0.0, parts: int = 1
+    ) -> None:
         self.layout = Layout(model.device)
-        self.times = Times(StepLength(None, None), StepLength(None, None), None, None)
+        nothing = StepLength(None, None, None)
+        self.times = Times(nothing, nothing, None, None)
         self.other = self.layout.struct("stepping", model.types.State, per_env(model.body_count))
+        self.hard = integrator.declare(model, self.layout)
         # Kept alive: the times share their memory.
         self._lengths = SimpleNamespace()
         part = dt / parts
         lengths = {"whole": dt, "part": part, "shorter": part - dt, "longer": dt - part}
         for name, length in lengths.items():
             self.layout.content("stepping", self._lengths, name, [[length]], model.types.real)
-        for name, length in (("whole_clock", dt), ("part_clock", part)):
-            self.layout.content("stepping", self._lengths, name, [[length]], wp.float64)
+        for name, length in (("whole", dt), ("part", part)):
+            self.layout.content("stepping", self._lengths, f"{name}_clock", [[length]], wp.float64)
+            self.layout.content("stepping", self._lengths, f"{name}_half_clock", [[0.5 * length]], wp.float64)
 
     @beside_captures()
     def allocate(self, envs: int) -> None:
         """Makes them for ``envs`` environments."""
         self.layout.allocate(envs)
         lengths = {name: broadcast(memory, envs) for name, memory in vars(self._lengths).items()}
-        whole, part = (StepLength(lengths[name], lengths[f"{name}_clock"]) for name in ("whole", "part"))
+        whole, part = (
+            StepLength(lengths[name], lengths[f"{name}_clock"], lengths[f"{name}_half_clock"])
+            for name in ("whole", "part")
+        )
         self.times = Times(whole, part, lengths["shorter"], lengths["longer"])
 
 
@@ -133,12 +141,12 @@ class Slice:
     def _prepare(self, span: Span, integrator: Integrator, times: Times, state_in: Any, state_out: Any) -> _Step:
         part, divide, resume = [], [], []
         if self._mark is not None:
-            part = step_stages(span, integrator, times.part, state_in, state_out, None)
+            part = integrator.step_stages(span, times.part, state_in, state_out, None)
             part += accept_stages(span, times.part, state_in, state_out)
-            divide = change_stages(span, integrator, times.shorter, state_in)
-            resume = change_stages(span, integrator, times.longer, state_out)
+            divide = integrator.change_stages(span, times.shorter, state_in)
+            resume = integrator.change_stages(span, times.longer, state_out)
         return _Step(
-            whole=step_stages(span, integrator, times.whole, state_in, state_out, self._mark)
+            whole=integrator.step_stages(span, times.whole, state_in, state_out, self._mark)
             + accept_stages(span, times.whole, state_in, state_out),
             part=part,
             divide=divide,

@@ -77,14 +77,17 @@ def stepping_footprint(
     ``shares`` are the parts of the model, each with how many environments it has.
     """
     threads = available_threads() if threads is None else threads
+    integrator = SemiImplicitEuler() if integrator is None else integrator
     on_threads = on_cpu(shares)
     footprints = []
     for part, envs in shares:
-        buffers = Buffers(part)
+        buffers = Buffers(part, integrator)
         # Nothing is launched, so that a draft does as well.
         queued = part.device.is_cuda
-        span = _Tally(cast("Model", part), 0, 1, distance_cache, ordered=not queued, queued=queued)
-        one = Slice(span, integrator or SemiImplicitEuler(), buffers, parts=crossing_steps, captured=graphs)
+        span = _Tally(
+            cast("Model", part), 0, 1, distance_cache, ordered=not queued, queued=queued, hard=buffers.hard
+        )
+        one = Slice(span, integrator, buffers, parts=crossing_steps, captured=graphs)
         size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
         for steps in one.graph_steps:
             if graph := one.graph(steps):

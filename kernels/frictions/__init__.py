@@ -4,6 +4,7 @@ from warpcontact.kernels.frictions.ambrosio import Ambrosio
 from warpcontact.kernels.frictions.base import Friction
 from warpcontact.kernels.frictions.bengisu_akay import BengisuAkay
 from warpcontact.kernels.frictions.brown_mcphee import BrownMcPhee
+from warpcontact.kernels.frictions.coulomb import Coulomb
 from warpcontact.kernels.frictions.coulomb_threshold import CoulombThreshold
 from warpcontact.kernels.frictions.cundall_strack import CundallStrack
 from warpcontact.kernels.frictions.dahl import Dahl
@@ -42,11 +43,16 @@ CATALOGUE: tuple[type[Friction], ...] = (
     LuGre,
 )
 
+#: Those of hard contact, which have no force of their own.
+RIGID: tuple[type[Friction], ...] = (Coulomb,)
+
 __all__ = [
     "CATALOGUE",
+    "RIGID",
     "Ambrosio",
     "BengisuAkay",
     "BrownMcPhee",
+    "Coulomb",
     "CoulombThreshold",
     "CundallStrack",
     "Dahl",

@@ -25,5 +25,19 @@ class Friction(Formula):
 
     #: Whether it tells tangential directions apart, and needs ``s.axis``.
     directional: ClassVar[bool] = False
+    #: Whether it has no force, and is for integrators that solve for impulses.
+    rigid: ClassVar[bool] = False
     #: Whether it works for spheres only, by ``s.patch_radius``.
     needs_radius: ClassVar[bool] = False
+
+    @classmethod
+    def of_cone(cls) -> tuple[str, str] | None:
+        """Returns the parameters that are its static and its dynamic coefficient of friction.
+
+        ``None``: it has none, as an elliptic or a viscous one, and no cone of Coulomb stands for it.
+        """
+        names = set(cls.varying())
+        for pair in (("mu", "mu"), ("mu_static", "mu_dynamic")):
+            if names.issuperset(pair):
+                return pair
+        return None

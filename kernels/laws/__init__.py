@@ -25,6 +25,7 @@ from warpcontact.kernels.laws.lee_wang import LeeWang
 from warpcontact.kernels.laws.pant_wijeyewickrema import PantWijeyewickrema
 from warpcontact.kernels.laws.pereira_cylinder import PereiraCylinder, PereiraCylinderExternal
 from warpcontact.kernels.laws.power_law import PowerLaw
+from warpcontact.kernels.laws.rigid import Rigid
 from warpcontact.kernels.laws.tsuji import Tsuji
 from warpcontact.kernels.laws.two_stiffness import TwoStiffness
 from warpcontact.kernels.laws.undamped import (
@@ -67,8 +68,12 @@ CATALOGUE: tuple[type[Law], ...] = (
     Impact,
 )
 
+#: Those of hard contact, which have no force of their own.
+RIGID: tuple[type[Law], ...] = (Rigid,)
+
 __all__ = [
     "CATALOGUE",
+    "RIGID",
     "Anagnostopoulos",
     "CarvalhoMartins",
     "ContactRange",
@@ -94,6 +99,7 @@ __all__ = [
     "PereiraCylinder",
     "PereiraCylinderExternal",
     "PowerLaw",
+    "Rigid",
     "Tsuji",
     "TwoStiffness",
     "ZhiyingQishao",

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import BALL, HINGE, PLANAR, SLIDER, TRANSLATION, BodyMotion, structs
+from warpcontact.kernels.types import BALL, HINGE, PLANAR, PRESCRIBED, SLIDER, TRANSLATION, BodyMotion, structs
 
 ONE = wp.constant(wp.float64(1.0))
 ZERO = wp.constant(wp.float64(0.0))
@@ -84,6 +84,7 @@ def functions(real: type) -> SimpleNamespace:
     vec3, quat, mat33, Model, State, Wrenches = t.vec3, t.quat, t.mat33, t.Model, t.State, t.Wrenches
     frame = frames.functions(real)
     wide, narrow = frame.wide, frame.narrow
+    rotated = frames.functions(wp.float64).rotated
 
     @wp.func
     def wide_matrix(m: mat33):
@@ -127,6 +128,56 @@ def functions(real: type) -> SimpleNamespace:
         )
         loads = wp.length_sq(wrenches.force[env, body]) + wp.length_sq(wrenches.torque[env, body])
         return not wp.isfinite(sizes) or wp.isnan(loads)
+
+    @wp.func
+    def moved(
+        state: State,
+        env: int,
+        body: int,
+        motion: BodyMotion,
+        linear: wp.vec3d,
+        angular: wp.vec3d,
+        dt: wp.float64,
+    ):
+        """Where a body comes that moves on its joint with these mean velocities: base, way and orientation.
+
+        Its centre of mass is then at base + way; of a hinge or a ball the base is the anchor. A pose that is off
+        the joint is put onto it, and what stays as it is stays so to the bit.
+        """
+        kind = motion.kind
+        axis = motion.axis
+        base = wide(state.body_position[env, body])
+        way = wide(state.body_position_remainder[env, body])
+        orientation = state.body_orientation[env, body]
+        q = wide_quat(orientation)
+        if kind == PRESCRIBED:
+            way += dt * linear
+            if wp.dot(angular, angular) > ZERO:
+                orientation = narrow_quat(rotated(q, dt * angular))
+        elif kind == TRANSLATION:
+            way += dt * linear
+        elif kind == SLIDER:
+            off = (base - motion.position) + way
+            way += dt * linear - (off - wp.dot(axis, off) * axis)
+        elif kind == PLANAR:
+            off = (base - motion.position) + way
+            way += dt * linear - wp.dot(axis, off) * axis
+            sine, cosine = turn_about(axis, q, motion.orientation)
+            sine, cosine = turned_on(sine, cosine, dt * wp.dot(axis, angular))
+            orientation = narrow_quat(quat_about(axis, sine, cosine) * motion.orientation)
+        elif kind == HINGE:
+            sine, cosine = turn_about(axis, q, motion.orientation)
+            sine, cosine = turned_on(sine, cosine, dt * wp.dot(axis, angular))
+            turn = quat_about(axis, sine, cosine)
+            orientation = narrow_quat(turn * motion.orientation)
+            base = motion.anchor
+            way = wp.quat_rotate(turn, motion.position - motion.anchor)
+        elif kind == BALL:
+            orientation = narrow_quat(rotated(q, dt * angular))
+            base = motion.anchor
+            start_B = wp.quat_rotate_inv(motion.orientation, motion.position - motion.anchor)
+            way = wp.quat_rotate(wide_quat(orientation), start_B)
+        return base, way, orientation
 
     @wp.func
     def mobility(model: Model, state: State, env: int, body: int, motion: BodyMotion, arm_W: vec3, n_W: vec3):
@@ -173,6 +224,7 @@ def functions(real: type) -> SimpleNamespace:
         put=put,
         set_velocity=set_velocity,
         has_failed=has_failed,
+        moved=moved,
         mobility=mobility,
-        rotated=frames.functions(wp.float64).rotated,
+        rotated=rotated,
     )

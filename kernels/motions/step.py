@@ -13,10 +13,7 @@ from warpcontact.kernels.motions.bodies import (
     inertia_about,
     inertia_at,
     momentum_of,
-    quat_about,
     spin_of,
-    turn_about,
-    turned_on,
 )
 from warpcontact.kernels.types import (
     BALL,
@@ -42,7 +39,7 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     f = bodies.functions(real)
-    wide, wide_matrix, wide_quat, narrow_quat = f.wide, f.wide_matrix, f.wide_quat, f.narrow_quat
+    wide, wide_matrix, wide_quat, moved = f.wide, f.wide_matrix, f.wide_quat, f.moved
     put, set_velocity, has_failed, rotated = f.put, f.set_velocity, f.has_failed, f.rotated
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -73,63 +70,41 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
             v = wide(state_in.body_linear_velocity[env, body])
             w = wide(state_in.body_angular_velocity[env, body])
 
-            # What stays as it is: the pose, to the bit.
-            base = wide(state_in.body_position[env, body])
-            way = wide(state_in.body_position_remainder[env, body])
-            orientation = state_in.body_orientation[env, body]
             linear = wp.vec3d()
             angular = wp.vec3d()
+            whole_B = wp.mat33d()
+            momentum = wp.vec3d()
             if kind == PRESCRIBED:
                 linear = v
                 angular = w
-                way += dt * v
-                if wp.dot(w, w) > wp.float64(0.0):
-                    orientation = narrow_quat(rotated(q, dt * w))
             elif kind == TRANSLATION:
                 linear = v + (dt / mass) * force
-                way += dt * linear
             elif kind == SLIDER:
-                off = (base - motion.position) + way
                 linear = wp.dot(axis, v + (dt / mass) * force) * axis
-                way += dt * linear - (off - wp.dot(axis, off) * axis)
             elif kind == PLANAR:
-                off = (base - motion.position) + way
                 linear = v + (dt / mass) * force
                 linear -= wp.dot(axis, linear) * axis
-                way += dt * linear - wp.dot(axis, off) * axis
                 rate = wp.dot(axis, w) + dt * wp.dot(axis, torque) / inertia_about(axis, q, inertia_B)
-                sine, cosine = turn_about(axis, q, motion.orientation)
-                sine, cosine = turned_on(sine, cosine, dt * rate)
-                orientation = narrow_quat(quat_about(axis, sine, cosine) * motion.orientation)
                 angular = rate * axis
             elif kind == HINGE:
-                start = motion.position - motion.anchor
-                sine, cosine = turn_about(axis, q, motion.orientation)
-                arm = wp.quat_rotate(quat_about(axis, sine, cosine), start)
+                arm = arm_of(motion, q)
                 across = wp.cross(axis, arm)
                 inertia = inertia_about(axis, q, inertia_B) + mass * wp.dot(across, across)
                 rate = wp.dot(axis, w) + dt * wp.dot(axis, torque + wp.cross(arm, force)) / inertia
-                sine, cosine = turned_on(sine, cosine, dt * rate)
-                turn = quat_about(axis, sine, cosine)
-                orientation = narrow_quat(turn * motion.orientation)
-                base = motion.anchor
-                way = wp.quat_rotate(turn, start)
                 angular = rate * axis
-                linear = wp.cross(angular, way)
             elif kind == BALL:
-                start_B = wp.quat_rotate_inv(motion.orientation, motion.position - motion.anchor)
-                arm = wp.quat_rotate(q, start_B)
-                whole_B = inertia_at(inertia_B, mass, start_B)
-                inverse_B = wp.inverse(whole_B)
+                arm = arm_of(motion, q)
+                whole_B = inertia_at(inertia_B, mass, wp.quat_rotate_inv(q, arm))
                 momentum = momentum_of(whole_B, q, w) + dt * (torque + wp.cross(arm, force))
+                inverse_B = wp.inverse(whole_B)
                 q_middle = rotated(q, wp.float64(0.5) * dt * spin_of(inverse_B, q, momentum))
-                orientation = narrow_quat(rotated(q, dt * spin_of(inverse_B, q_middle, momentum)))
-                q_next = wide_quat(orientation)
-                base = motion.anchor
-                way = wp.quat_rotate(q_next, start_B)
-                angular = spin_of(inverse_B, q_next, momentum)
-                linear = wp.cross(angular, way)
+                angular = spin_of(inverse_B, q_middle, momentum)
 
+            base, way, orientation = moved(state_in, env, body, motion, linear, angular, dt)
+            if kind == BALL:
+                angular = spin_of(wp.inverse(whole_B), wide_quat(orientation), momentum)
+            if kind == HINGE or kind == BALL:  # noqa: SIM109
+                linear = wp.cross(angular, way)
             put(state_out, env, body, base, way)
             state_out.body_orientation[env, body] = orientation
             set_velocity(state_out, env, body, linear, angular)

@@ -1,4 +1,4 @@
-"""What solvers of hard contact read and write: the contacts of a step, one row each, and the bodies that they hold.
+"""What solvers of hard contact read and write: the contacts of a step, one row each, and the bodies they hold.
 
 Impulses and velocities of a row are in world axes. A cone is looked at in the local axes of its row: the normal,
 then two tangents that ``cone.basis`` makes of it.
@@ -27,7 +27,7 @@ def row_structs(real: type) -> SimpleNamespace:
         arm_2: wp.array2d(dtype=vec3)  # [env, row] to K from that of the second, W [m]
         normal: wp.array2d(dtype=vec3)  # [env, row] unit, out of the second, towards the first, W
         mu: wp.array2d(dtype=real)  # [env, row] coefficient of friction
-        rolling: wp.array2d(dtype=real)  # [env, row] most couple against rolling over the normal impulse [m]
+        rolling: wp.array2d(dtype=real)  # [env, row] couple against rolling over the normal impulse [m]
         spinning: wp.array2d(dtype=real)  # [env, row] likewise against spinning about the normal [m]
         bounce: wp.array2d(dtype=real)  # [env, row] speed at which it is to part, e × that of approach, ≥ 0 [m/s]
         impulse: wp.array2d(dtype=vec3)  # [env, row] on the first; before a solve the guess, W [N·s]

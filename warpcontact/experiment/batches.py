@@ -113,7 +113,7 @@ class Batches:
 
     def _advise(self) -> None:
         """Warns as the first step of a simulation does, of what is not known from earlier batches."""
-        for sentence in advice(self.simulation.model, self.simulation.dt):
+        for sentence in advice(self.simulation.model, self.simulation.dt, self.simulation.integrator.acts):
             kind = re.sub(r"[\d.,+-]+(e[+-]?\d+)?", "", sentence)
             # The simulation itself has warned about the first batch.
             if kind not in self._said and self.simulation.model.first_env:

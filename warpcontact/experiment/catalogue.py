@@ -225,8 +225,8 @@ FORMULAS: dict[str, Any] = {
 }
 #: The classes that come with the library, by what they are and by name.
 CATALOGUES: dict[Any, dict[str, Any]] = {
-    laws.Law: {law.__name__: law for law in laws.CATALOGUE},
-    frictions.Friction: {friction.__name__: friction for friction in frictions.CATALOGUE},
+    laws.Law: {law.__name__: law for law in (*laws.CATALOGUE, *laws.RIGID)},
+    frictions.Friction: {friction.__name__: friction for friction in (*frictions.CATALOGUE, *frictions.RIGID)},
     springs.Spring: {spring.__name__: spring for spring in springs.SPRINGS},
     springs.Damper: {damper.__name__: damper for damper in springs.DAMPERS},
     motions.Motion: {motion.__name__: motion for motion in motions.CATALOGUE},

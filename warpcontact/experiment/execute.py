@@ -64,7 +64,10 @@ def execute(model: Environments, job: Job) -> Run:
     Raises:
         ValueError: If a value does not fit into the precision of the device, before anything is removed.
     """
-    simulation = Simulation(model, dt=job.settings.dt, crossing_steps=job.settings.crossing_steps)
+    settings = job.settings
+    simulation = Simulation(
+        model, dt=settings.dt, integrator=settings.integrator.make(), crossing_steps=settings.crossing_steps
+    )
     run: _AtOnce | _InBatches = (_AtOnce if job.plan.batches == 1 else _InBatches)(simulation, job)
     result.clear_folder(job.folder)
     summary = _first_summary(model, job)
@@ -99,6 +102,7 @@ def _first_summary(model: Environments, job: Job) -> dict[str, Any]:
         "batches": job.plan.batches,
         "batch": job.plan.batch,
         "dt": settings.dt,
+        "integrator": settings.integrator.type,
         result.LAW_FILES: laws,
     }
 

@@ -24,7 +24,7 @@ from warpcontact.experiment.trial import trial
 from warpcontact.experiment.variation import Draw, truncated
 from warpcontact.model import Model
 from warpcontact.scene import Scene
-from warpcontact.simulation import whole_steps
+from warpcontact.simulation import Simulation, whole_steps
 from warpcontact.split_model import SplitModel
 
 # Readings that tell most of a coupling.
@@ -269,6 +269,11 @@ class Experiment:
         self._values = Draw(parts.variation, model, parts.envs, seed, problems, unsound).values
         if settings is None:
             return
+        try:
+            # What can be read depends on how contacts are stepped.
+            Simulation(model, settings.dt, settings.integrator.make())
+        except ValueError as error:
+            problems.add("integrator", f": {error}")
         for i, name in enumerate(settings.record.readings or ()):
             if name not in model.reading_names and not unsound(name):
                 hint = suggestion(name, model.reading_names)

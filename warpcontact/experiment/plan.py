@@ -102,7 +102,8 @@ def make_plan(
     def footprint(envs: int) -> Footprint:
         writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, frames) // 2)
         drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames))
-        return draft.memory(envs, varied, crossing_steps=settings.crossing_steps).with_needs(
+        stepping = {"integrator": settings.integrator.make(), "crossing_steps": settings.crossing_steps}
+        return draft.memory(envs, varied, **stepping).with_needs(
             [
                 *total(recording(part, own) for part, own in draft.shares(envs)).needs,
                 Need("values", HOST, sum(values.nbytes for values in varied.values())),

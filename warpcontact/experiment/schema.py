@@ -24,6 +24,7 @@ from warpcontact.experiment.catalogue import (
     mesh_model,
     settings_model,
 )
+from warpcontact.experiment.integration import IntegratorSettings
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.kernels import laws
 from warpcontact.kernels.frictions import Frictionless
@@ -425,6 +426,7 @@ class Settings(Section):
     bushing: Rows[BushingSettings] = ()
     catenary: Rows[CatenarySettings] = ()
     variation: dict[str, VariationSettings] = Field(default_factory=dict)
+    integrator: IntegratorSettings = Field(default_factory=IntegratorSettings)
     record: RecordSettings = Field(default_factory=RecordSettings)
     output: OutputSettings = Field(default_factory=OutputSettings)
 
@@ -466,6 +468,12 @@ ROW_KEYS: dict[str, tuple[str, ...]] = {
     "points": ("positions",),
     "contact": ("radius",),
 }
+#: The sections that are one table.
+_SINGLE: dict[str, type[Section]] = {
+    "integrator": IntegratorSettings,
+    "record": RecordSettings,
+    "output": OutputSettings,
+}
 #: Tables within a contact coupling.
 _TABLES: dict[str, type[Section]] = {"range": RangeSettings, "from_impact": ImpactSettings}
 
@@ -478,7 +486,7 @@ def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Sec
     if parts[0] == "variation":
         return SolidSphere if len(parts) > 2 else VariationSettings
     if len(parts) == 1:
-        return (SECTIONS | {"record": RecordSettings, "output": OutputSettings})[parts[0]]
+        return (SECTIONS | _SINGLE)[parts[0]]
     if parts[1] in _TABLES and parts[0] == "contact_coupling":
         return _TABLES[parts[-1]]
     value = raw

@@ -1,0 +1,26 @@
+"""Coulomb's law itself."""
+
+from typing import Any
+
+import warp as wp
+from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.frictions.base import Friction
+
+
+class Coulomb(Friction):
+    """Friction of the cone without a velocity scale: what sticks does not creep. For integrators of impulses.
+
+    As rolling or torsion of a template it bounds the couple likewise.
+    """
+
+    formula = "|F| ≤ μ N; where it slips, F = −μ N v/s"
+    reference = "Coulomb"
+    provenance = "S"
+    validity = "hard contact; it has no force of its own"
+    rigid = True
+
+    mu: float = parameter("-", "coefficient of friction μ", at_least=0.0)
+
+    @wp.func
+    def force(p: Any, s: Any):
+        return type(s.speed)(0.0) * s.velocity

@@ -1,0 +1,184 @@
+"""Coulomb's cone K = {(n, t): |t| ≤ μ n}: what a contact may carry, in its own axes (normal, two tangents).
+
+l is the force or impulse on the first body and w the velocity (or gap and slip) that belongs to it, w = W l + b.
+With De Saxcé's ŵ = (w_n + μ |w_t|, w_t) the law of contact with friction is: l in K, ŵ in the dual cone, l·ŵ = 0,
+which is l = P(l − ρ ŵ) with the projection P onto K and any ρ > 0.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import warp as wp
+from warpcontact.kernels.types import structs
+
+# Enough for bisection alone, should Newton's method never help.
+STEPS = 80
+
+
+@functools.cache
+def functions(real: type) -> SimpleNamespace:
+    """Returns the device functions for ``real``, ``wp.float32`` or ``wp.float64``."""
+    t = structs(real)
+    vec3, mat33 = t.vec3, t.mat33
+    zero, half, one, two = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 2.0))
+    rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
+    # A block of less determinant, over the square of its trace, has a direction in which nothing moves; a velocity
+    # that is less, over those that it is made of, is none.
+    SINGULAR = wp.constant(real(64.0 * rounding))
+    LEAST = wp.constant(real(rounding * rounding))
+    # Where slip is found, |l_t| over μ l_n is 1 to this.
+    CLOSE = wp.constant(real(4.0 * rounding))
+    NOTHING = wp.constant(real(np.finfo(wp.dtype_to_numpy(real)).tiny))
+
+    @wp.func
+    def basis(n: vec3):
+        """Two unit vectors across a unit vector ``n``; (n, first, second) is right-handed.
+
+        Duff and others, "Building an orthonormal basis, revisited", 2017: without branches, exact to rounding.
+        """
+        side = wp.where(n[2] < zero, -one, one)
+        a = -one / (side + n[2])
+        b = n[0] * n[1] * a
+        first = vec3(one + side * n[0] * n[0] * a, side * b, -side * n[0])
+        second = vec3(b, side + n[1] * n[1] * a, -n[1])
+        return first, second
+
+    @wp.func
+    def project(z: vec3, mu: real):
+        """The point of the cone that is nearest to ``z``."""
+        across = wp.sqrt(z[1] * z[1] + z[2] * z[2])
+        nearest = vec3()
+        if z[0] >= zero and across <= mu * z[0]:
+            nearest = z
+        elif mu * across > -z[0]:
+            a = (z[0] + mu * across) / (one + mu * mu)
+            s = zero
+            if across > zero:
+                s = a * mu / across
+            nearest = vec3(a, s * z[1], s * z[2])
+        return nearest
+
+    @wp.func
+    def residual(l: vec3, w: vec3, mu: real, rho: real):
+        """How far ``l`` is from its law at the velocity ``w``: │l − P(l − ρ ŵ)│, in the unit of ``l``."""
+        shift = mu * wp.sqrt(w[1] * w[1] + w[2] * w[2])
+        return wp.length(l - project(l - rho * (w + vec3(shift, zero, zero)), mu))
+
+    @wp.func
+    def one_contact(W: mat33, b: vec3, mu: real):
+        """l of a single contact with w = W l + ``b``, W symmetric and positive semidefinite: exact to rounding.
+
+        Open if b_n ≥ 0; else it sticks, w = 0, if the cone allows, and else slips against l_t. Where nothing moves
+        along the normal l is 0. Where there are several solutions it is one of them. There is one unless W is
+        singular and ``b`` asks for what cannot move; what is returned then is finite and breaks the law.
+        """
+        # An approach that is less than the rounding of a rounding of the slip is none.
+        if b[0] >= -LEAST * (wp.abs(b[1]) + wp.abs(b[2])) or W[0, 0] <= NOTHING:
+            return vec3()
+        inverse = one / W[0, 0]
+        press = -b[0] * inverse  # l_n without friction
+        if mu <= zero:
+            return vec3(press, zero, zero)
+
+        # With w_n = 0: l_n = press − c·l_t and w_t = S l_t + e.
+        c1 = W[1, 0] * inverse
+        c2 = W[2, 0] * inverse
+        S11 = W[1, 1] - c1 * W[1, 0]
+        S12 = W[1, 2] - c1 * W[2, 0]
+        S22 = W[2, 2] - c2 * W[2, 0]
+        e1 = b[1] - c1 * b[0]
+        e2 = b[2] - c2 * b[0]
+
+        # Stick: S l_t = −e, by Cramer's rule.
+        trace = W[1, 1] + W[2, 2]
+        D = S11 * S22 - S12 * S12
+        regular = D > SINGULAR * trace * trace
+        if regular:
+            l1 = (S12 * e2 - S22 * e1) / D
+            l2 = (S12 * e1 - S11 * e2) / D
+            l_n = press - c1 * l1 - c2 * l2
+            if l_n >= zero and l1 * l1 + l2 * l2 <= mu * mu * l_n * l_n:
+                return vec3(l_n, l1, l2)
+        size = wp.sqrt(e1 * e1 + e2 * e2)
+        noise = SINGULAR * (wp.abs(b[1]) + wp.abs(b[2]) + (wp.abs(c1) + wp.abs(c2)) * wp.abs(b[0])) + NOTHING
+        if size <= noise:
+            return vec3(press, zero, zero)
+
+        # Slip: w_t = −σ l_t, hence (S + σ) l_t = −e. In numbers without unit, S and σ over the trace, l over press,
+        # and in the principal axes of S, the first one in which it moves most: l_t = m p / D.
+        unit = trace
+        if trace <= LEAST * W[0, 0]:
+            unit = W[0, 0]
+        S11 /= unit
+        S12 /= unit
+        S22 /= unit
+        apart = half * (S11 - S22)
+        radius = wp.sqrt(apart * apart + S12 * S12)
+        most = wp.max(half * (S11 + S22) + radius, LEAST)
+        least = (S11 * S22 - S12 * S12) / most
+        x1 = one
+        x2 = zero
+        if radius > zero:
+            # The half of an angle, from the side that does not cancel.
+            x1 = apart + radius
+            x2 = S12
+            if apart < zero:
+                x1 = S12
+                x2 = radius - apart
+            length = wp.sqrt(x1 * x1 + x2 * x2)
+            x1 /= length
+            x2 /= length
+        q1 = (x1 * e1 + x2 * e2) / size
+        q2 = (x1 * e2 - x2 * e1) / size
+        d1 = x1 * c1 + x2 * c2
+        d2 = x1 * c2 - x2 * c1
+        if not regular:
+            least = zero
+            if wp.abs(q2) * size <= noise or mu * d2 * wp.sign(q2) >= one:
+                # Nothing moves that way. Either nothing asks it to, or there is no solution: it would jam, with
+                # ever more of friction and pressure.
+                q2 = zero
+                least = most
+        m = size / (unit * press)
+        sigma = zero
+        p1 = -q1 * least
+        p2 = -q2 * most
+        D = most * least
+        across = wp.sqrt(p1 * p1 + p2 * p2)
+        pressed = D - m * (d1 * p1 + d2 * p2)  # l_n D
+        # g = μ l_n / |l_t| − 1 is to be 0, is negative where the contact does not stick, and positive at the upper
+        # end. It is almost straight, and is straight if S is isotropic: Newton's method, kept between the ends.
+        g = mu * pressed / (m * across) - one
+        if g < zero:
+            low = zero
+            high = two * m * (one + mu * (wp.abs(d1) + wp.abs(d2))) / mu
+            for _ in range(STEPS):
+                slope = most + least + two * sigma + m * (d1 * q1 + d2 * q2)
+                rise = slope + pressed * (p1 * q1 + p2 * q2) / (across * across)
+                new = half * (low + high)
+                if rise > zero:
+                    newton = sigma - g * m * across / (mu * rise)
+                    if newton > low and newton < high:  # noqa: SIM300
+                        new = newton
+                if new == sigma:
+                    break
+                sigma = new
+                p1 = -q1 * (least + sigma)
+                p2 = -q2 * (most + sigma)
+                D = (most + sigma) * (least + sigma)
+                across = wp.sqrt(p1 * p1 + p2 * p2)
+                pressed = D - m * (d1 * p1 + d2 * p2)
+                g = mu * pressed / (m * across) - one
+                if wp.abs(g) <= CLOSE:
+                    break
+                if g < zero:
+                    low = sigma
+                else:
+                    high = sigma
+        scale = press * m / D
+        l1 = scale * (x1 * p1 - x2 * p2)
+        l2 = scale * (x2 * p1 + x1 * p2)
+        return vec3(press - c1 * l1 - c2 * l2, l1, l2)
+
+    return SimpleNamespace(basis=basis, project=project, residual=residual, one_contact=one_contact)

@@ -1,0 +1,166 @@
+"""What impulses do to bodies, and what a row asks of them: common to the solvers of a step.
+
+Solvers look for the change of velocity, not for the velocity: it is as small as what contact does, however fast the
+bodies are, and so it is as fine in float32. A row has w = q + U(change), where q is its relative velocity without
+contact, less the speed at which it is to part.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import warp as wp
+from warpcontact.kernels.types import structs
+from warpcontact.kernels.unilateral.rows import row_structs
+
+
+@functools.cache
+def change_struct(real: type) -> type:
+    """Returns the struct of what contact changes, for ``real``."""
+    vec3 = structs(real).vec3
+
+    @wp.struct
+    class Change:
+        """What impulses have changed; declare it [env, body]."""
+
+        linear: wp.array2d(dtype=vec3)  # [env, body] of the velocity of the centre of mass, W [m/s]
+        angular: wp.array2d(dtype=vec3)  # [env, body] W [rad/s]
+
+    return Change
+
+
+@functools.cache
+def functions(real: type, moves: bool) -> SimpleNamespace:
+    """Returns the device functions for ``real``; with ``moves`` not all bodies are free."""
+    t = structs(real)
+    vec3, mat33 = t.vec3, t.mat33
+    Moving = row_structs(real).Moving
+    Change = change_struct(real)
+    zero, one, two, half, three = (wp.constant(real(x)) for x in (0.0, 1.0, 2.0, 0.5, 3.0))
+    rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
+    # A block of less determinant, over the cube of a third of its trace, is not to be inverted.
+    FLAT = wp.constant(real(100.0 * rounding))
+
+    @wp.func
+    def at(linear: vec3, angular: vec3, arm: vec3):
+        """Velocity at ``arm`` from the centre of mass."""
+        return linear + wp.cross(angular, arm)
+
+    @wp.func
+    def changed_at(change: Change, env: int, body: int, arm: vec3):
+        """Change of the velocity at ``arm`` from the centre of mass; 0 for the world."""
+        if body < 0:
+            return vec3()
+        return change.linear[env, body] + wp.cross(change.angular[env, body], arm)
+
+    @wp.func
+    def push(moving: Moving, change: Change, env: int, body: int, impulse: vec3, turning: vec3):
+        """Adds what an impulse and an angular impulse about the centre of mass do to a body."""
+        if body < 0:
+            return
+        if wp.static(moves):
+            B = moving.across[env, body]
+            linear = moving.by_force[env, body] * impulse + B * turning
+            angular = wp.transpose(B) * impulse + moving.by_torque[env, body] * turning
+            change.linear[env, body] = change.linear[env, body] + linear
+            change.angular[env, body] = change.angular[env, body] + angular
+        else:
+            linear = moving.inverse_mass[env, body] * impulse
+            change.linear[env, body] = change.linear[env, body] + linear
+            change.angular[env, body] = change.angular[env, body] + moving.by_torque[env, body] * turning
+
+    @wp.func
+    def ease(moving: Moving, env: int, body: int, arm: vec3):
+        """Trace of the block of one body: how easily an impulse at ``arm`` moves that place [1/kg]."""
+        if body < 0:
+            return zero
+        C = moving.by_torque[env, body]
+        trace = (C[0, 0] + C[1, 1] + C[2, 2]) * wp.length_sq(arm) - wp.dot(arm, C * arm)
+        if wp.static(moves):
+            A = moving.by_force[env, body]
+            B = moving.across[env, body]
+            trace += A[0, 0] + A[1, 1] + A[2, 2]
+            trace += two * wp.dot(arm, vec3(B[1, 2] - B[2, 1], B[2, 0] - B[0, 2], B[0, 1] - B[1, 0]))
+            # Of a place that does not move rounding leaves either sign.
+            trace = wp.max(trace, zero)
+        else:
+            trace += three * moving.inverse_mass[env, body]
+        return trace
+
+    @wp.func
+    def turning_ease(moving: Moving, env: int, body: int):
+        """Trace of what an angular impulse does to the angular velocity of a body [1/(kg·m²)]."""
+        if body < 0:
+            return zero
+        C = moving.by_torque[env, body]
+        return C[0, 0] + C[1, 1] + C[2, 2]
+
+    @wp.func
+    def block(moving: Moving, env: int, body: int, arm: vec3):
+        """Change of the velocity at ``arm`` over an impulse there, W."""
+        if body < 0:
+            return mat33()
+        cross = wp.skew(arm)
+        C = moving.by_torque[env, body]
+        if wp.static(moves):
+            across = moving.across[env, body] * cross
+            return moving.by_force[env, body] + across + wp.transpose(across) - cross * C * cross
+        m = moving.inverse_mass[env, body]
+        return wp.diag(vec3(m, m, m)) - cross * C * cross
+
+    @wp.func
+    def inverse_of(W: mat33):
+        """Inverse of a symmetric block, and whether it has one."""
+        c0 = vec3(
+            W[1, 1] * W[2, 2] - W[1, 2] * W[1, 2],
+            W[0, 2] * W[1, 2] - W[0, 1] * W[2, 2],
+            W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1],
+        )
+        determinant = W[0, 0] * c0[0] + W[0, 1] * c0[1] + W[0, 2] * c0[2]
+        third = (W[0, 0] + W[1, 1] + W[2, 2]) / three
+        if determinant <= FLAT * third * third * third:
+            return mat33(), 0
+        f = one / determinant
+        a11 = f * (W[0, 0] * W[2, 2] - W[0, 2] * W[0, 2])
+        a12 = f * (W[0, 1] * W[0, 2] - W[0, 0] * W[1, 2])
+        a22 = f * (W[0, 0] * W[1, 1] - W[0, 1] * W[0, 1])
+        c0 = f * c0
+        return mat33(c0[0], c0[1], c0[2], c0[1], a11, a12, c0[2], a12, a22), 1
+
+    @wp.func
+    def off_squared(impulse: vec3, w: vec3, n: vec3, mu: real, rho: real):
+        """Square of how far an impulse is from its law at the velocity ``w``, as ``cone.residual``; all in W."""
+        w_n = wp.dot(w, n)
+        w_t = w - w_n * n
+        l_n = wp.dot(impulse, n)
+        l_t = impulse - l_n * n
+        slip_squared = wp.length_sq(w_t)
+        lifted = w_n + mu * wp.sqrt(slip_squared)
+        z_n = l_n - rho * lifted
+        z_t = l_t - rho * w_t
+        limit = mu * z_n
+        across_squared = wp.length_sq(z_t)
+        if limit >= zero and across_squared <= limit * limit:
+            return rho * rho * (lifted * lifted + slip_squared)
+        across = wp.sqrt(across_squared)
+        a = z_n + mu * across
+        if a <= zero:
+            return wp.length_sq(impulse)
+        a = a / (one + mu * mu)
+        rest = l_n - a
+        # across is not 0 here, but where mu is.
+        share = zero
+        if across > zero:
+            share = a * mu / across
+        return rest * rest + wp.length_sq(l_t - share * z_t)
+
+    return SimpleNamespace(
+        at=at,
+        changed_at=changed_at,
+        push=push,
+        ease=ease,
+        turning_ease=turning_ease,
+        block=block,
+        inverse_of=inverse_of,
+        off_squared=off_squared,
+    )

@@ -1,0 +1,65 @@
+"""What hard contacts are given, and what they remember from step to step."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels.types import structs
+
+
+@functools.cache
+def record_structs(real: type) -> SimpleNamespace:
+    """Returns the structs for ``real``, ``wp.float32`` or ``wp.float64``."""
+    vec3 = structs(real).vec3
+
+    @wp.struct
+    class Material:
+        """Of a contact, or of all pairs of a mutual contact."""
+
+        restitution: real  # Newton's coefficient e
+        mu_static: real  # coefficient of friction where it stuck, or was open
+        mu_dynamic: real  # where it slipped in the last step
+        rolling: real  # coefficient of the resistance to rolling
+        spinning: real  # and to spinning about the normal
+
+    @wp.struct
+    class Memory:
+        """Of the last step in which a contact was closed; ``stamp`` tells which that was."""
+
+        impulse: wp.array2d(dtype=vec3)  # [env, contact] on the first body, W [N·s]
+        couple: wp.array2d(dtype=vec3)  # [env, contact] of rolling and spinning on it, W [N·m·s]
+        normal: wp.array2d(dtype=vec3)  # [env, contact] W
+        approach_speed: wp.array2d(dtype=real)  # [env, contact] at K, at the end of the step [m/s]
+        slip_speed: wp.array2d(dtype=real)  # [env, contact] likewise [m/s]
+        mode: wp.array2d(dtype=wp.int32)  # [env, contact] MODE_*
+        stamp: wp.array2d(dtype=wp.int32)  # [env, contact] that step
+
+    @wp.struct
+    class Account:
+        """Of an environment since reset."""
+
+        step: wp.array(dtype=wp.int32)  # [env] number of the last step, from 1; what has another stamp is open
+        failures: wp.array(dtype=wp.int32)  # [env] steps without convergence
+        restrained: wp.array(dtype=wp.int32)  # [env] steps in which restitution was lowered
+        friction_loss: wp.array(dtype=wp.float64)  # [env] energy that friction took [J]
+        impact_loss: wp.array(dtype=wp.float64)  # [env] energy that impacts took [J]
+
+    @wp.struct
+    class Restraint:
+        """How much of the restitution is left in an environment in which impacts would bring energy."""
+
+        status: wp.array(dtype=wp.int32)  # [env] ENV_ACTIVE: to be solved again
+        part: wp.array(dtype=real)  # [env] of the solve, 0 to 1
+        kept: wp.array(dtype=real)  # [env] the largest that is known to bring none
+        gains: wp.array(dtype=real)  # [env] the smallest that is known to bring some
+
+    @wp.struct
+    class Shown:
+        """What readings show of the last step."""
+
+        impulse: wp.array2d(dtype=vec3)  # [env, contact] on the first body, W [N·s]
+        mode: wp.array2d(dtype=wp.int32)  # [env, contact] MODE_*
+
+    return SimpleNamespace(
+        vec3=vec3, Material=Material, Memory=Memory, Account=Account, Restraint=Restraint, Shown=Shown
+    )

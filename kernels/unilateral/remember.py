@@ -1,0 +1,193 @@
+"""After a step: what hard contacts remember of it, what they took of the energy, and how it is read."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.types import ENV_ACTIVE, MODE_OPEN, MODE_SLIP, MODE_STICK, Work, structs
+from warpcontact.kernels.unilateral import relative
+from warpcontact.kernels.unilateral.records import record_structs
+from warpcontact.kernels.unilateral.rows import row_structs
+
+
+@functools.cache
+def kernel(real: type) -> wp.Kernel:
+    """Returns the kernel that takes the rows of an accepted step into the memory of their contacts; items: 1.
+
+    An impulse P at a contact with the velocities U⁻ before and U⁺ after takes −P·(U⁻ + U⁺)/2 of the energy: with
+    θ = ½ this and the work of the forces make up the change of the kinetic energy of free bodies.
+    """
+    t = structs(real)
+    vec3, State, Wrenches = t.vec3, t.State, t.Wrenches
+    r, records = row_structs(real), record_structs(real)
+    Rows, Moving, Outcome, Memory, Account = r.Rows, r.Moving, r.Outcome, records.Memory, records.Account
+    Restraint = records.Restraint
+    f = relative.functions(real)
+    velocities_before, velocities_after = f.before, f.after
+    # Within rounding of the edge of the cone a contact slips.
+    inside = wp.constant(real(1.0 - 64.0 * t.epsilon))
+
+    @wp.func
+    def push(wrenches: Wrenches, env: int, body: int, force: vec3, torque: vec3):
+        if body >= 0:
+            wrenches.force[env, body] = wrenches.force[env, body] + force
+            wrenches.torque[env, body] = wrenches.torque[env, body] + torque
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def remember_rows(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        bodies: wp.int32,
+        middle: State,
+        rows: Rows,
+        moving: Moving,
+        outcome: Outcome,
+        restraint: Restraint,
+        memory: Memory,
+        account: Account,
+        reactions: Wrenches,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            number = account.step[env] + 1
+            account.step[env] = number
+            if restraint.part[env] < real(1.0):
+                account.restrained[env] = account.restrained[env] + 1
+            account.failures[env] = account.failures[env] + 1 - outcome.converged[env]
+            for body in range(bodies):
+                reactions.force[env, body] = vec3()
+                reactions.torque[env, body] = vec3()
+            per_step = real(1.0) / step[env, 0]
+            by_friction = wp.float64(0.0)
+            by_impact = wp.float64(0.0)
+            for row in range(outcome.count[env]):
+                body_1 = rows.body_1[env, row]
+                body_2 = rows.body_2[env, row]
+                arm_1 = rows.arm_1[env, row]
+                arm_2 = rows.arm_2[env, row]
+                normal = rows.normal[env, row]
+                impulse = rows.impulse[env, row]
+                couple = rows.couple[env, row]
+                along = wp.dot(impulse, normal)
+                across = impulse - along * normal
+                u_before, w_before = velocities_before(middle, env, body_1, body_2, arm_1, arm_2)
+                u_after, w_after = velocities_after(moving, env, body_1, body_2, arm_1, arm_2)
+                parting = wp.dot(u_after, normal)
+                slip = u_after - parting * normal
+                mean = real(0.5) * (u_after + u_before)
+                by_impact -= wp.float64(along * wp.dot(mean, normal))
+                by_friction -= wp.float64(wp.dot(across, mean))
+                by_friction -= wp.float64(real(0.5) * wp.dot(couple, w_after + w_before))
+                mode = wp.int32(MODE_SLIP)
+                if along <= real(0.0):
+                    mode = wp.int32(MODE_OPEN)
+                elif wp.length(across) < inside * rows.mu[env, row] * along:
+                    mode = wp.int32(MODE_STICK)
+                contact = rows.contact[env, row]
+                memory.impulse[env, contact] = impulse
+                memory.couple[env, contact] = couple
+                memory.normal[env, contact] = normal
+                memory.approach_speed[env, contact] = -parting
+                memory.slip_speed[env, contact] = wp.length(slip)
+                memory.mode[env, contact] = mode
+                memory.stamp[env, contact] = number
+                push(reactions, env, body_1, per_step * impulse, per_step * (wp.cross(arm_1, impulse) + couple))
+                push(reactions, env, body_2, -per_step * impulse, -per_step * (wp.cross(arm_2, impulse) + couple))
+            account.friction_loss[env] = account.friction_loss[env] + by_friction
+            account.impact_loss[env] = account.impact_loss[env] + by_impact
+
+    return remember_rows
+
+
+@functools.cache
+def read(real: type) -> wp.Kernel:
+    """Returns the kernel that shows what the last step did, where readings look. Launch with dim (env, item)."""
+    t = structs(real)
+    vec3, Contacts = t.vec3, t.Contacts
+    records = record_structs(real)
+    Memory, Account, Shown = records.Memory, records.Account, records.Shown
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def show_contacts(
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        numbers: wp.array(dtype=wp.int32),  # [item] those of hard contacts with meshes
+        memory: Memory,
+        account: Account,
+        contacts: Contacts,
+        shown: Shown,
+    ):
+        env, item = wp.tid()
+        contact = numbers[item]
+        impulse = vec3()
+        couple = vec3()
+        approach_speed = real(0.0)
+        slip_speed = real(0.0)
+        mode = wp.int32(MODE_OPEN)
+        along = real(0.0)
+        normal = vec3()
+        if memory.stamp[env, contact] == account.step[env]:
+            mode = memory.mode[env, contact]
+            if mode != MODE_OPEN:
+                impulse = memory.impulse[env, contact]
+                couple = memory.couple[env, contact]
+                normal = memory.normal[env, contact]
+                along = wp.dot(impulse, normal)
+                approach_speed = memory.approach_speed[env, contact]
+                slip_speed = memory.slip_speed[env, contact]
+        per_step = real(1.0) / step[env, 0]
+        shown.impulse[env, contact] = impulse
+        shown.mode[env, contact] = mode
+        contacts.normal_force[env, contact] = per_step * along
+        contacts.friction_force[env, contact] = per_step * (impulse - along * normal)
+        contacts.torque[env, contact] = per_step * couple
+        contacts.approach_speed[env, contact] = approach_speed
+        contacts.slip_speed[env, contact] = slip_speed
+
+    return show_contacts
+
+
+@functools.cache
+def push(real: type) -> wp.Kernel:
+    """Returns the kernel that adds the mean forces of the last step to wrenches. Launch with dim (env, body)."""
+    Wrenches = structs(real).Wrenches
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def add_reactions(reactions: Wrenches, wrenches: Wrenches):
+        env, body = wp.tid()
+        wrenches.force[env, body] = wrenches.force[env, body] + reactions.force[env, body]
+        wrenches.torque[env, body] = wrenches.torque[env, body] + reactions.torque[env, body]
+
+    return add_reactions
+
+
+@functools.cache
+def forget(real: type) -> wp.Kernel:
+    """Returns the kernel that empties what chosen environments remember. Launch with dim env."""
+    Wrenches = structs(real).Wrenches
+    vec3 = structs(real).vec3
+    Outcome, Account = row_structs(real).Outcome, record_structs(real).Account
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def forget_steps(
+        mask: wp.array(dtype=wp.bool), bodies: wp.int32, outcome: Outcome, account: Account, reactions: Wrenches
+    ):
+        env = wp.tid()
+        if not mask[env]:
+            return
+        # No contact has the stamp of a step that none has taken.
+        account.step[env] = account.step[env] + 1
+        account.failures[env] = 0
+        account.restrained[env] = 0
+        account.friction_loss[env] = wp.float64(0.0)
+        account.impact_loss[env] = wp.float64(0.0)
+        outcome.count[env] = 0
+        outcome.residual[env] = real(0.0)
+        outcome.iterations[env] = 0
+        outcome.converged[env] = 1
+        for body in range(bodies):
+            reactions.force[env, body] = vec3()
+            reactions.torque[env, body] = vec3()
+
+    return forget_steps

@@ -1,0 +1,104 @@
+"""Keeps impacts from bringing energy.
+
+Newton's law says with what speed a contact parts, whatever impulse that takes. Where friction turns the slip round,
+or contacts of different restitution are hit together, it may do more work than there was (Kane and Levinson 1985).
+With no restitution it cannot, whatever the friction; so there is a part of it that does not.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_WAITING, Work, structs
+from warpcontact.kernels.unilateral import relative
+from warpcontact.kernels.unilateral.records import record_structs
+from warpcontact.kernels.unilateral.rows import row_structs
+
+#: Solves after the first, at most.
+ROUNDS = 4
+
+
+@functools.cache
+def kernel(real: type) -> wp.Kernel:
+    """Returns the kernel that looks for a large part of the restitution that brings no energy; items: 1.
+
+    It comes after each solve, ``number`` 0 after the first, with the whole restitution. Where that brings energy,
+    the interval between what is known to bring some and none is halved and the environment solved again; the last
+    time with what brings none, which is nothing at the least.
+    """
+    t = structs(real)
+    State = t.State
+    r, records = row_structs(real), record_structs(real)
+    Rows, Moving, Outcome, Restraint = r.Rows, r.Moving, r.Outcome, records.Restraint
+    f = relative.functions(real)
+    velocities_before, velocities_after = f.before, f.after
+    last = wp.constant(ROUNDS - 1)
+    # Of the work at all contacts: what rounding and the tolerance of a solve may bring.
+    slight = wp.constant(real(1.0e-4) if real is wp.float32 else real(1.0e-9))
+
+    @wp.func
+    def bounces(rows: Rows, env: int, count: int):
+        found = wp.bool(False)
+        for row in range(count):
+            found = found or rows.bounce[env, row] > real(0.0)
+        return found
+
+    @wp.func
+    def gains(middle: State, rows: Rows, moving: Moving, env: int, count: int):
+        """Whether all impulses together do work."""
+        work_done = real(0.0)
+        size = real(0.0)
+        for row in range(count):
+            body_1 = rows.body_1[env, row]
+            body_2 = rows.body_2[env, row]
+            arm_1 = rows.arm_1[env, row]
+            arm_2 = rows.arm_2[env, row]
+            u_before, w_before = velocities_before(middle, env, body_1, body_2, arm_1, arm_2)
+            u_after, w_after = velocities_after(moving, env, body_1, body_2, arm_1, arm_2)
+            impulse = rows.impulse[env, row]
+            couple = rows.couple[env, row]
+            work_done += wp.dot(impulse, u_before + u_after) + wp.dot(couple, w_before + w_after)
+            size += wp.length(impulse) * (wp.length(u_before) + wp.length(u_after))
+        return work_done > slight * size
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def restrain_impacts(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        number: wp.int32,
+        middle: State,
+        rows: Rows,
+        moving: Moving,
+        outcome: Outcome,
+        restraint: Restraint,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            restraint.status[env] = ENV_WAITING
+            if number == 0:
+                restraint.part[env] = real(1.0)
+                restraint.kept[env] = real(0.0)
+            elif restraint.part[env] == real(1.0):
+                continue
+            count = outcome.count[env]
+            part = restraint.part[env]
+            if part == real(1.0) and not bounces(rows, env, count):
+                continue
+            if gains(middle, rows, moving, env, count):
+                restraint.gains[env] = part
+            elif part == real(1.0):
+                continue
+            else:
+                restraint.kept[env] = part
+            next_part = real(0.5) * (restraint.kept[env] + restraint.gains[env])
+            if number == last:
+                next_part = restraint.kept[env]
+                if next_part == part:
+                    continue
+            restraint.part[env] = next_part
+            restraint.status[env] = ENV_ACTIVE
+            for row in range(count):
+                rows.bounce[env, row] = rows.bounce[env, row] * (next_part / part)
+
+    return restrain_impacts

@@ -1,0 +1,32 @@
+"""How time goes on in an experiment: its integrator."""
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from warpcontact.experiment import quantities as q
+from warpcontact.experiment.catalogue import Section
+from warpcontact.integrators import INTEGRATORS, Integrator
+from warpcontact.integrators.moreau_jean import SOLVERS, THETA, TOLERANCE
+
+
+class IntegratorSettings(Section):
+    """``[integrator]``: how time goes on. All keys but ``type`` are those of ``MoreauJean``."""
+
+    type: Annotated[str, q.one_of(tuple(INTEGRATORS))] = "SemiImplicitEuler"
+    theta: Annotated[float | None, q.numbers((), allowed=THETA)] = None
+    solver: Annotated[str | None, q.one_of(tuple(SOLVERS))] = None
+    iterations: int | None = Field(default=None, ge=1)
+    tolerance: Annotated[float | None, q.numbers((), allowed=TOLERANCE)] = None
+    compliant: Annotated[tuple[str, ...] | None, Field(strict=False)] = None
+
+    def make(self) -> Integrator:
+        """Returns the integrator."""
+        return INTEGRATORS[self.type](**self.model_dump(exclude={"type"}, exclude_none=True))
+
+    @model_validator(mode="after")
+    def _own_keys(self) -> "IntegratorSettings":
+        given = list(self.model_dump(exclude={"type"}, exclude_none=True))
+        if given and self.type != "MoreauJean":
+            raise ValueError(f": {', '.join(given)} needs type = 'MoreauJean', got {self.type!r}")
+        return self

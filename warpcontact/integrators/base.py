@@ -1,0 +1,64 @@
+"""The contract of a time integrator."""
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from warpcontact.arrays import Layout
+from warpcontact.schedule import Span, StepLength
+
+if TYPE_CHECKING:
+    from warpcontact.draft import PartDraft
+    from warpcontact.model import Model
+    from warpcontact.scene import Scene
+    from warpcontact.unilateral.hard_contacts import HardContacts
+
+
+class Integrator(ABC):
+    """A scheme that takes a state over one step."""
+
+    #: Order of convergence of the state for smooth forces.
+    order: int
+
+    @abstractmethod
+    def check(self, scene: "Scene") -> None:
+        """Checks that it can step a scene.
+
+        Raises:
+            ValueError: If it cannot; the message names what is in the way.
+        """
+
+    def acts(self, name: str) -> bool:
+        """Whether the contact ``name`` acts by the force of its law."""
+        return True
+
+    def declare(self, model: "Model | PartDraft", layout: Layout) -> "HardContacts | None":
+        """Declares what it takes beside the model; ``None``: contacts act by their forces alone."""
+        return None
+
+    @abstractmethod
+    def step_stages(
+        self, span: Span, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
+    ) -> list[wp.Launch]:
+        """Returns the launches that propose a step from ``state_in`` to ``state_out``.
+
+        ``mark`` [0] is set, and the status of the environment changed, where a swept point crosses a surface;
+        with ``None`` such a step is taken as it is.
+        """
+
+    def change_stages(self, span: Span, change: wp.array, state: Any) -> list[wp.Launch]:
+        """Returns the launches that ready ``state`` for steps longer by ``change`` [env, 0] than those before [s].
+
+        None: a state does not depend on the step that led to it.
+        """
+        return []
+
+
+def formulas_of(scene: "Scene") -> dict[str, dict[str, Any]]:
+    """Returns law and frictions by the name of their part, of every contact of a scene by its name."""
+    return {
+        **{contact.name: contact.template.formulas for contact in scene.contacts},
+        **{contact.name: contact.formulas for contact in scene.smooth_contacts},
+        **{contact.name: contact.formulas for contact in scene.mutual_contacts},
+    }

@@ -1,0 +1,87 @@
+"""What hard contacts take from their templates: Newton's restitution and the coefficients of Coulomb's cone."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.unilateral.records import record_structs
+from warpcontact.parameters import Parameter, Upload, pack
+
+
+class Touching(Protocol):
+    """A contact of a scene, of whatever kind."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+
+@dataclass(frozen=True)
+class Hard:
+    """A contact that is hard, and how many materials it has on the device.
+
+    Attributes:
+        contact: The contact.
+        formulas: Its law and frictions by the name of their part.
+        count: Number of its items; 1 for all pairs of a mutual contact.
+    """
+
+    contact: Touching
+    formulas: Mapping[str, Formula]
+    count: int
+
+    def sources(self) -> dict[str, tuple[str, str] | None]:
+        """Returns the part and the parameter that each number of the material is taken from, ``None``: it is 0."""
+        table: dict[str, tuple[str, str] | None] = {"restitution": None}
+        if "restitution" in self.formulas["law"].parameters():
+            table["restitution"] = ("law", "restitution")
+        names = {
+            "friction": ("mu_static", "mu_dynamic"),
+            "rolling": ("rolling",) * 2,
+            "torsion": ("spinning",) * 2,
+        }
+        for part, keys in names.items():
+            friction = self.formulas[part]
+            cone = None if isinstance(friction, Frictionless) else friction.of_cone()
+            for key, name in zip(keys, cone or (None, None), strict=True):
+                table[key] = None if name is None else (part, name)
+        return table
+
+
+def material_upload(
+    target: Any, hard: Sequence[Hard], parameters: Mapping[str, Parameter], device: wp.Device, real: type
+) -> Upload:
+    """Returns what puts the materials of all contacts into ``target.material``, and follows their parameters."""
+    struct = record_structs(real).Material
+    own = [
+        {
+            key: None if source is None else parameters[f"{one.contact.name}.{source[0]}.{source[1]}"]
+            for key, source in one.sources().items()
+        }
+        for one in hard
+    ]
+
+    def content() -> NDArray[Any]:
+        columns: dict[str, list[NDArray[Any]]] = {name: [] for name in struct.vars}
+        given = [parameter for table in own for parameter in table.values() if parameter is not None]
+        envs = max((len(parameter.field.values) for parameter in given), default=1)
+        for one, table in zip(hard, own, strict=True):
+            for key, parameter in table.items():
+                values = np.zeros((1, 1)) if parameter is None else parameter.field.values[:, parameter.items]
+                columns[key].append(np.broadcast_to(values, (envs, one.count)))
+        if not hard:
+            return pack(struct, {name: np.zeros((1, 1)) for name in columns})
+        return pack(struct, {name: np.concatenate(parts, axis=1) for name, parts in columns.items()})
+
+    upload = Upload(target, "material", struct, content, device)
+    for table in own:
+        for parameter in table.values():
+            if parameter is not None and upload not in parameter.uploads:
+                parameter.uploads.append(upload)
+    return upload
