@@ -8,11 +8,8 @@ G = 9.81
 
 
 def rigid(mu=0.0, restitution=0.0):
-    """Law and friction of which a hard contact takes the coefficients; the same kernels for all of them."""
-    return wc.Template(
-        law=wc.laws.HuntCrossley(stiffness=1.0e6, restitution=restitution),
-        friction=wc.frictions.Tanh(mu=mu, velocity_scale=1.0e-3),
-    )
+    """A template of hard contact; always with friction, so that all scenes share their kernels."""
+    return wc.Template(law=wc.laws.Rigid(restitution=restitution), friction=wc.frictions.Coulomb(mu=mu))
 
 
 def box_inertia(mass, size):

@@ -49,7 +49,7 @@ def test_the_text_of_a_result_says_what_holds_and_what_moves():
         rests.force_of("foot")
 
 
-@pytest.mark.parametrize("slope", np.radians([5.0, 20.0, 40.0]))
+@pytest.mark.parametrize("slope", np.radians([5.0, 15.0, 20.0]))
 def test_a_block_on_a_slope_holds_up_to_the_angle_of_friction(slope):
     threshold = math.tan(slope)
     holds = wc.unilateral.equilibrium(block(slope=slope, mu=threshold * (1.0 + 1e-4)))
@@ -151,7 +151,7 @@ def test_the_inverse_mass_of_a_motion_answers_as_a_step_does(held_bars):
     own = wc.unilateral.assemble(model)
     assert own.count == 0
     dt = 1e-7
-    wc.Simulation(model, dt=dt, threads=1).step()
+    wc.Simulation(model, dt=dt, integrator=wc.integrators.MoreauJean(), threads=1).step()
     after = wc.unilateral.assemble(model).velocity
     np.testing.assert_allclose(after / dt, own.free_acceleration, atol=1e-6 * np.abs(own.free_acceleration).max())
 
@@ -203,8 +203,8 @@ def test_what_it_cannot_take_is_named():
         return scene.build(device="cpu", precision="float64")
 
     law = wc.laws.Hooke(stiffness=1e5)
-    with pytest.raises(ValueError, match=r"touch.friction must have a coefficient mu.*got Viscous"):
-        wc.unilateral.equilibrium(model(wc.Template(law=law, friction=wc.frictions.Viscous(viscosity=1.0))))
+    with pytest.raises(ValueError, match="touch.friction is Viscous, which has no coefficient of friction"):
+        wc.unilateral.equilibrium(model(wc.Template(law=law, friction=wc.frictions.Viscous(drag=1.0))))
     rolls = wc.Template(law=law, rolling=wc.frictions.Tanh(mu=0.1, velocity_scale=1e-3))
     with pytest.raises(ValueError, match=r"touch.rolling must be left out.*got Tanh"):
         wc.unilateral.equilibrium(model(rolls))
@@ -213,7 +213,7 @@ def test_what_it_cannot_take_is_named():
         wc.unilateral.equilibrium(whole, env=3)
     with pytest.raises(TypeError, match=r"model must come from Scene.build"):
         wc.unilateral.equilibrium("model")
-    with pytest.raises(ValueError, match="closed must be at least 0 m"):
+    with pytest.raises(ValueError, match="closed must be at least 0, got -1 m"):
         wc.unilateral.equilibrium(whole, closed=-1.0)
     # Without any friction, and with a gap, it falls.
     assert wc.unilateral.equilibrium(whole).holds

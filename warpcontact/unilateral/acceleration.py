@@ -13,14 +13,19 @@ from numpy.typing import NDArray
 from warpcontact.checks import Array
 from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP, MODE_STICK
 
-# Accelerations below this share of the largest without contact are none: far above what a solver leaves.
-SMALL = 1.0e-7
+# Accelerations below this share of the largest without contact are none: more than what a solver leaves, whatever
+# that is. What follows from it is checked.
+SMALL = (1.0e-7, 1.0e-5, 1.0e-3)
+# What forces may be outside of their cones, as a share of the largest: those of redundant contacts are a solver's.
+OUTSIDE = 1.0e-7
 # What a linear system may leave, as a share of that: rounding, of bodies as unlike as 1 to 1e6.
 LEFT = 1.0e-8
 # Singular values below this share of the largest are zero: of redundant contacts.
 SINGULAR = 1.0e-11
 # Steps of Newton's method from the answer of a solver: a few bring it to rounding.
 NEWTON = 20
+# Methods that are asked after the one that is wanted.
+METHODS = ("projection", "gauss_seidel", "prox")
 # Most sliding contacts of which all sets are looked at.
 MOST_MINORS = 10
 
@@ -96,21 +101,21 @@ def find_modes(
     bent[np.ix_(kept, kept)] = (W @ _spread(pushed, rubs, count))[np.ix_(kept, kept)]
     check_slides(bent[np.ix_(normals[rubs], normals[rubs])], [labels[i] for i in np.flatnonzero(rubs)])
     asked = np.where(kept.reshape(count, 3), b, 0.0)
-    solution = solve_delassus(bent, asked, np.where(sliding, 0.0, mu_static), method=method)
-    if not solution.converged:
-        raise ParadoxError(
-            f"no accelerations were found of {', '.join(labels)}: the residual stayed at {solution.residual:.1e}. "
-            "Where friction is strong there may be none"
-        )
-    force = np.asarray(solution.lam).reshape(count, 3).copy()
-    force[rubs, 1:] = -mu[rubs, None] * force[rubs, :1] * direction[rubs]
-    w = (W @ force.reshape(-1)).reshape(count, 3) + b
-    scale = np.abs(b).max() or 1.0
-    mode = np.full(count, MODE_STICK)
-    starts = ~sliding & (np.linalg.norm(w[:, 1:], axis=1) > SMALL * scale)
-    mode[sliding | starts | (mu_static == 0.0)] = MODE_SLIP
-    mode[w[:, 0] > SMALL * scale] = MODE_OPEN
-    return _exact(W, b, mu, mode, direction, force, starts & (mode == MODE_SLIP) & (mu > 0.0), labels)
+    left = []
+    for name in dict.fromkeys((method, *METHODS)):
+        solution = solve_delassus(bent, asked, np.where(sliding, 0.0, mu_static), method=name)
+        force = np.asarray(solution.lam).reshape(count, 3).copy()
+        force[rubs, 1:] = -mu[rubs, None] * force[rubs, :1] * direction[rubs]
+        # What is checked to rounding needs no word of the solver.
+        for small in SMALL:
+            found = _exact(W, b, mu_static, mu, direction, force, sliding, small)
+            if found is not None:
+                return found
+        left.append(f"{name}: {float(solution.residual):.1e}")
+    raise ParadoxError(
+        f"no accelerations were found of {', '.join(labels)} that agree with Coulomb friction (residuals of "
+        f"{', '.join(left)}). Where friction is strong there may be none"
+    )
 
 
 def columns(mode: NDArray[np.int_], direction: Array, mu: Array) -> Array:
@@ -153,15 +158,24 @@ def forces_of_modes(W: Array, b: Array, mu: Array, mode: NDArray[np.int_], direc
 def _exact(
     W: Array,
     b: Array,
+    mu_static: Array,
     mu: Array,
-    mode: NDArray[np.int_],
     direction: Array,
     force: Array,
-    starts: NDArray[np.bool_],
-    labels: list[str],
-) -> Modes:
-    """Returns the solution of which the modes are known, to rounding."""
+    sliding: NDArray[np.bool_],
+    small: float,
+) -> Modes | None:
+    """Returns the solution that has the modes of ``force`` to rounding, ``None`` if there is none of those.
+
+    Accelerations under ``force`` below the part ``small`` of the largest without are none.
+    """
     scale = np.abs(b).max() or 1.0
+    w = (W @ force.reshape(-1)).reshape(-1, 3) + b
+    starts = ~sliding & (np.linalg.norm(w[:, 1:], axis=1) > small * scale)
+    mode = np.where(sliding | starts | (mu_static == 0.0), MODE_SLIP, MODE_STICK)
+    mode[w[:, 0] > small * scale] = MODE_OPEN
+    starts &= (mode == MODE_SLIP) & (mu > 0.0)
+    direction = direction.copy()
     # The friction of a slide that starts is unknown like that of a contact that sticks.
     unknown = np.where(starts, MODE_STICK, mode)
     push, rows = columns(unknown, direction, mu), equations(unknown)
@@ -179,16 +193,28 @@ def _exact(
         last = size
         force = force + change.reshape(-1, 3)
     w = (W @ force.reshape(-1)).reshape(-1, 3) + b
-    direction[starts] = w[starts, 1:] / np.linalg.norm(w[starts, 1:], axis=1, keepdims=True)
+    sizes = np.linalg.norm(w[starts, 1:], axis=1, keepdims=True)
+    direction[starts] = w[starts, 1:] / np.where(sizes > 0.0, sizes, 1.0)
     force = forces_of_modes(W, b, mu, mode, direction, force)
     w = (W @ force.reshape(-1)).reshape(-1, 3) + b
-    wrong = np.abs(w.reshape(-1)[equations(mode)]).max(initial=0.0)
-    holds = np.abs(force).max(initial=0.0)
-    pulls = force[:, 0] < -LEFT * holds
-    if wrong > LEFT * scale or pulls.any():
-        who = ", ".join(labels[i] for i in np.flatnonzero(pulls)) or ", ".join(labels)
-        raise ParadoxError(f"no accelerations agree with what {who} would do: they have none, or several")
-    return Modes(mode, np.where((mode == MODE_SLIP)[:, None], direction, 0.0), force, w)
+    found = Modes(mode, np.where((mode == MODE_SLIP)[:, None], direction, 0.0), force, w)
+    return found if _agrees(found, mu_static, starts, scale) else None
+
+
+def _agrees(found: Modes, mu_static: Array, starts: NDArray[np.bool_], scale: float) -> bool:
+    """Whether a solution fulfils all conditions."""
+    w, force, mode = found.acceleration, found.force, found.mode
+    most = np.abs(force).max(initial=0.0)
+    sticks = mode == MODE_STICK
+    pulled = np.linalg.norm(force[sticks, 1:], axis=1) - mu_static[sticks] * force[sticks, 0]
+    along = (w[starts, 1:] * found.direction[starts]).sum(axis=1)
+    return bool(
+        np.abs(w.reshape(-1)[equations(mode)]).max(initial=0.0) <= LEFT * scale
+        and (w[:, 0] >= -LEFT * scale).all()
+        and (force[:, 0] >= -OUTSIDE * most).all()
+        and (pulled <= OUTSIDE * most).all()
+        and (np.linalg.norm(w[starts, 1:], axis=1) - along <= OUTSIDE * scale).all()
+    )
 
 
 def _oppose(contact: int, W: Array, mu: float, force: Array, w: Array, left: Array, slopes: Array) -> None:
@@ -196,6 +222,8 @@ def _oppose(contact: int, W: Array, mu: float, force: Array, w: Array, left: Arr
     own = slice(3 * contact + 1, 3 * contact + 3)
     l_n, l_t, w_t = force[contact, 0], force[contact, 1:], w[contact, 1:]
     speed = np.linalg.norm(w_t)
+    if speed == 0.0:
+        return
     left[contact, 1:] = l_t * speed + mu * l_n * w_t
     slopes[own] = np.outer(l_t, w_t / speed) @ W[own] + mu * l_n * W[own]
     slopes[own, 3 * contact] += mu * w_t

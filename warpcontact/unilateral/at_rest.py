@@ -182,4 +182,6 @@ def _free_to_choose(own: Assembly, mode: NDArray[np.int_], direction: Array) -> 
 
 
 def _vector(values: Array) -> str:
-    return "(" + ", ".join(f"{value:.6g}" for value in values + 0.0) + ")"
+    # What is rounding of the largest component is nothing.
+    shown = np.where(np.abs(values) > AT_REST * np.abs(values).max(), values, 0.0)
+    return "(" + ", ".join(f"{value:.6g}" for value in shown) + ")"

@@ -15,10 +15,11 @@ from warpcontact.piles.pile import Pile
 from warpcontact.smooth.elements import SmoothContact
 from warpcontact.status import Status
 from warpcontact.unilateral.bodies import rotation_matrices
+from warpcontact.unilateral.materials import Hard
 from warpcontact.unilateral.segments import closest_on_segments
 from warpcontact.unilateral.snapshot import Snapshot, write
 
-Hard = Contact | SmoothContact | MutualContact
+AnyContact = Contact | SmoothContact | MutualContact
 
 # A point that a latch keeps out by a rounding touches; one farther in came from the wrong side [m].
 LATCHED_IN = 1.0e-6
@@ -124,7 +125,7 @@ class Candidates:
         gap = np.where(self.enabled > 0.0, gap, np.inf)
         return Measured(gap, normal, point, self._forces())
 
-    def _factors(self, contact: Hard, count: int) -> Array:
+    def _factors(self, contact: AnyContact, count: int) -> Array:
         """Returns μ at rest, μ sliding, restitution and whether it is enabled, of each item (count, 4)."""
         for part in ("rolling", "torsion"):
             if not isinstance(contact.template.formulas[part], Frictionless):
@@ -132,21 +133,20 @@ class Candidates:
                     f"{contact.name}.{part} must be left out: resistance to rolling and to spinning is not part of "
                     f"this method, got {type(contact.template.formulas[part]).__name__}"
                 )
+        sources = Hard(contact, contact.template.formulas, count).sources()
         friction = contact.template.friction
-        if not isinstance(friction, Frictionless) and not {"mu", "mu_static"} & set(friction.parameters()):
+        if friction.parameters() and sources["mu_static"] is None:
             raise ValueError(
-                f"{contact.name}.friction must have a coefficient mu, or mu_static and mu_dynamic, or be left out: "
-                f"it becomes Coulomb's law, got {type(friction).__name__}"
+                f"{contact.name}.friction is {type(friction).__name__}, which has no coefficient of friction for hard "
+                "contact; take a model with mu, such as wc.frictions.Coulomb"
             )
         if (self._values(f"{contact.name}.share", count, 1.0) != 1.0).any():
             raise ValueError(f"{contact.name}.share must be 1: a hard contact cannot be a part of one")
-        mu = self._values(f"{contact.name}.friction.mu", count, 0.0)
         columns = [
-            self._values(f"{contact.name}.friction.mu_static", count, mu),
-            self._values(f"{contact.name}.friction.mu_dynamic", count, mu),
-            self._values(f"{contact.name}.law.restitution", count, 0.0),
-            self._values(f"{contact.name}.enabled", count, 1.0),
+            np.zeros(count) if source is None else self._values(f"{contact.name}.{source[0]}.{source[1]}", count, 0.0)
+            for source in (sources[key] for key in ("mu_static", "mu_dynamic", "restitution"))
         ]
+        columns.append(self._values(f"{contact.name}.enabled", count, 1.0))
         return np.stack(columns, axis=1)
 
     def _values(self, name: str, count: int, otherwise: Array | float) -> Array:
