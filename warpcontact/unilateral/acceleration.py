@@ -198,13 +198,14 @@ def _exact(
     force = forces_of_modes(W, b, mu, mode, direction, force)
     w = (W @ force.reshape(-1)).reshape(-1, 3) + b
     found = Modes(mode, np.where((mode == MODE_SLIP)[:, None], direction, 0.0), force, w)
-    return found if _agrees(found, mu_static, starts, scale) else None
+    heaviest = scale / max(np.diag(W).max(), np.finfo(np.float64).tiny)
+    most = max(np.abs(force).max(), heaviest)
+    return found if _agrees(found, mu_static, starts, scale, most) else None
 
 
-def _agrees(found: Modes, mu_static: Array, starts: NDArray[np.bool_], scale: float) -> bool:
-    """Whether a solution fulfils all conditions."""
+def _agrees(found: Modes, mu_static: Array, starts: NDArray[np.bool_], scale: float, most: float) -> bool:
+    """Whether a solution fulfils all conditions, in comparison with the largest acceleration and force."""
     w, force, mode = found.acceleration, found.force, found.mode
-    most = np.abs(force).max(initial=0.0)
     sticks = mode == MODE_STICK
     pulled = np.linalg.norm(force[sticks, 1:], axis=1) - mu_static[sticks] * force[sticks, 0]
     along = (w[starts, 1:] * found.direction[starts]).sum(axis=1)

@@ -21,11 +21,11 @@ STILL = 1.0e-9
 # Forces below this share of the largest are zero.
 NO_FORCE = 1.0e-9
 # Most that a body turns between two looks at contacts [rad].
-TURN = 0.2
+TURN = 0.5
 # How far beyond where a contact may close at the earliest the next look is, so that it is seen closed.
 BEYOND = 1.3
-# Part of a step after an event at which it is looked what the contacts do: at the event itself it is undecided.
-AFTER = 1.0e-4
+# Parts of a step after an event at which it is looked what the contacts do: at the event itself it is undecided.
+AFTER = (1.0e-6, 1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2)
 # Halvings of a step in search of where a contact was still open.
 HALVINGS = 60
 
@@ -141,7 +141,7 @@ class EventDriven:
             self.state = follow(self.assembler.model, self.assembler.env, self.state)
             self._hold = Hold.nothing()
             self._refuse_overlaps()
-            self._meet(self.state, None)
+            self._meet(self.state)
             self._events = []
         kept.first(self.state)
         view = self.trajectory.view(self.state, self._hold)
@@ -168,8 +168,10 @@ class EventDriven:
                 kept.between(state, time, advanced)
                 self.state = advanced(time)
                 kept.step(self.state)
-                later = None if decided else advanced(time + AFTER * length)
-                self._meet(self.state, later)
+                if decided:
+                    self._meet(self.state)
+                else:
+                    self._change(time, length, advanced)
                 kept.step(self.state)
                 if len(self._events) > self.most_events:
                     raise RuntimeError(
@@ -284,26 +286,41 @@ class EventDriven:
                 return 0.0
         return float(brentq(value, start, end, xtol=1.0e-16, rtol=8.9e-16, maxiter=200))
 
-    def _meet(self, state: Snapshot, later: Snapshot | None) -> None:
-        """Lets contacts that are closed impact, and finds what they do from then on.
+    def _closed_pairs(self, state: Snapshot, before: Hold) -> NDArray[np.int_]:
+        gap = self.assembler.candidates.measure(state).gap
+        is_closed = np.abs(gap) <= self.closed
+        is_closed[before.pairs] = np.isfinite(gap[before.pairs])
+        return np.flatnonzero(is_closed)
 
-        Args:
-            state: The state of the event.
-            later: A state a little after it in which the contacts still do what they did: forces that they cannot have
-                show what they will do. ``None``: that of the event tells.
+    def _meet(self, state: Snapshot) -> None:
+        """Lets contacts that are closed impact, and finds what they do from then on."""
+        before = self._hold
+        assert before is not None
+        pairs = self._closed_pairs(state, before)
+        state, parted = self._impact(state, pairs)
+        self._hold = self._held_from(state, pairs[~parted])
+        self._tell_changes(state.time, before, self._hold)
+        self.state = self.trajectory.projected(state, self._hold)
+
+    def _change(self, time: float, length: float, advanced: Callable[[float], Snapshot]) -> None:
+        """Finds what contacts do after they came to the edge of what they did, within a step of ``length``.
+
+        A little later, forces that they cannot have show what they do instead. Redundant contacts may share them out
+        otherwise, and go on.
         """
         before = self._hold
         assert before is not None
-        measured = self.assembler.candidates.measure(state)
-        is_closed = np.abs(measured.gap) <= self.closed
-        is_closed[before.pairs[np.isfinite(measured.gap[before.pairs])]] = True
-        pairs = np.flatnonzero(is_closed)
-        state, parted = self._impact(state, pairs)
-        pairs = pairs[~parted]
-        told = state if later is None else later
-        self._hold = self._held_from(told, pairs)
-        self._tell_changes(state.time, before, self._hold)
-        self.state = self.trajectory.projected(state, self._hold)
+        state = later = self.state
+        for part in AFTER:
+            later = advanced(time + part * length)
+            found = self._held_from(later, self._closed_pairs(later, before))
+            same = np.array_equal(found.pairs, before.pairs) and np.array_equal(found.mode, before.mode)
+            if not same:
+                self._tell_changes(state.time, before, found)
+                later = state
+                break
+        self._hold = found
+        self.state = self.trajectory.projected(later, found)
 
     def _impact(self, state: Snapshot, pairs: NDArray[np.int_]) -> tuple[Snapshot, NDArray[np.bool_]]:
         """Returns the state after the impacts of closed contacts, and which of these part (contacts,)."""
