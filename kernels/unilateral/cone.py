@@ -60,21 +60,22 @@ def functions(real: type) -> SimpleNamespace:
         return nearest
 
     @wp.func
-    def residual(l: vec3, w: vec3, mu: real, rho: real):
-        """How far ``l`` is from its law at the velocity ``w``: │l − P(l − ρ ŵ)│, in the unit of ``l``."""
+    def residual(lam: vec3, w: vec3, mu: real, rho: real):
+        """How far ``lam`` is from its law at the velocity ``w``: │l − P(l − ρ ŵ)│, in its unit."""
         shift = mu * wp.sqrt(w[1] * w[1] + w[2] * w[2])
-        return wp.length(l - project(l - rho * (w + vec3(shift, zero, zero)), mu))
+        return wp.length(lam - project(lam - rho * (w + vec3(shift, zero, zero)), mu))
 
     @wp.func
     def one_contact(W: mat33, b: vec3, mu: real):
-        """l of a single contact with w = W l + ``b``, W symmetric and positive semidefinite: exact to rounding.
+        """The l of one contact with w = W l + ``b``, W symmetric and positive semidefinite: exact to rounding.
 
         Open if b_n ≥ 0; else it sticks, w = 0, if the cone allows, and else slips against l_t. Where nothing moves
         along the normal l is 0. Where there are several solutions it is one of them. There is one unless W is
         singular and ``b`` asks for what cannot move; what is returned then is finite and breaks the law.
         """
         # An approach that is less than the rounding of a rounding of the slip is none.
-        if b[0] >= -LEAST * (wp.abs(b[1]) + wp.abs(b[2])) or W[0, 0] <= NOTHING:
+        least_approach = LEAST * (wp.abs(b[1]) + wp.abs(b[2]))
+        if b[0] + least_approach >= zero or W[0, 0] <= NOTHING:
             return vec3()
         inverse = one / W[0, 0]
         press = -b[0] * inverse  # l_n without friction
@@ -92,11 +93,11 @@ def functions(real: type) -> SimpleNamespace:
 
         # Stick: S l_t = −e, by Cramer's rule.
         trace = W[1, 1] + W[2, 2]
-        D = S11 * S22 - S12 * S12
-        regular = D > SINGULAR * trace * trace
+        det = S11 * S22 - S12 * S12
+        regular = det > SINGULAR * trace * trace
         if regular:
-            l1 = (S12 * e2 - S22 * e1) / D
-            l2 = (S12 * e1 - S11 * e2) / D
+            l1 = (S12 * e2 - S22 * e1) / det
+            l2 = (S12 * e1 - S11 * e2) / det
             l_n = press - c1 * l1 - c2 * l2
             if l_n >= zero and l1 * l1 + l2 * l2 <= mu * mu * l_n * l_n:
                 return vec3(l_n, l1, l2)
@@ -105,8 +106,8 @@ def functions(real: type) -> SimpleNamespace:
         if size <= noise:
             return vec3(press, zero, zero)
 
-        # Slip: w_t = −σ l_t, hence (S + σ) l_t = −e. In numbers without unit, S and σ over the trace, l over press,
-        # and in the principal axes of S, the first one in which it moves most: l_t = m p / D.
+        # Slip: w_t = −σ l_t, hence (S + σ) l_t = −e. In numbers without unit, S and σ over the trace, l over
+        # press, and in the principal axes of S, first that in which it moves most: l_t = m p / det.
         unit = trace
         if trace <= LEAST * W[0, 0]:
             unit = W[0, 0]
@@ -144,9 +145,9 @@ def functions(real: type) -> SimpleNamespace:
         sigma = zero
         p1 = -q1 * least
         p2 = -q2 * most
-        D = most * least
+        det = most * least
         across = wp.sqrt(p1 * p1 + p2 * p2)
-        pressed = D - m * (d1 * p1 + d2 * p2)  # l_n D
+        pressed = det - m * (d1 * p1 + d2 * p2)  # l_n det
         # g = μ l_n / |l_t| − 1 is to be 0, is negative where the contact does not stick, and positive at the upper
         # end. It is almost straight, and is straight if S is isotropic: Newton's method, kept between the ends.
         g = mu * pressed / (m * across) - one
@@ -159,16 +160,16 @@ def functions(real: type) -> SimpleNamespace:
                 new = half * (low + high)
                 if rise > zero:
                     newton = sigma - g * m * across / (mu * rise)
-                    if newton > low and newton < high:  # noqa: SIM300
+                    if newton > low and newton < high:
                         new = newton
                 if new == sigma:
                     break
                 sigma = new
                 p1 = -q1 * (least + sigma)
                 p2 = -q2 * (most + sigma)
-                D = (most + sigma) * (least + sigma)
+                det = (most + sigma) * (least + sigma)
                 across = wp.sqrt(p1 * p1 + p2 * p2)
-                pressed = D - m * (d1 * p1 + d2 * p2)
+                pressed = det - m * (d1 * p1 + d2 * p2)
                 g = mu * pressed / (m * across) - one
                 if wp.abs(g) <= CLOSE:
                     break
@@ -176,7 +177,7 @@ def functions(real: type) -> SimpleNamespace:
                     low = sigma
                 else:
                     high = sigma
-        scale = press * m / D
+        scale = press * m / det
         l1 = scale * (x1 * p1 - x2 * p2)
         l2 = scale * (x2 * p1 + x1 * p2)
         return vec3(press - c1 * l1 - c2 * l2, l1, l2)

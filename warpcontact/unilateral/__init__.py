@@ -1,10 +1,15 @@
 """Unilateral contact: static problems, equilibrium, and the hard contacts of time stepping.
 
-Names are loaded on first use: ``import warpcontact`` stays quick.
+What takes a model is loaded on first use.
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
+
+from warpcontact.unilateral.diagnosis import Diagnosis
+from warpcontact.unilateral.problem import Problem
+from warpcontact.unilateral.solution import Solution
+from warpcontact.unilateral.solve import solve, solve_delassus
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.acceleration import ParadoxError
@@ -24,19 +29,23 @@ _HOME = {
     "ParadoxError": "acceleration",
     "assemble": "assembly",
     "equilibrium": "at_rest",
-    "solve_delassus": "solve",
 }
 
 __all__ = [
     "Assembly",
+    "Diagnosis",
     "Equilibrium",
     "Event",
     "EventDriven",
     "EventKind",
     "EventRun",
     "ParadoxError",
+    "Problem",
+    "Solution",
     "assemble",
     "equilibrium",
+    "solve",
+    "solve_delassus",
 ]
 
 

@@ -1,0 +1,259 @@
+"""Iterations for contact problems w = W l + q given as dense matrices, many at once: a thread has one.
+
+A contact has ``dim`` rows: its normal, then one or two tangents. W and what goes with it may be one for all.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels.types import INLINED
+from warpcontact.kernels.unilateral import cone
+
+zero = wp.constant(wp.float64(0.0))
+half = wp.constant(wp.float64(0.5))
+one = wp.constant(wp.float64(1.0))
+four = wp.constant(wp.float64(4.0))
+# Sweeps of the power method, and what is added to what it finds, which is too small.
+POWERS = 30
+MARGIN = wp.constant(wp.float64(1.1))
+# A problem with a held shift is solved to this part of what the shift is off by, before it is set anew.
+INNER = wp.constant(wp.float64(0.1))
+
+
+@wp.struct
+class Dense:
+    """Problems w = W l + q with the laws of their contacts."""
+
+    W: wp.array3d(dtype=wp.float64)  # [problem or 0, row, row]
+    q: wp.array2d(dtype=wp.float64)  # [problem, row]
+    mu: wp.array2d(dtype=wp.float64)  # [problem or 0, contact]
+    rho: wp.array2d(dtype=wp.float64)  # [problem or 0, contact] of the residual
+    scale: wp.array(dtype=wp.float64)  # [problem] of the residual
+    step: wp.array2d(dtype=wp.float64)  # [problem, contact] r of prox and of projected gradients
+    lam: wp.array2d(dtype=wp.float64)  # [problem, row] l; before, the guess
+    w: wp.array2d(dtype=wp.float64)  # [problem, row] scratch
+    ahead: wp.array2d(dtype=wp.float64)  # [problem, row] scratch
+    shift: wp.array2d(dtype=wp.float64)  # [problem, contact] scratch
+    residual: wp.array(dtype=wp.float64)  # [problem]
+    iterations: wp.array(dtype=wp.int32)  # [problem] taken
+
+
+@functools.cache
+def _functions(dim: int) -> SimpleNamespace:
+    f = cone.functions(wp.float64)
+    residual = f.residual
+
+    @wp.func
+    def load(x: wp.array2d(dtype=wp.float64), e: int, i: int):
+        v = wp.vec3d()
+        for a in range(dim):
+            v[a] = x[e, dim * i + a]
+        return v
+
+    @wp.func
+    def store(x: wp.array2d(dtype=wp.float64), e: int, i: int, v: wp.vec3d):
+        for a in range(dim):
+            x[e, dim * i + a] = v[a]
+
+    @wp.func
+    def velocity(p: Dense, x: wp.array2d(dtype=wp.float64), e: int, k: int, i: int):
+        """W x + q of contact ``i``."""
+        v = load(p.q, e, i)
+        for j in range(x.shape[1]):
+            for a in range(dim):
+                v[a] += p.W[k, dim * i + a, j] * x[e, j]
+        return v
+
+    @wp.func
+    def velocities(p: Dense, x: wp.array2d(dtype=wp.float64), e: int, k: int):
+        """Writes W x + q into ``w``; returns the residual of ``x``, over the scale."""
+        most = zero
+        for i in range(p.step.shape[1]):
+            v = velocity(p, x, e, k, i)
+            store(p.w, e, i, v)
+            most = wp.max(most, residual(load(x, e, i), v, p.mu[e % p.mu.shape[0], i], p.rho[k, i]))
+        return most / p.scale[e]
+
+    return SimpleNamespace(load=load, store=store, velocity=velocity, velocities=velocities,
+                           project=f.project, residual=residual, one_contact=f.one_contact)  # fmt: skip
+
+
+@functools.cache
+def steps(dim: int) -> wp.Kernel:
+    """Returns the kernel of ``step``: ρ over the largest eigenvalue of √ρ W √ρ. Launch with dim problems."""
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    def dense_steps(p: Dense):
+        e = wp.tid()
+        k = e % p.W.shape[0]
+        rows = p.q.shape[1]
+        for j in range(rows):
+            # No pattern that an eigenvector might be orthogonal to.
+            p.ahead[e, j] = one + half * wp.sin(wp.float64(3 * j * j + j))
+        largest = zero
+        for _ in range(POWERS):
+            before = zero
+            after = zero
+            for i in range(rows):
+                s = zero
+                for j in range(rows):
+                    s += p.W[k, i, j] * wp.sqrt(p.rho[k, j // dim]) * p.ahead[e, j]
+                s *= wp.sqrt(p.rho[k, i // dim])
+                p.w[e, i] = s
+                after += s * s
+                before += p.ahead[e, i] * p.ahead[e, i]
+            largest = wp.sqrt(after / before)
+            if after <= zero:
+                break
+            for i in range(rows):
+                p.ahead[e, i] = p.w[e, i] / wp.sqrt(after)
+        for i in range(p.step.shape[1]):
+            p.step[e, i] = p.rho[k, i]
+            if largest > zero:
+                p.step[e, i] = p.rho[k, i] / (MARGIN * largest)
+
+    return dense_steps
+
+
+@functools.cache
+def gauss_seidel(dim: int) -> wp.Kernel:
+    """Returns the kernel that solves one contact after the other exactly. Launch with dim problems."""
+    f = _functions(dim)
+    load, store, velocity, velocities = f.load, f.store, f.velocity, f.velocities
+    one_contact, residual = f.one_contact, f.residual
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    def dense_gauss_seidel(p: Dense, tolerance: wp.float64, iterations: int):
+        e = wp.tid()
+        k = e % p.W.shape[0]
+        contacts = p.step.shape[1]
+        reached = velocities(p, p.lam, e, k)
+        taken = wp.int32(0)
+        while taken < iterations and reached > tolerance:
+            most = zero
+            for s in range(contacts):
+                # To and fro: what one end of a chain does comes back in one sweep, not in one per contact.
+                i = s
+                if taken % 2 == 1:
+                    i = contacts - 1 - s
+                mu = p.mu[e % p.mu.shape[0], i]
+                v = velocity(p, p.lam, e, k, i)
+                old = load(p.lam, e, i)
+                most = wp.max(most, residual(old, v, mu, p.rho[k, i]))
+                W = wp.identity(n=3, dtype=wp.float64)
+                for a in range(dim):
+                    for b in range(dim):
+                        W[a, b] = p.W[k, dim * i + a, dim * i + b]
+                if wp.static(dim == 2):
+                    W[2, 2] = W[1, 1]
+                store(p.lam, e, i, one_contact(W, v - W * old, mu))
+            taken += 1
+            # What a sweep finds along the way is almost what it leaves.
+            if most <= four * tolerance * p.scale[e] or taken == iterations:
+                reached = velocities(p, p.lam, e, k)
+        p.residual[e] = reached
+        p.iterations[e] = taken
+
+    return dense_gauss_seidel
+
+
+@functools.cache
+def prox(dim: int) -> wp.Kernel:
+    """Returns the kernel of Uzawa's iteration l ← P(l − r ŵ), all contacts at once. Launch with dim problems."""
+    f = _functions(dim)
+    load, store, velocities, project = f.load, f.store, f.velocities, f.project
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    def dense_prox(p: Dense, tolerance: wp.float64, iterations: int):
+        e = wp.tid()
+        k = e % p.W.shape[0]
+        reached = velocities(p, p.lam, e, k)
+        taken = wp.int32(0)
+        while taken < iterations and reached > tolerance:
+            for i in range(p.step.shape[1]):
+                v = load(p.w, e, i)
+                mu = p.mu[e % p.mu.shape[0], i]
+                v[0] += mu * wp.sqrt(v[1] * v[1] + v[2] * v[2])
+                store(p.lam, e, i, project(load(p.lam, e, i) - p.step[e, i] * v, mu))
+            reached = velocities(p, p.lam, e, k)
+            taken += 1
+        p.residual[e] = reached
+        p.iterations[e] = taken
+
+    return dense_prox
+
+
+@functools.cache
+def energy(dim: int) -> wp.Kernel:
+    """Returns the kernel that minimises ½ l·W l + (q + s)·l over the cones. Launch with dim problems.
+
+    Projected gradients with Nesterov's momentum, given up whenever it leads uphill. The shift s = μ |w_t| of the
+    normals is held until the minimum is found to a tenth of what the shift is off by, and then set anew.
+    """
+    f = _functions(dim)
+    load, store, velocities = f.load, f.store, f.velocities
+    project = f.project
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    def dense_energy(p: Dense, tolerance: wp.float64, iterations: int):
+        e = wp.tid()
+        k = e % p.W.shape[0]
+        contacts = p.step.shape[1]
+        for j in range(p.q.shape[1]):
+            p.ahead[e, j] = p.lam[e, j]
+        # w and the residual are those of ``ahead``, from which a step is made.
+        reached = velocities(p, p.ahead, e, k)
+        for i in range(contacts):
+            v = load(p.w, e, i)
+            p.shift[e, i] = p.mu[e % p.mu.shape[0], i] * wp.sqrt(v[1] * v[1] + v[2] * v[2])
+        momentum = one
+        share = one
+        last = wp.float64(wp.inf)
+        taken = wp.int32(0)
+        while taken < iterations and reached > tolerance:
+            inner = zero
+            for i in range(contacts):
+                v = load(p.w, e, i)
+                v[0] += p.shift[e, i]
+                mu = p.mu[e % p.mu.shape[0], i]
+                y = load(p.ahead, e, i)
+                inner = wp.max(inner, wp.length(y - project(y - p.rho[k, i] * v, mu)))
+            if inner <= INNER * reached * p.scale[e]:
+                # Of what the shift is to change by, less where that does not lead closer.
+                if reached > last:
+                    share = wp.max(half * share, wp.float64(0.05))
+                last = reached
+                for i in range(contacts):
+                    v = load(p.w, e, i)
+                    wanted = p.mu[e % p.mu.shape[0], i] * wp.sqrt(v[1] * v[1] + v[2] * v[2])
+                    p.shift[e, i] += share * (wanted - p.shift[e, i])
+                    store(p.lam, e, i, load(p.ahead, e, i))
+                momentum = one
+            uphill = zero
+            for i in range(contacts):
+                v = load(p.w, e, i)
+                v[0] += p.shift[e, i]
+                y = load(p.ahead, e, i)
+                old = load(p.lam, e, i)
+                new = project(y - p.step[e, i] * v, p.mu[e % p.mu.shape[0], i])
+                uphill += wp.dot(y - new, new - old) / p.step[e, i]
+                # The new one; how far it is from the old one is kept where w was.
+                store(p.lam, e, i, new)
+                store(p.w, e, i, new - old)
+            following = half * (one + wp.sqrt(one + four * momentum * momentum))
+            weight = (momentum - one) / following
+            momentum = following
+            if uphill > zero:
+                weight = zero
+                momentum = one
+            for j in range(p.q.shape[1]):
+                p.ahead[e, j] = p.lam[e, j] + weight * p.w[e, j]
+            reached = velocities(p, p.ahead, e, k)
+            taken += 1
+        for i in range(contacts):
+            store(p.lam, e, i, project(load(p.ahead, e, i), p.mu[e % p.mu.shape[0], i]))
+        p.residual[e] = reached
+        p.iterations[e] = taken
+
+    return dense_energy

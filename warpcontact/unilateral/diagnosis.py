@@ -1,0 +1,223 @@
+"""What can be said of a static contact problem before it is solved: existence and uniqueness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact.checks import Array
+from warpcontact.unilateral import intake
+from warpcontact.unilateral.delassus import Delassus
+from warpcontact.unilateral.elimination import SINGULAR, SingularError, eliminate
+from warpcontact.unilateral.enumeration import MOST
+from warpcontact.unilateral.solution import Solution
+
+if TYPE_CHECKING:
+    from warpcontact.unilateral.problem import Problem
+
+#: Part of the largest eigenvalue below which one of the Delassus matrix counts as zero.
+_RANK = 1e-11
+#: Most displacements of a sparse K whose eigenvalues are looked at.
+_DENSE = 2000
+#: Most states for which all solutions are looked for.
+_FEW_STATES = 5000
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What is known of the solutions of a problem; ``str()`` says it in sentences.
+
+    Attributes:
+        stiffness: "positive definite", "singular" or "indefinite"; "unknown" of a large sparse K with an inverse.
+        rows: Rows of the Delassus matrix W = G K⁻¹ Gᵀ: normals, and with friction tangents.
+        rank: Its rank, or ``None`` if K is singular.
+        undetermined: Forces λ that change nothing, W λ = 0, as columns: shape (rows, rows − rank).
+        exists: Whether there is a solution; ``None``: not known.
+        unique_u: Whether there is only one u.
+        unique_lam: Whether there is only one λ.
+        mu_bound: Friction below which the solution is unique: 1/√(largest over smallest eigenvalue) of √ρ W √ρ.
+            Above it that is not known. 0 if W is singular; ``None`` if K is not positive definite.
+        solutions: All of them, where they were looked for: where theory does not tell, and there are few states.
+    """
+
+    stiffness: str
+    rows: int
+    rank: int | None
+    undetermined: Array
+    exists: bool | None
+    unique_u: bool | None
+    unique_lam: bool | None
+    mu_bound: float | None
+    solutions: list[Solution] | None
+    dim: int
+    _text: list[str] = field(repr=False)
+
+    def unique_sum(self, weights: ArrayLike) -> bool:
+        """Returns whether Σ ``weights`` · λ is the same for all λ that belong to one w.
+
+        Args:
+            weights: Of the shape of λ: 1 for the forces that are summed, 0 for others, for example.
+        """
+        given = intake.values("weights", weights).reshape(-1)
+        if given.size != self.rows:
+            raise ValueError(f"weights must be {self.rows} numbers, one for each row of λ, got {given.size}")
+        size = np.abs(given).max(initial=0.0)
+        return bool(np.abs(given @ self.undetermined).max(initial=0.0) <= 1e-6 * size)
+
+    def __str__(self) -> str:
+        return "\n".join(self._text)
+
+
+def diagnose(problem: Problem) -> Diagnosis:
+    """Returns what can be said of a single problem."""
+    if problem.count is not None:
+        raise ValueError(f"one problem at a time is diagnosed, got {problem.count} problems")
+    stiffness = _kind(problem)
+    friction = bool(np.asarray(problem.mu).any())
+    system = None
+    if stiffness != "singular":
+        try:
+            system = eliminate(problem)[0]
+            system = system if friction else system.normals()
+        except SingularError:
+            stiffness = "singular"
+    rows = problem.contacts * (problem.dim) if friction else problem.contacts
+    rank, free, bound = None, np.zeros((rows, 0)), None
+    if system is not None:
+        rank, free, condition = _spectrum(system)
+        if stiffness == "positive definite":
+            bound = 1.0 / np.sqrt(condition) if rank == rows else 0.0
+    exists: bool | None = None
+    unique_u: bool | None = None
+    unique_lam: bool | None = None
+    largest = float(np.asarray(problem.mu).max(initial=0.0))
+    if stiffness == "positive definite":
+        # Without friction: a minimum over a convex set, if that is not empty.
+        feasible = rank == rows or _feasible(problem)
+        if not friction:
+            exists, unique_u = feasible, True if feasible else None
+            unique_lam = True if rank == rows else None
+        elif rank == rows:
+            exists = True
+            if bound is not None and largest < bound:
+                unique_u = unique_lam = True
+    solutions = _look(problem, friction) if exists is None or unique_u is None else None
+    if solutions is not None:
+        exists = bool(solutions)
+        if len(solutions) > 1:
+            unique_u = not _differ([one.u for one in solutions])  # type: ignore[misc]
+            unique_lam = not _differ([one.lam for one in solutions])
+        elif solutions and rank == rows:
+            unique_u = unique_lam = True
+    text = _sentences(stiffness, friction, rows, rank, bound, largest, exists, unique_u, unique_lam, solutions)
+    return Diagnosis(
+        stiffness, rows, rank, free, exists, unique_u, unique_lam, bound, solutions, problem.dim, text
+    )
+
+
+def _kind(problem: Problem) -> str:
+    K = problem.K
+    if hasattr(K, "tocsc"):
+        if K.shape[0] > _DENSE:
+            return "unknown"
+        K = K.toarray()
+    sizes = np.linalg.eigvalsh(K)
+    least = SINGULAR * np.abs(sizes).max()
+    if np.abs(sizes).min() <= least:
+        return "singular"
+    return "positive definite" if sizes[0] > 0.0 else "indefinite"
+
+
+def _spectrum(system: Delassus) -> tuple[int, Array, float]:
+    """Returns the rank of W, what it takes to zero, and its condition, in the metric of the contacts."""
+    scale = np.sqrt(np.repeat(system.rho[0], system.dim))
+    sizes, vectors = np.linalg.eigh(scale[:, None] * system.W[0] * scale)
+    if not len(sizes):
+        return 0, np.zeros((0, 0)), 1.0
+    zero = np.abs(sizes) <= _RANK * np.abs(sizes).max()
+    condition = np.inf if zero.any() else float(np.abs(sizes).max() / np.abs(sizes).min())
+    return int((~zero).sum()), scale[:, None] * vectors[:, zero], condition
+
+
+def _feasible(problem: Problem) -> bool:
+    """Returns whether some u closes no gap by more than it has."""
+    from scipy.optimize import linprog
+
+    G, n = np.asarray(problem.G)[:, 0], problem.K.shape[-1]
+    # The largest slack, at most 1, in units of the gaps.
+    size = max(np.abs(np.asarray(problem.d)).max(initial=0.0), 1e-300)
+    rows = np.abs(G).max(axis=1, keepdims=True, initial=0.0)
+    rows = np.where(rows > 0.0, rows, 1.0)
+    found = linprog(
+        np.append(np.zeros(n), -1.0),
+        A_ub=np.hstack([G / rows, np.ones((len(G), 1))]),
+        b_ub=np.asarray(problem.d) / rows[:, 0] / size,
+        bounds=[(None, None)] * n + [(None, 1.0)],
+    )
+    return bool(found.status == 0 and found.x[-1] >= -1e-9)
+
+
+def _look(problem: Problem, friction: bool) -> list[Solution] | None:
+    dim = (problem.dim) if friction else 1
+    if dim == 3 or problem.contacts > MOST[dim] or (2 * dim) ** problem.contacts > _FEW_STATES:
+        return None
+    if problem.K.shape[-1] > 200:
+        return None
+    return problem.all_solutions()
+
+
+def _differ(values: list[Array]) -> bool:
+    size = max(np.abs(one).max(initial=0.0) for one in values)
+    return any(np.abs(one - values[0]).max(initial=0.0) > 1e-7 * size for one in values[1:])
+
+
+def _sentences(
+    stiffness: str,
+    friction: bool,
+    rows: int,
+    rank: int | None,
+    bound: float | None,
+    mu: float,
+    exists: bool | None,
+    unique_u: bool | None,
+    unique_lam: bool | None,
+    solutions: list[Solution] | None,
+) -> list[str]:
+    text = [
+        {
+            "positive definite": "K is positive definite: displacements without contact are unique.",
+            "singular": "K is singular: something can move without force.",
+            "indefinite": "K is indefinite: equilibrium without contact is unstable, and no energy has a minimum.",
+            "unknown": "K has an inverse; whether it is positive definite was not looked at, it is large.",
+        }[stiffness]
+    ]
+    if rank is not None and rows:
+        if rank == rows:
+            text.append(f"The Delassus matrix is regular, of rank {rank}.")
+        else:
+            text.append(
+                f"The Delassus matrix is singular, of rank {rank} of {rows}: contacts may share forces in "
+                "different ways. Sums that unique_sum() confirms are unique nevertheless."
+            )
+    if friction and bound is not None and rank == rows:
+        side = "below" if mu < bound else "not below"
+        text.append(
+            f"The largest μ, {mu:g}, is {side} {bound:.3g}, up to which the solution is known to be unique."
+        )
+    if solutions is not None:
+        text.append(
+            {0: "No state of the contacts is admissible.", 1: "One state of the contacts is admissible."}.get(
+                len(solutions), f"{len(solutions)} different solutions were found."
+            )
+        )
+    text.append(
+        {True: "There is a solution.", False: "There is no solution.", None: "Existence is not known."}[exists]
+    )
+    if exists is not False:
+        for name, value in (("u", unique_u), ("λ", unique_lam)):
+            known = {True: "is unique", False: "is not unique", None: "may or may not be unique"}[value]
+            text.append(f"{name} {known}.")
+    return text

@@ -1,0 +1,116 @@
+"""All states that contacts can be in, one after the other: method "enumeration"."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.checks import Array
+from warpcontact.unilateral.delassus import Delassus
+
+#: Most contacts: 2 states of each without friction, 4 in the plane, and 65 536 of all.
+MOST = {1: 16, 2: 8}
+_CHUNK = 2048
+
+# States of a contact in the plane; without friction OPEN and STICK, which is closed then.
+_OPEN, _STICK, _SLIP_UP, _SLIP_DOWN = range(4)
+
+
+def check_size(problem: Delassus) -> None:
+    """Raises ``ValueError`` if there are too many states, or with friction in space infinitely many."""
+    if problem.dim == 3:
+        raise ValueError(
+            "method 'enumeration' goes through open, stick and both ways of slip of each contact; in space there "
+            "are infinitely many ways to slip: take 'projection' or 'gauss_seidel'"
+        )
+    most, states = MOST[problem.dim], 2 * problem.dim
+    if problem.contacts > most:
+        raise ValueError(
+            f"method 'enumeration' goes through {states} states of each contact and takes at most {most} of them, "
+            f"got {problem.contacts}: take 'projection'"
+        )
+
+
+def enumerate_states(problem: Delassus, tolerance: float) -> tuple[Array, Array]:
+    """Returns of each problem the first solution found, or what is least off, and the states looked at."""
+    found, taken = np.zeros(problem.q.shape), np.zeros(problem.count, dtype=int)
+    for k in range(problem.count):
+        one, least = problem.part(np.array([k])), np.inf
+        for lam in candidates(one):
+            residual = _residuals(one, lam)
+            good = np.flatnonzero(residual <= tolerance)
+            i = good[0] if len(good) else int(np.argmin(residual))
+            if residual[i] < least:
+                least, found[k] = residual[i], lam[i]
+            taken[k] += i + 1 if len(good) else len(lam)
+            if len(good):
+                break
+    return found, taken
+
+
+def all_of(problem: Delassus, tolerance: float) -> list[Array]:
+    """Returns the different solutions of a single problem, (contacts, dim) each."""
+    found: list[Array] = []
+    for lam in candidates(problem):
+        for one in lam[_residuals(problem, lam) <= tolerance]:
+            near = 1e-8 * problem.scale[0]
+            if all(np.abs(one - other).max(initial=0.0) > near for other in found):
+                found.append(one)
+    return found
+
+
+def states(contacts: int, dim: int) -> Iterator[NDArray[np.int64]]:
+    """Yields the states of all contacts in chunks, (chunk, contacts); all open is the first."""
+    base, total = 2 * dim, (2 * dim) ** contacts
+    for start in range(0, total, _CHUNK):
+        number = np.arange(start, min(start + _CHUNK, total), dtype=np.int64)
+        yield number[:, None] // base ** np.arange(contacts) % base
+
+
+def candidates(problem: Delassus) -> Iterator[Array]:
+    """Yields what l would be in the states of a single problem, (chunk, contacts, dim)."""
+    size = problem.contacts * problem.dim
+    # Rows in the unit of l.
+    rho = np.repeat(problem.rho[0], problem.dim)
+    W, q = rho[:, None] * problem.W[0], rho * problem.q[0].reshape(-1)
+    for chunk in states(problem.contacts, problem.dim):
+        matrix, right = rows_of(chunk, W, q, np.eye(size), problem)
+        yield solve_all(matrix, right).reshape(len(chunk), problem.contacts, problem.dim)
+
+
+def rows_of(chunk: NDArray[np.int64], W: Array, q: Array, lam: Array, problem: Delassus) -> tuple[Array, Array]:
+    """Returns the equations of states: (chunk, rows, unknowns) and right sides.
+
+    ``W`` and ``q`` give w, and ``lam`` gives l, of the unknowns.
+    """
+    dim = problem.dim
+    closed = chunk != _OPEN
+    pick = np.repeat(closed[..., None], dim, axis=-1)
+    if dim == 2:
+        pick[..., 1] = chunk == _STICK
+    pick = pick.reshape(len(chunk), -1)
+    matrix = np.where(pick[..., None], W, lam)
+    right = np.where(pick, -q, 0.0)
+    if dim == 2:
+        # Of a contact that slips l_t ∓ μ l_n = 0.
+        side = np.where(chunk == _SLIP_UP, 1.0, np.where(chunk == _SLIP_DOWN, -1.0, 0.0)) * problem.mu[0]
+        matrix[:, 1::2] -= side[..., None] * lam[0::2]
+    return matrix, right
+
+
+def solve_all(matrix: Array, right: Array) -> Array:
+    """Returns the solutions of many systems; of a singular one, one of small size if there is one."""
+    try:
+        found = np.asarray(np.linalg.solve(matrix, right[..., None]), dtype=np.float64)[..., 0]
+        if np.isfinite(found).all():
+            return found
+    except np.linalg.LinAlgError:
+        pass
+    smallest = np.linalg.pinv(matrix, rcond=1e-12) @ right[..., None]
+    return np.asarray(smallest, dtype=np.float64)[..., 0]
+
+
+def _residuals(problem: Delassus, lam: Array) -> Array:
+    many = Delassus(problem.W, np.broadcast_to(problem.q, lam.shape), problem.mu)
+    residual = many.residual(lam)
+    return np.where(np.isfinite(residual), residual, np.inf)

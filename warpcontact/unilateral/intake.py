@@ -1,0 +1,131 @@
+"""Checks of the arguments of a static contact problem; each error names the argument and what is allowed."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact.checks import Array
+
+#: How unsymmetric a matrix may be, over its largest entry: more than any rounding.
+_SKEW = 1e-8
+
+
+def values(name: str, given: ArrayLike, at_least: float = -np.inf) -> Array:
+    """Returns finite numbers in float64."""
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind not in "iuf":
+            raise TypeError
+        array = array.astype(np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be numbers, got {_brief(given)}") from None
+    bad = np.argwhere(~np.isfinite(array) | (array < at_least))
+    if len(bad):
+        where = tuple(int(i) for i in bad[0])
+        allowed = "finite" if at_least == -np.inf else f"finite and at least {at_least:g}"
+        raise ValueError(f"{name}{list(where) if where else ''} must be {allowed}, got {array[where]:g}")
+    return array
+
+
+def fit(name: str, array: Array, sizes: Mapping[str, int], spread: bool = False) -> Array:
+    """Returns ``array`` if its last axes have the ``sizes``, with or without one more before them.
+
+    With ``spread`` a single number stands for all.
+    """
+    shape = tuple(sizes.values())
+    if spread and array.ndim == 0:
+        return np.full(shape, float(array))
+    if array.shape[-len(shape) :] != shape or array.ndim > len(shape) + 1:
+        words = ", ".join(f"{word} = {size}" for word, size in sizes.items())
+        number = "a number, or " if spread else ""
+        raise ValueError(
+            f"{name} must be {number}of shape ({', '.join(sizes)}{',' if len(shape) == 1 else ''}) or (problems, "
+            f"{', '.join(sizes)}) with {words}, got {_shape(array)}"
+        )
+    return array
+
+
+def stiffness(given: Any) -> Any:
+    """Returns K: (n, n) or (problems, n, n), symmetric, or a sparse matrix of SciPy in CSC."""
+    if hasattr(given, "tocsc"):
+        K = given.tocsc().astype(np.float64)
+        if K.ndim != 2 or K.shape[0] != K.shape[1] or not K.shape[0]:
+            raise ValueError(f"K must be square, got a sparse matrix of shape {K.shape}")
+        if not np.isfinite(K.data).all():
+            raise ValueError("K must be finite, got a sparse matrix with entries that are not")
+        skew, size = abs(K - K.T), abs(K)
+        if skew.nnz and skew.max() > _SKEW * size.max():
+            raise ValueError(f"K must be symmetric, got a sparse matrix with K − Kᵀ of up to {skew.max():g}")
+        return K
+    K = values("K", given)
+    return symmetric("K", K.reshape(1, 1) if K.ndim == 0 else K, "n")
+
+
+def symmetric(name: str, array: Array, size: str) -> Array:
+    """Returns square matrices (…, size, size) if they are symmetric, exactly so."""
+    if array.ndim not in (2, 3) or array.shape[-1] != array.shape[-2] or not array.shape[-1]:
+        raise ValueError(
+            f"{name} must be of shape ({size}, {size}) or (problems, {size}, {size}), got {_shape(array)}"
+        )
+    turned = np.swapaxes(array, -1, -2)
+    skew, largest = np.abs(array - turned).max(axis=(-1, -2)), np.abs(array).max(axis=(-1, -2))
+    bad = np.argwhere(skew > _SKEW * largest)
+    if len(bad):
+        where = tuple(int(i) for i in bad[0])
+        raise ValueError(
+            f"{name}{list(where) if where else ''} must be symmetric, got one with {name} − {name}ᵀ of up to "
+            f"{skew[where]:g}"
+        )
+    return 0.5 * (array + turned)
+
+
+def gap_rows(given: Any, n: int, d: Array, friction: bool, dim: int) -> tuple[Array, int]:
+    """Returns G as (m, dim, n) or (problems, m, dim, n), and dim."""
+    if dim not in (0, 1, 2, 3):
+        raise ValueError(f"dim must be 1, 2 or 3, or 0 for as G says, got {dim!r}")
+    G = values("G", given.toarray() if hasattr(given, "tocsc") else given)
+    if G.ndim == 0:
+        G = G.reshape(1, 1)
+    if d.ndim not in (1, 2):
+        raise ValueError(f"d must be of shape (m,) or (problems, m), got {_shape(d)}")
+    m = d.shape[-1]
+    if G.ndim == 3 and dim == 0:
+        # (problems, m, n) or (m, dim, n)
+        dim = 1 if not friction and G.shape[1] == m else 2
+    if G.ndim == 2 or (G.ndim == 3 and dim == 1):
+        G = G[..., None, :]
+    found = G.shape[-2] if G.ndim in (3, 4) else 0
+    fits = G.ndim in (3, 4) and G.shape[-3] == m and G.shape[-1] == n and found in (1, 2, 3)
+    if not fits or (dim == 1 and found != 1):
+        raise ValueError(
+            f"G must be of shape (m, n), or with friction (m, dim, n) with dim 2 or 3, or have one more axis of "
+            f"problems before these, with m = {m} (from d) and n = {n} (from K), got {_shape(np.asarray(given))}"
+        )
+    if found == 1 and friction:
+        raise ValueError(
+            "G must be of shape (m, dim, n) with dim 2 or 3 if mu is not 0, for friction acts along tangents, got "
+            f"{_shape(np.asarray(given))}"
+        )
+    return G, found
+
+
+def count_of(counts: Mapping[str, int | None]) -> int | None:
+    """Returns how many problems there are, or raises ``ValueError`` if arguments disagree."""
+    many = {name: count for name, count in counts.items() if count is not None}
+    if len(set(many.values())) > 1:
+        raise ValueError(
+            "arguments with an axis of problems must have equally many, got "
+            + ", ".join(f"{name} {count}" for name, count in many.items())
+        )
+    return next(iter(many.values()), None)
+
+
+def _shape(array: Array) -> str:
+    return f"shape {array.shape}"
+
+
+def _brief(given: Any) -> str:
+    text = repr(given)
+    return text if len(text) <= 60 else f"{text[:57]}…"

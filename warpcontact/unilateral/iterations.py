@@ -1,0 +1,69 @@
+"""The methods that go on step by step, on the device: prox, gauss_seidel and energy."""
+
+import functools
+from collections.abc import Callable
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.unilateral.delassus import Delassus
+
+#: Most rows of all problems of one launch, squared: what their matrices take of memory.
+_ENTRIES = 50_000_000
+
+
+def iterate(
+    method: str,
+    problem: Delassus,
+    lam: Array,
+    tolerance: float,
+    iterations: int,
+    parameter: float | None,
+    device: str,
+) -> tuple[Array, Array]:
+    """Returns l and the iterations taken of each problem."""
+    found, taken = np.empty_like(lam), np.zeros(problem.count, dtype=int)
+    rows = max(problem.contacts * problem.dim, 1)
+    size = max(_ENTRIES // rows**2, 1)
+    for start in range(0, problem.count, size):
+        part = np.arange(start, min(start + size, problem.count))
+        found[part], taken[part] = _launch(
+            method, problem.part(part), lam[part], tolerance, iterations, parameter, device
+        )
+    return found, taken
+
+
+def _launch(
+    method: str,
+    problem: Delassus,
+    lam: Array,
+    tolerance: float,
+    iterations: int,
+    parameter: float | None,
+    device: str,
+) -> tuple[Array, Array]:
+    import warp as wp
+
+    from warpcontact.kernels.unilateral import dense
+
+    count, contacts, dim = problem.q.shape
+    upload = functools.partial(wp.array, dtype=wp.float64, device=device)
+    p = dense.Dense()
+    p.W, p.mu, p.rho = upload(problem.W), upload(problem.mu), upload(problem.rho)
+    p.q, p.scale = upload(problem.q.reshape(count, -1)), upload(problem.scale)
+    p.lam = upload(lam.reshape(count, -1))
+    p.w, p.ahead = wp.empty_like(p.q), wp.empty_like(p.q)
+    p.step, p.shift = (wp.empty((count, contacts), dtype=wp.float64, device=device) for _ in range(2))
+    p.residual = wp.empty(count, dtype=wp.float64, device=device)
+    p.iterations = wp.empty(count, dtype=wp.int32, device=device)
+    kernels: dict[str, Callable[[int], wp.Kernel]] = {
+        "prox": dense.prox,
+        "gauss_seidel": dense.gauss_seidel,
+        "energy": dense.energy,
+    }
+    if parameter is not None:
+        p.step.fill_(parameter)
+    elif method != "gauss_seidel":
+        wp.launch(dense.steps(dim), count, inputs=[p], device=device)
+    wp.launch(kernels[method](dim), count, inputs=[p, tolerance, iterations], device=device)
+    return p.lam.numpy().reshape(lam.shape), p.iterations.numpy().astype(int)

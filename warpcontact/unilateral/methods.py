@@ -1,0 +1,67 @@
+"""The methods by name, what they take, and how a problem in the contacts is solved by one."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from warpcontact.checks import Array, choice
+from warpcontact.unilateral.delassus import Delassus
+from warpcontact.unilateral.enumeration import check_size, enumerate_states
+from warpcontact.unilateral.iterations import iterate
+from warpcontact.unilateral.newton import newton
+
+#: Most iterations by default.
+ITERATIONS = {"enumeration": 0, "energy": 50_000, "projection": 300, "prox": 100_000, "gauss_seidel": 20_000}
+#: Methods with a parameter of one's own, and its name.
+PARAMETERS = {"projection": "c", "prox": "r"}
+
+
+def run(
+    system: Delassus,
+    method: str,
+    tolerance: float,
+    iterations: int | None,
+    initial: Array | None,
+    parameter: float | None,
+    device: str,
+) -> tuple[Array, Array]:
+    """Returns l, shape (problems, contacts, dim), and the iterations taken, (problems,)."""
+    check_options(method, tolerance, iterations, parameter)
+    if system.dim > 1 and not system.mu.any():
+        normals = None if initial is None else initial[..., :1]
+        lam, taken = run(system.normals(), method, tolerance, iterations, normals, parameter, device)
+        return np.concatenate([lam, np.zeros(system.q[..., 1:].shape)], axis=-1), taken
+    if method == "enumeration":
+        check_size(system)
+    lam = np.zeros(system.q.shape) if initial is None else np.array(initial)
+    if not system.contacts or not system.count:
+        return lam, np.zeros(system.count, dtype=int)
+    if method == "enumeration":
+        return enumerate_states(system, tolerance)
+    most = ITERATIONS[method] if iterations is None else iterations
+    # Rounding of the measure here is not that of the methods.
+    if method == "projection":
+        return newton(system, lam, 0.5 * tolerance, most, parameter, device)
+    return iterate(method, system, lam, 0.5 * tolerance, most, parameter, device)
+
+
+def check_options(method: Any, tolerance: Any, iterations: Any, parameter: Any) -> None:
+    """Raises ``ValueError`` if one of the options of a solution is not allowed."""
+    choice("method", method, tuple(ITERATIONS))
+    if not _is_number(tolerance) or not 0.0 < tolerance < 1.0:
+        raise ValueError(f"tolerance must be a number between 0 and 1, got {tolerance!r}")
+    if iterations is not None:
+        if method == "enumeration":
+            raise ValueError(f"iterations: method 'enumeration' has none to limit, got {iterations!r}")
+        if isinstance(iterations, bool) or not isinstance(iterations, int | np.integer) or iterations < 1:
+            raise ValueError(f"iterations must be a whole number, at least 1, got {iterations!r}")
+    if parameter is not None:
+        if method not in PARAMETERS:
+            raise ValueError(f"parameter: method {method!r} has none, got {parameter!r}")
+        if not _is_number(parameter) or not 0.0 < parameter < math.inf:
+            raise ValueError(f"parameter {PARAMETERS[method]} must be a positive number, got {parameter!r}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)

@@ -1,0 +1,228 @@
+"""Semismooth Newton methods on the projections of all contacts at once: method "projection"."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.checks import Array
+from warpcontact.unilateral.delassus import Delassus
+from warpcontact.unilateral.iterations import iterate
+
+# Steps of Newton's method before sweeps of gauss_seidel look for a better start, and how many of these.
+_STEPS = 30
+_SWEEPS = 50
+# Exchanges of all that is wrong that may fail to help before one by one is exchanged.
+_PATIENCE = 10
+# A pivot of W this small, over the largest entry, says that W is singular.
+_SINGULAR = 1e-12
+# How much of its mean diagonal such a W is lifted by, and how often the lift is taken back.
+_LIFT = 1e-7
+_LIFTS = 30
+
+
+def newton(
+    problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None, device: str
+) -> tuple[Array, Array]:
+    """Returns l and the Newton steps taken of each problem. ``parameter``: c, the ρ of the projections."""
+    if problem.dim == 1:
+        return _lifted(problem, lam, tolerance, iterations, parameter)
+    return _with_friction(problem, lam, tolerance, iterations, parameter, device)
+
+
+def _lifted(
+    problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None
+) -> tuple[Array, Array]:
+    """Solves without friction; a singular W is lifted, and each solution is where the next one is lifted from."""
+    singular = np.broadcast_to(_is_singular(problem.W), problem.count)
+    regular = np.flatnonzero(~singular)
+    found, taken = lam.copy(), np.zeros(problem.count, dtype=int)
+    if len(regular):
+        found[regular], taken[regular] = _active_sets(
+            problem.part(regular), lam[regular], tolerance, iterations, parameter
+        )
+    left = np.flatnonzero(singular)
+    for _ in range(_LIFTS):
+        left = left[problem.part(left).residual(found[left]) > tolerance]
+        if not len(left):
+            break
+        part = problem.part(left)
+        lift = _LIFT * np.abs(np.einsum("bii->bi", part.W)).mean(axis=1)
+        lift = np.where(lift > 0.0, lift, 1.0)
+        near = Delassus(
+            part.W + lift[:, None, None] * np.eye(part.W.shape[-1]),
+            part.q - np.broadcast_to(lift, part.count)[:, None, None] * found[left],
+            part.mu,
+        )
+        found[left], steps = _active_sets(near, found[left], tolerance, iterations, parameter)
+        taken[left] += steps
+    return found, taken
+
+
+def _is_singular(W: Array) -> NDArray[np.bool_]:
+    """Returns whether each of the matrices is not positive definite to rounding."""
+    out = np.ones(len(W), dtype=bool)
+    for k, one in enumerate(W):
+        try:
+            pivots = np.diagonal(np.linalg.cholesky(one)) ** 2
+        except np.linalg.LinAlgError:
+            continue
+        out[k] = pivots.min(initial=np.inf) <= _SINGULAR * np.abs(one).max(initial=0.0)
+    return out
+
+
+def _active_sets(
+    problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None
+) -> tuple[Array, Array]:
+    """Newton's method for l − max(0, l − c w) = 0: those with l − c w > 0 are closed in the next step.
+
+    When that goes round in circles, one contact at a time is exchanged, the last that is wrong: with W positive
+    definite that ends (Júdice and Pires, 1994).
+    """
+    c = problem.rho if parameter is None else np.full_like(problem.rho, parameter)
+    lam, taken = lam[..., 0].copy(), np.zeros(problem.count, dtype=int)
+    left = np.arange(problem.count)
+    size = problem.contacts
+    part, rho = problem, np.broadcast_to(c, (problem.count, size))
+    closed = lam - rho * part.velocity(lam[..., None])[..., 0] > 0.0
+    fewest, patience = np.full(len(left), size + 1), np.full(len(left), _PATIENCE)
+    for _ in range(iterations):
+        W = np.broadcast_to(part.W, (len(left), size, size))
+        both = closed[:, :, None] & closed[:, None, :]
+        matrix = np.where(both, W, np.eye(size))
+        lam[left] = _solve(matrix, np.where(closed, -part.q[..., 0], 0.0))
+        taken[left] += 1
+        w = part.velocity(lam[left][..., None])[..., 0]
+        # Rounding is not what makes a contact open or close.
+        slack = 1e-14 * part.scale[:, None]
+        wrong = np.where(closed, lam[left] < -slack, rho * w < -slack)
+        number = wrong.sum(axis=1)
+        better = number < fewest
+        fewest = np.where(better, number, fewest)
+        patience = np.where(better, _PATIENCE, patience - 1)
+        last = size - 1 - np.argmax(wrong[:, ::-1], axis=1)
+        single = patience < 0
+        change = np.where(single[:, None], np.arange(size) == last[:, None], wrong)
+        closed = np.where(number[:, None] > 0, closed ^ change, closed)
+        go_on = number > 0
+        if not go_on.any():
+            break
+        left, closed, rho = left[go_on], closed[go_on], rho[go_on]
+        fewest, patience, part = fewest[go_on], patience[go_on], problem.part(left)
+    return np.maximum(lam, 0.0)[..., None], taken
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Returns the solutions of many systems, some of which may be singular."""
+    try:
+        found = np.linalg.solve(matrix, right[..., None])
+    except np.linalg.LinAlgError:
+        lift = 1e-14 * np.abs(matrix).max(axis=(1, 2), initial=1e-300)
+        lifted = matrix + lift[:, None, None] * np.eye(matrix.shape[-1])
+        found = np.linalg.solve(lifted, right[..., None])
+    return np.asarray(found, dtype=np.float64)[..., 0]
+
+
+def _with_friction(
+    problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None, device: str
+) -> tuple[Array, Array]:
+    """Newton's method from l; where it fails, from what some sweeps of gauss_seidel make of the best so far."""
+    found, taken = lam.copy(), np.zeros(problem.count, dtype=int)
+    left, sweeps = np.arange(problem.count), _SWEEPS
+    steps = 0
+    while True:
+        part = problem.part(left)
+        found[left], more = _friction_steps(
+            part, found[left], tolerance, min(_STEPS, iterations - steps), parameter
+        )
+        taken[left] += more
+        steps += _STEPS
+        left = left[part.residual(found[left]) > tolerance]
+        if steps >= iterations or not len(left):
+            return found, taken
+        part = problem.part(left)
+        found[left], _ = iterate("gauss_seidel", part, found[left], tolerance, sweeps, None, device)
+        sweeps *= 2
+
+
+def _friction_steps(
+    problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None
+) -> tuple[Array, Array]:
+    """Newton's method on Alart and Curnier's projections, halving steps that do not lead closer."""
+    best, taken = lam.copy(), np.zeros(problem.count, dtype=int)
+    reached = problem.residual(best)
+    left = np.flatnonzero(reached > tolerance)
+    now = best[left]
+    for _ in range(iterations):
+        if not len(left):
+            break
+        part = problem.part(left)
+        step, size = _direction(part, now, parameter)
+        # The shortest of these is taken if none leads closer: it gets out of a corner.
+        length, ahead = np.ones(len(left)), now + step
+        after = _misfit(part, ahead, parameter)
+        for _ in range(5):
+            worse = ~(after < (1.0 - 1e-4 * length) * size)
+            if not worse.any():
+                break
+            length[worse] *= 0.4
+            ahead[worse] = now[worse] + length[worse][:, None, None] * step[worse]
+            after[worse] = _misfit(part.part(np.flatnonzero(worse)), ahead[worse], parameter)
+        now = np.where(np.isfinite(ahead), ahead, 0.0)
+        taken[left] += 1
+        # Into the cone: what a step leaves outside is less than the residual, or is none of ours.
+        inside = _into_cone(part, now)
+        residual = part.residual(inside)
+        better = residual < reached[left]
+        best[left[better]], reached[left[better]] = inside[better], residual[better]
+        go_on = reached[left] > tolerance
+        left, now = left[go_on], now[go_on]
+    return best, taken
+
+
+def _into_cone(problem: Delassus, lam: Array) -> Array:
+    lam = lam.copy()
+    lam[..., 0] = np.maximum(lam[..., 0], 0.0)
+    across = np.linalg.norm(lam[..., 1:], axis=-1)
+    share = np.minimum(1.0, problem.mu * lam[..., 0] / np.where(across > 0.0, across, 1.0))
+    lam[..., 1:] *= share[..., None]
+    return lam
+
+
+def _projected(problem: Delassus, lam: Array, parameter: float | None) -> tuple[Array, Array, Array]:
+    """Returns (max(0, z_n), the point of the disc of radius μ z_n nearest z_t), z = l − ρ w, and ρ."""
+    rho = problem.rho if parameter is None else np.full_like(problem.rho, parameter)
+    z = lam - rho[..., None] * problem.velocity(lam)
+    normal = np.maximum(z[..., 0], 0.0)
+    across = np.linalg.norm(z[..., 1:], axis=-1)
+    share = np.minimum(1.0, problem.mu * normal / np.where(across > 0.0, across, 1.0))
+    return np.concatenate([normal[..., None], share[..., None] * z[..., 1:]], axis=-1), z, rho
+
+
+def _misfit(problem: Delassus, lam: Array, parameter: float | None) -> Array:
+    size = np.linalg.norm((lam - _projected(problem, lam, parameter)[0]).reshape(problem.count, -1), axis=1)
+    return np.where(np.isfinite(size), size, np.inf)
+
+
+def _direction(problem: Delassus, lam: Array, parameter: float | None) -> tuple[Array, Array]:
+    """Returns Newton's step for l − P(l − ρ w) = 0 and the size of the left side."""
+    count, contacts, dim = lam.shape
+    target, z, rho = _projected(problem, lam, parameter)
+    F = lam - target
+    radius = problem.mu * np.maximum(z[..., 0], 0.0)
+    across = np.linalg.norm(z[..., 1:], axis=-1)
+    closed, stick = z[..., 0] > 0.0, across <= radius
+    d = z[..., 1:] / np.where(across > 0.0, across, 1.0)[..., None]
+    # Derivative of the projections by z, one block for each contact.
+    D = np.zeros((count, contacts, dim, dim))
+    D[..., 0, 0] = closed
+    ratio = np.where(closed & ~stick, radius / np.where(across > 0.0, across, 1.0), 0.0)
+    turn = ratio[..., None, None] * (np.eye(dim - 1) - d[..., :, None] * d[..., None, :])
+    D[..., 1:, 1:] = np.where((closed & stick)[..., None, None], np.eye(dim - 1), turn)
+    slip = closed & ~stick
+    D[..., 1:, 0] = np.where(slip[..., None], problem.mu[..., None] * d, 0.0)
+    # dF = dl − D (dl − ρ W dl)
+    W = problem.W.reshape(-1, contacts, dim, contacts * dim)
+    J = np.einsum("biac,bicn->bian", D * rho[..., None, None], W).reshape(count, contacts * dim, -1)
+    k = np.arange(contacts * dim).reshape(contacts, dim)
+    J[:, k[:, :, None], k[:, None, :]] += np.eye(dim) - D
+    step = -_solve(J, F.reshape(count, -1)).reshape(lam.shape)
+    return np.where(np.isfinite(step), step, 0.0), np.linalg.norm(F.reshape(count, -1), axis=1)

@@ -1,0 +1,150 @@
+"""Static contact problems K u + Gᵀλ = f with gaps d − G u ≥ 0: one, or many at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact.checks import Array
+from warpcontact.unilateral import intake
+from warpcontact.unilateral.solution import Solution
+
+if TYPE_CHECKING:
+    from warpcontact.unilateral.diagnosis import Diagnosis
+
+
+@dataclass(eq=False)
+class Problem:
+    """K u + Gᵀλ = f with gap = d − G u ≥ 0, λ_n ≥ 0, gap·λ_n = 0, and with Coulomb friction across.
+
+    There are n displacements and m contacts, in units of one's own, m and N for example. λ presses: it acts on
+    what moves by −Gᵀλ. With friction λ_t has the direction of the slip G_t u − previous, and |λ_t| ≤ μ λ_n. Every
+    argument may have one more axis, the first: many problems; what lacks it is the same in all of them. Of one
+    displacement and one contact all may be numbers.
+
+    Args:
+        K: Stiffness, (n, n), symmetric; dense, or sparse of SciPy, which is factorised once for all problems.
+        f: Load, (n,).
+        G: What closes the gaps, (m, n). With friction (m, dim, n), dim 2 or 3: of each contact the row of its
+            normal, then those of its tangents.
+        d: Gaps at u = 0, (m,).
+        mu: Coefficients of friction, one or (m,).
+        previous: Displacements G_t u at which the contacts are at rest, one or (m, dim − 1).
+        dim: Rows of a contact, 1, 2 or 3; 0: as G says. Only needed if ``mu`` is 0 and a ``G`` of three axes could
+            be both (many problems, m, n) and (m, dim, n); it is taken to be the first.
+
+    Attributes:
+        count: Number of problems, or ``None`` for one without an axis of its own.
+
+    Raises:
+        ValueError: If shapes do not fit, K is not symmetric, or a value is not allowed.
+    """
+
+    K: Any
+    f: ArrayLike
+    G: Any
+    d: ArrayLike
+    mu: ArrayLike = 0.0
+    previous: ArrayLike = 0.0
+    dim: int = 0
+    count: int | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.K = intake.stiffness(self.K)
+        n = self.K.shape[-1]
+        mu, d = intake.values("mu", self.mu, at_least=0.0), np.atleast_1d(intake.values("d", self.d))
+        self.G, self.dim = intake.gap_rows(self.G, n, d, bool(mu.any()), self.dim)
+        m = self.G.shape[-3]
+        self.f = intake.fit("f", np.atleast_1d(intake.values("f", self.f)), {"n": n})
+        self.d = intake.fit("d", d, {"m": m})
+        self.mu = intake.fit("mu", mu, {"m": m}, spread=True)
+        across = {"m": m, "dim − 1": self.dim - 1}
+        self.previous = intake.fit("previous", intake.values("previous", self.previous), across, spread=True)
+        self.count = intake.count_of(
+            {
+                "K": len(self.K) if self.K.ndim == 3 else None,
+                "f": len(self.f) if self.f.ndim == 2 else None,
+                "G": len(self.G) if self.G.ndim == 4 else None,
+                "d": len(self.d) if self.d.ndim == 2 else None,
+                "mu": len(self.mu) if self.mu.ndim == 2 else None,
+                "previous": len(self.previous) if self.previous.ndim == 3 else None,
+            }
+        )
+
+    def solve(
+        self,
+        method: str = "projection",
+        *,
+        tolerance: float = 1e-10,
+        iterations: int | None = None,
+        initial: ArrayLike | None = None,
+        parameter: float | None = None,
+        device: str = "cpu",
+    ) -> Solution:
+        """Returns a solution; arguments are those of ``solve``."""
+        from warpcontact.unilateral.solve import solve_problem
+
+        return solve_problem(self, method, tolerance, iterations, initial, parameter, device)
+
+    def all_solutions(self, *, tolerance: float = 1e-10) -> list[Solution]:
+        """Returns every solution of a single problem, by going through all states of its contacts.
+
+        Where solutions are not isolated, as of contacts that share a load in any proportion, it is those of single
+        states. K may be indefinite or singular.
+
+        Raises:
+            ValueError: If there are many problems, too many contacts, or friction in space.
+        """
+        from warpcontact.unilateral.states import all_solutions
+
+        return all_solutions(self, tolerance)
+
+    def diagnose(self) -> Diagnosis:
+        """Returns what can be said of existence and uniqueness before solving a single problem.
+
+        Raises:
+            ValueError: If there are many problems.
+        """
+        from warpcontact.unilateral.diagnosis import diagnose
+
+        return diagnose(self)
+
+    def save(self, path: str | Path) -> Path:
+        """Writes the problem to a file that ``load`` reads, a NumPy archive, and returns its path.
+
+        Raises:
+            ValueError: If the name does not end in ``.npz``.
+        """
+        from warpcontact.unilateral.file import save
+
+        return save(self, path)
+
+    @staticmethod
+    def load(path: str | Path) -> Problem:
+        """Returns the problem that ``save`` wrote.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: If the file is not one of ``save``, was damaged, or holds what is not allowed.
+        """
+        from warpcontact.unilateral.file import load
+
+        return load(path)
+
+    @property
+    def contacts(self) -> int:
+        """Number of contacts m."""
+        return int(np.shape(self.G)[-3])
+
+    def targets(self) -> Array:
+        """Returns (d, previous), what G u is compared with, (…, m, dim)."""
+        d, previous = np.asarray(self.d), np.asarray(self.previous)
+        shape = np.broadcast_shapes(d.shape, previous.shape[:-1])
+        return np.concatenate(
+            [np.broadcast_to(d, shape)[..., None], np.broadcast_to(previous, (*shape, previous.shape[-1]))],
+            axis=-1,
+        )

@@ -1,0 +1,212 @@
+"""The two ways to hand a problem in: with displacements, or in the contacts alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact.checks import Array
+from warpcontact.unilateral import intake
+from warpcontact.unilateral.delassus import Delassus
+from warpcontact.unilateral.elimination import SingularError, eliminate
+from warpcontact.unilateral.methods import check_options, run
+from warpcontact.unilateral.problem import Problem
+from warpcontact.unilateral.solution import Solution, modes
+
+
+def solve(
+    K: Any,
+    f: ArrayLike,
+    G: Any,
+    d: ArrayLike,
+    mu: ArrayLike = 0.0,
+    method: str = "projection",
+    *,
+    previous: ArrayLike = 0.0,
+    tolerance: float = 1e-10,
+    iterations: int | None = None,
+    initial: ArrayLike | None = None,
+    parameter: float | None = None,
+    device: str = "cpu",
+) -> Solution:
+    """Returns a solution of K u + Gᵀλ = f with gap = d − G u ≥ 0, λ ≥ 0, gap·λ = 0, and Coulomb friction.
+
+    The problem is that of ``Problem``, which says what shapes there are; one, or many at once. A solution is found
+    or not: ``converged`` says so for each problem, by a residual that is the same whatever the method.
+
+    Args:
+        K: Stiffness.
+        f: Load.
+        G: What closes the gaps.
+        d: Gaps at u = 0.
+        mu: Coefficients of friction.
+        method: "enumeration": all states of the contacts, few of them, without friction or in the plane.
+            "energy": the minimum of the energy by projected gradients; with friction of a sequence of energies.
+            "projection": semismooth Newton's method, active sets without friction. "prox": Uzawa's iteration.
+            "gauss_seidel": one contact after the other, each exactly.
+        previous: Tangential displacements at which the contacts are at rest.
+        tolerance: Residual that is good enough, without unit.
+        iterations: Most steps or sweeps; by default enough for most problems.
+        initial: λ to start from, of the shape of ``Solution.lam``; zero by default.
+        parameter: c of "projection" or r of "prox", one for all contacts, a stiffness; by default one for each
+            contact from its own flexibility.
+        device: Of the methods that go step by step, "cpu" or "cuda:0".
+
+    Raises:
+        ValueError: If an argument does not fit, the method cannot take the problem, or K is singular.
+    """
+    problem = Problem(K, f, G, d, mu, previous)
+    return solve_problem(problem, method, tolerance, iterations, initial, parameter, device)
+
+
+def solve_problem(
+    problem: Problem,
+    method: str,
+    tolerance: float,
+    iterations: int | None,
+    initial: ArrayLike | None,
+    parameter: float | None,
+    device: str,
+) -> Solution:
+    """Returns a solution of ``problem``."""
+    check_options(method, tolerance, iterations, parameter)
+    try:
+        system, u_free, by_contact = eliminate(problem)
+    except SingularError:
+        if method != "enumeration" or problem.count is not None:
+            raise
+        from warpcontact.unilateral.states import first_solution
+
+        return first_solution(problem, tolerance)
+    single, flat = problem.count is None, problem.dim == 1
+    guess = None if initial is None else _guess(initial, system, single, flat)
+    lam, taken = run(system, method, tolerance, iterations, guess, parameter, device)
+    u = u_free - (by_contact @ lam.reshape(system.count, -1, 1))[..., 0]
+    w = problem.targets() - np.einsum("...mdn,...n->...md", problem.G, u)
+    return finish(system, lam, w, u, taken, tolerance, method, problem, single)
+
+
+def solve_delassus(
+    W: ArrayLike,
+    q: ArrayLike,
+    mu: ArrayLike = 0.0,
+    method: str = "projection",
+    *,
+    tolerance: float = 1e-10,
+    iterations: int | None = None,
+    initial: ArrayLike | None = None,
+    parameter: float | None = None,
+    device: str = "cpu",
+) -> Solution:
+    """Returns a solution of w = W λ + q with w_n ≥ 0, λ_n ≥ 0, w_n λ_n = 0, and Coulomb friction.
+
+    w is a gap, a velocity or an acceleration of the contacts, and λ the forces or impulses that go with it. λ_t is
+    opposite to w_t, with |λ_t| = μ λ_n where w_t is not 0.
+
+    Args:
+        W: Delassus matrix, symmetric, (rows, rows) or (m, dim, m, dim); positive semidefinite in mechanics.
+        q: (m,) without friction, or (m, dim): of each of the m contacts the normal first, then 1 or 2 tangents.
+            Like W and ``mu`` it may have one more axis, the first, of many problems.
+        mu: Coefficients of friction, one or (m,).
+        method: Like the further arguments as in ``solve``.
+        tolerance: Residual that is good enough.
+        iterations: Most steps or sweeps.
+        initial: λ to start from, of the shape of q.
+        parameter: c of "projection", r of "prox".
+        device: Of the methods that go step by step.
+
+    Raises:
+        ValueError: If an argument does not fit or the method cannot take the problem.
+    """
+    check_options(method, tolerance, iterations, parameter)
+    matrix, right, coefficients = (
+        intake.values("W", W),
+        intake.values("q", q),
+        intake.values("mu", mu, at_least=0.0),
+    )
+    if matrix.ndim in (4, 5) and matrix.shape[-4:-2] == matrix.shape[-2:]:
+        rows = matrix.shape[-1] * matrix.shape[-2]
+        matrix = matrix.reshape(*matrix.shape[:-4], rows, rows)
+    matrix = intake.symmetric("W", matrix, "rows")
+    rows, friction = matrix.shape[-1], bool(coefficients.any())
+    flat = not friction and right.ndim in (1, 2) and right.shape[-1] == rows
+    if flat:
+        right = right[..., None]
+    fits = right.ndim in (2, 3) and right.shape[-1] in (1, 2, 3) and right.shape[-1] * right.shape[-2] == rows
+    if not fits or (friction and right.shape[-1] == 1):
+        raise ValueError(
+            "q must be of shape (m,), or with friction (m, dim) with dim 2 or 3, or have one more axis of problems "
+            f"before these, with as many numbers as W has rows, {rows}, got shape {np.shape(q)}"
+        )
+    m = right.shape[-2]
+    coefficients = intake.fit("mu", coefficients, {"m": m}, spread=True)
+    count = intake.count_of(
+        {
+            "W": len(matrix) if matrix.ndim == 3 else None,
+            "q": len(right) if right.ndim == 3 else None,
+            "mu": len(coefficients) if coefficients.ndim == 2 else None,
+        }
+    )
+    problems = 1 if count is None else count
+    system = Delassus(
+        matrix.reshape(-1, rows, rows),
+        np.broadcast_to(right, (problems, *right.shape[-2:])),
+        coefficients.reshape(-1, m),
+    )
+    guess = None if initial is None else _guess(initial, system, count is None, flat)
+    lam, taken = run(system, method, tolerance, iterations, guess, parameter, device)
+    return finish(system, lam, system.velocity(lam), None, taken, tolerance, method, None, count is None, flat)
+
+
+def finish(
+    system: Delassus,
+    lam: Array,
+    w: Array,
+    u: Array | None,
+    taken: Array,
+    tolerance: float,
+    method: str,
+    problem: Problem | None,
+    single: bool,
+    flat: bool | None = None,
+) -> Solution:
+    """Returns the solution in the shapes of what was handed in."""
+    judged = system if system.mu.any() else system.normals()
+    residual = judged.residual(lam[..., : judged.dim], w[..., : judged.dim])
+    status = modes(system, lam, w, residual, tolerance)
+    flat = system.dim == 1 if flat is None else flat
+    side = 1.0 if problem is None else -1.0
+    gap, slip = w[..., 0], None if flat else side * w[..., 1:]
+    if flat:
+        lam, w = lam[..., 0], w[..., 0]
+    converged = residual <= tolerance
+    if not single:
+        return Solution(u, lam, w, gap, slip, residual, taken, converged, status, method, problem)
+    return Solution(
+        None if u is None else u[0],
+        lam[0],
+        w[0],
+        gap[0],
+        None if slip is None else slip[0],
+        float(residual[0]),
+        int(taken[0]),
+        bool(converged[0]),
+        status[0],
+        method,
+        problem,
+    )
+
+
+def _guess(initial: ArrayLike, system: Delassus, single: bool, flat: bool) -> Array:
+    """Returns the λ to start from, (problems, m, dim)."""
+    shape = {"m": system.contacts} if flat else {"m": system.contacts, "dim": system.dim}
+    guess = intake.fit("initial", intake.values("initial", initial), shape)
+    if single and guess.ndim > len(shape):
+        raise ValueError(f"initial must be of shape {tuple(shape.values())}, got shape {guess.shape}")
+    if flat:
+        guess = guess[..., None]
+    if guess.ndim == 3 and len(guess) != system.count:
+        raise ValueError(f"initial must be of {system.count} problems, got {len(guess)}")
+    return np.broadcast_to(guess, system.q.shape)
