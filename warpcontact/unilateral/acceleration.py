@@ -5,6 +5,7 @@ w = 0 or opposite to it; where a contact slides already, its friction has the di
 follows what each contact does, and with that the forces once more, as those of a linear system, to rounding.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,8 @@ NEWTON = 20
 METHODS = ("projection", "gauss_seidel", "prox")
 # Most sliding contacts of which all sets are looked at.
 MOST_MINORS = 10
+# Turns of the friction of contacts that slide.
+TURNS = 30
 
 
 class ParadoxError(RuntimeError):
@@ -84,38 +87,77 @@ def find_modes(
     Raises:
         ParadoxError: If there is no solution, or more than one where contacts slide.
     """
-    from warpcontact.unilateral import solve_delassus
-
     count = len(b)
     direction = np.zeros((count, 2))
     rubs = sliding & (mu > 0.0)
     direction[rubs] = slip[rubs] / np.linalg.norm(slip[rubs], axis=1, keepdims=True)
     if not count:
         return Modes(np.zeros(0, dtype=int), direction, np.zeros((0, 3)), np.zeros((0, 3)))
-    # A contact that slides has its normal force alone, which pulls its friction along.
-    pushed = columns(np.where(rubs, MODE_SLIP, MODE_STICK), direction, mu)
-    bent = np.zeros_like(W)
-    normals = 3 * np.arange(count)
-    kept = np.ones(3 * count, dtype=bool)
-    kept[np.concatenate([normals[sliding] + 1, normals[sliding] + 2])] = False
-    bent[np.ix_(kept, kept)] = (W @ _spread(pushed, rubs, count))[np.ix_(kept, kept)]
-    check_slides(bent[np.ix_(normals[rubs], normals[rubs])], [labels[i] for i in np.flatnonzero(rubs)])
-    asked = np.where(kept.reshape(count, 3), b, 0.0)
-    left = []
-    for name in dict.fromkeys((method, *METHODS)):
-        solution = solve_delassus(bent, asked, np.where(sliding, 0.0, mu_static), method=name)
-        force = np.asarray(solution.lam).reshape(count, 3).copy()
-        force[rubs, 1:] = -mu[rubs, None] * force[rubs, :1] * direction[rubs]
-        # What is checked to rounding needs no word of the solver.
+    check_slides(bent(W, mu, direction, np.flatnonzero(rubs)), [labels[i] for i in np.flatnonzero(rubs)])
+    holding = np.where(sliding, 0.0, mu_static)
+    for guess in _guesses(W, b, mu, direction, rubs, holding, method):
+        # What is checked to rounding needs no word of a solver.
         for small in SMALL:
-            found = _exact(W, b, mu_static, mu, direction, force, sliding, small)
+            found = _exact(W, b, mu_static, mu, direction, guess, sliding, small)
             if found is not None:
                 return found
-        left.append(f"{name}: {float(solution.residual):.1e}")
     raise ParadoxError(
-        f"no accelerations were found of {', '.join(labels)} that agree with Coulomb friction (residuals of "
-        f"{', '.join(left)}). Where friction is strong there may be none"
+        f"no accelerations were found of {', '.join(labels)} that agree with Coulomb friction. Where friction is "
+        "strong there may be none"
     )
+
+
+def _guesses(
+    W: Array,
+    b: Array,
+    mu: Array,
+    direction: Array,
+    rubs: NDArray[np.bool_],
+    holding: Array,
+    method: str,
+) -> Iterator[Array]:
+    """Iterates over forces (contacts, 3) that may be near the solution, what is likely first."""
+    count = len(b)
+    for name in dict.fromkeys((method, *METHODS)):
+        force = np.zeros((count, 3))
+        # The friction of contacts that slide follows their normal forces, one turn behind.
+        for _ in range(TURNS if rubs.any() else 1):
+            given = np.zeros((count, 3))
+            given[rubs, 1:] = -mu[rubs, None] * force[rubs, :1] * direction[rubs]
+            last = force[:, 0].copy()
+            force = _solved(W, b + (W @ given.reshape(-1)).reshape(-1, 3), holding, name)
+            force[rubs, 1:] = -mu[rubs, None] * force[rubs, :1] * direction[rubs]
+            yield force
+            if np.abs(force[:, 0] - last).max() <= LEFT * np.abs(force[:, 0]).max():
+                break
+    if not (holding > 0.0).any() and count <= MOST_MINORS:
+        # Every set of contacts that press.
+        matrix = bent(W, mu, direction, np.arange(count))
+        for subset in range(2**count):
+            chosen = [i for i in range(count) if subset >> i & 1]
+            force = np.zeros((count, 3))
+            force[chosen, 0] = np.linalg.lstsq(matrix[np.ix_(chosen, chosen)], -b[chosen, 0], rcond=SINGULAR)[0]
+            force[:, 1:] = -mu[:, None] * force[:, :1] * direction
+            yield force
+
+
+def _solved(W: Array, b: Array, mu: Array, method: str) -> Array:
+    """Returns forces (contacts, 3) of ``wc.unilateral.solve_delassus``; without friction of normal parts alone."""
+    from warpcontact.unilateral.solve import solve_delassus
+
+    if (mu > 0.0).any():
+        return np.array(solve_delassus(W, b, mu, method=method).lam).reshape(-1, 3)
+    normals = 3 * np.arange(len(b))
+    force = np.zeros((len(b), 3))
+    force[:, 0] = solve_delassus(W[np.ix_(normals, normals)], b[:, 0], method=method).lam
+    return force
+
+
+def bent(W: Array, mu: Array, direction: Array, chosen: NDArray[np.int_]) -> Array:
+    """Returns normal accelerations by normal forces, with the friction that these bring along in sliding."""
+    blocks = W.reshape(len(mu), 3, len(mu), 3)[chosen][:, 0][:, chosen]
+    result: Array = blocks[..., 0] - mu[chosen] * (blocks[..., 1:] * direction[chosen]).sum(axis=-1)
+    return result
 
 
 def columns(mode: NDArray[np.int_], direction: Array, mu: Array) -> Array:
@@ -229,14 +271,6 @@ def _oppose(contact: int, W: Array, mu: float, force: Array, w: Array, left: Arr
     slopes[own] = np.outer(l_t, w_t / speed) @ W[own] + mu * l_n * W[own]
     slopes[own, 3 * contact] += mu * w_t
     slopes[own, own] += speed * np.eye(2)
-
-
-def _spread(pushed: Array, rubs: NDArray[np.bool_], count: int) -> Array:
-    """Returns ``pushed`` with one column for each component of each contact, zero of friction that follows."""
-    result = np.zeros((3 * count, 3 * count))
-    places = [3 * i + k for i in range(count) for k in range(1 if rubs[i] else 3)]
-    result[:, places] = pushed
-    return result
 
 
 def check_slides(matrix: Array, labels: list[str]) -> None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.kernels.types import DRIVEN, MODE_SLIP, MODE_STICK
-from warpcontact.unilateral.acceleration import check_slides, equations, forces_of_modes
+from warpcontact.unilateral.acceleration import bent, check_slides, equations, forces_of_modes
 from warpcontact.unilateral.assembly import Assembler, Assembly, contact_rows
 from warpcontact.unilateral.candidates import Measured
 from warpcontact.unilateral.snapshot import Snapshot, follow
@@ -206,10 +206,8 @@ class Trajectory:
         own = view.assembly
         rubs = np.flatnonzero((hold.mode == MODE_SLIP) & (own.mu > 0.0))
         if len(rubs):
-            direction = self.directions(own, hold)
-            blocks = own.delassus.reshape(own.count, 3, own.count, 3)[rubs][:, 0][:, rubs]
-            bent = blocks[..., 0] - own.mu[rubs] * (blocks[..., 1:] * direction[rubs]).sum(axis=-1)
-            check_slides(bent, [own.labels[i] for i in rubs])
+            matrix = bent(own.delassus, own.mu, self.directions(own, hold), rubs)
+            check_slides(matrix, [own.labels[i] for i in rubs])
 
     def projected(self, snapshot: Snapshot, hold: Hold) -> Snapshot:
         """Returns the state with the gaps of closed contacts, and their velocities, at zero: takes off rounding."""
