@@ -12,7 +12,7 @@ from warpcontact.checks import Array
 from warpcontact.kernels.types import WORLD
 from warpcontact.unilateral.bodies import Bodies
 from warpcontact.unilateral.candidates import Candidates, Measured
-from warpcontact.unilateral.snapshot import Snapshot, find_environment, read, write
+from warpcontact.unilateral.snapshot import Place, Snapshot, cross, find_environment
 
 
 @dataclass(frozen=True)
@@ -98,16 +98,9 @@ class Assembler:
 
     def __init__(self, model: Any, env: int = 0) -> None:
         self.model, self.env = find_environment(model, env)
+        self.place = Place(self.model, self.env)
         self.bodies = Bodies(self.model, self.env)
-        self.candidates = Candidates(self.model, self.env)
-
-    def now(self) -> Snapshot:
-        """Returns the current state of the environment."""
-        return read(self.model, self.env)
-
-    def put(self, snapshot: Snapshot) -> None:
-        """Makes ``snapshot`` the current state of the environment."""
-        write(self.model, self.env, snapshot)
+        self.candidates = Candidates(self.place)
 
     def assembly(self, snapshot: Snapshot, measured: Measured, chosen: NDArray[np.int_]) -> Assembly:
         """Returns the assembly of ``chosen`` pairs (numbers of candidates) in a state that was measured last."""
@@ -159,7 +152,7 @@ def contact_rows(axes: Array, point: Array, bodies: NDArray[np.int_], position: 
         own = bodies[held, side]
         arm = (point[held] - position[own])[:, None, :]
         rows[held, :, own, :3] += sign * axes[held]
-        rows[held, :, own, 3:] += sign * np.cross(arm, axes[held])
+        rows[held, :, own, 3:] += sign * cross(arm, axes[held])
     return rows.reshape(len(axes), 3, 6 * count)
 
 
@@ -182,6 +175,6 @@ def assemble(model: Any, env: int = 0, closed: float = 1.0e-6) -> Assembly:
     """
     most = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
     assembler = Assembler(model, env)
-    snapshot = assembler.now()
+    snapshot = assembler.place.read()
     measured = assembler.candidates.measure(snapshot)
     return assembler.assembly(snapshot, measured, np.flatnonzero(measured.gap <= most))

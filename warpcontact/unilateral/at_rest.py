@@ -123,14 +123,14 @@ def equilibrium(model: Any, env: int = 0, closed: float = 1.0e-6, method: str = 
     """
     most = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
     assembler = Assembler(model, env)
-    before = assembler.now()
+    before = assembler.place.read()
     still = before.with_velocity(np.zeros(6 * assembler.bodies.count))
     try:
         measured = assembler.candidates.measure(still)
         chosen = np.flatnonzero(measured.gap <= most)
         own = assembler.assembly(still, measured, chosen)
     finally:
-        assembler.put(before)
+        assembler.place.write(before)
     # At rest: not what functions of time do.
     own = replace(own, free_acceleration=own.inverse_mass @ own.force)
     return _solved(own, method)

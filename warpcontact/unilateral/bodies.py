@@ -8,7 +8,7 @@ from warpcontact.checks import Array
 from warpcontact.frames import inverse, product
 from warpcontact.kernels.types import BALL, DRIVEN, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
 from warpcontact.model import Model
-from warpcontact.unilateral.snapshot import Snapshot
+from warpcontact.unilateral.snapshot import Snapshot, cross
 
 
 class Response(NamedTuple):
@@ -61,7 +61,7 @@ class Bodies:
         for body in np.flatnonzero(self.anchored):
             arm = self._arm(body, snapshot)
             position[body] = self.anchor[body] + arm
-            velocity[body] = np.cross(snapshot.angular_velocity[body], arm)
+            velocity[body] = cross(snapshot.angular_velocity[body], arm)
         return Snapshot(
             snapshot.time, position, snapshot.orientation, velocity, snapshot.angular_velocity
         )
@@ -82,9 +82,9 @@ class Bodies:
             inverse_mass[body, :, body, :] = block
             spin = snapshot.angular_velocity[body]
             if self.anchored[body]:
-                bias[body, :3] = np.cross(spin, np.cross(spin, self._arm(body, snapshot)))
+                bias[body, :3] = cross(spin, cross(spin, self._arm(body, snapshot)))
             lacking = mass @ bias[body]
-            lacking[3:] += np.cross(spin, inertia @ spin)
+            lacking[3:] += cross(spin, inertia @ spin)
             bias[body] -= block @ lacking
         return Response(inverse_mass.reshape(6 * self.count, 6 * self.count), bias.reshape(-1))
 
@@ -116,10 +116,10 @@ class Bodies:
             return np.vstack([all_ways, nothing])
         if kind == BALL:
             arm = self._arm(body, snapshot)
-            return np.vstack([np.cross(all_ways, arm).T, all_ways])
+            return np.vstack([cross(all_ways, arm).T, all_ways])
         axis = self.axis[body]
         if kind == HINGE:
-            return np.concatenate([np.cross(axis, self._arm(body, snapshot)), axis])[:, None]
+            return np.concatenate([cross(axis, self._arm(body, snapshot)), axis])[:, None]
         if kind == SLIDER:
             return np.concatenate([axis, np.zeros(3)])[:, None]
         if kind == PLANAR:

@@ -17,13 +17,12 @@ from warpcontact.status import Status
 from warpcontact.unilateral.bodies import rotation_matrices
 from warpcontact.unilateral.materials import Hard
 from warpcontact.unilateral.segments import closest_on_segments
-from warpcontact.unilateral.snapshot import Snapshot, write
+from warpcontact.unilateral.snapshot import Place, Snapshot, cross
 
 AnyContact = Contact | SmoothContact | MutualContact
 
 # A point that a latch keeps out by a rounding touches; one farther in came from the wrong side [m].
 LATCHED_IN = 1.0e-6
-_MEETING = (Status.OPEN, Status.CONTACT)
 
 
 @dataclass(frozen=True)
@@ -50,8 +49,7 @@ class Candidates:
     Contact couplings are forces like those of other couplings, and none of these.
 
     Args:
-        model: The model.
-        env: Number of the environment in it.
+        place: The environment.
 
     Attributes:
         names: Name of the contact of each pair, (n,).
@@ -66,8 +64,9 @@ class Candidates:
         ValueError: If a friction of a contact is none that a cone can take, or its share is not 1.
     """
 
-    def __init__(self, model: Model, env: int) -> None:
-        self.model, self.env = model, env
+    def __init__(self, place: Place) -> None:
+        self.place = place
+        self.model, self.env = model, env = place.model, place.env
         scene = model.scene
         self.meshes = [contact for contact in scene.contacts if contact.facing is None]
         self.smooth = list(scene.smooth_contacts)
@@ -104,6 +103,7 @@ class Candidates:
         if any(body.motion.kind == DRIVEN for body in scene.bodies):
             self._needs.add("reactions")
         model.make_measures(self._needs)
+        self._views: tuple[int, dict[str, Array]] = (-1, {})
 
     @property
     def count(self) -> int:
@@ -116,7 +116,7 @@ class Candidates:
         Raises:
             RuntimeError: If it was not found where smooth shapes meet.
         """
-        write(self.model, self.env, snapshot)
+        self.place.write(snapshot)
         self.model.prepare(self._needs)
         parts = [(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))]
         parts += [self._of_reading(contact) for contact in (*self.meshes, *self.smooth)]
@@ -154,15 +154,27 @@ class Candidates:
         values = self.model[name][self.env] if name in self.model else otherwise
         return np.broadcast_to(values, (count,))
 
+    def _reading(self, name: str) -> Array:
+        """Returns a reading of this environment as it was computed last."""
+        if not self.model.device.is_cpu:
+            return self.model.measured(name)[self.env].astype(np.float64)
+        revision, views = self._views
+        if revision != self.model.revision:
+            self._views = revision, views = self.model.revision, {}
+        if name not in views:
+            # A view of what is computed next, too.
+            views[name] = self.model.find_reading(name).array(self.model.arrays).numpy()
+        return views[name][self.env].astype(np.float64)
+
     def _of_reading(self, contact: Contact | SmoothContact) -> tuple[Array, Array, Array]:
         def read(key: str) -> Array:
-            values = self.model.measured(f"{contact.name}.{key}")[self.env].astype(np.float64)
-            return values.reshape(contact.count, -1)
+            return self._reading(f"{contact.name}.{key}").reshape(contact.count, -1)
 
         gap, status = read("gap")[:, 0], read("status")[:, 0].astype(int)
         if (status == UNSOLVED).any():
             raise RuntimeError(f"{contact.name}: it was not found where the shapes meet")
-        meets = np.isin(status, _MEETING) | ((status == Status.WRONG_SIDE) & (gap > -LATCHED_IN))
+        meets = (status == Status.OPEN) | (status == Status.CONTACT)
+        meets |= (status == Status.WRONG_SIDE) & (gap > -LATCHED_IN)
         return np.where(meets, gap, np.inf), read("normal"), read("point")
 
     def _of_pile(self, pile: Pile, pairs: NDArray[np.int_], snapshot: Snapshot) -> tuple[Array, Array, Array]:
@@ -187,8 +199,9 @@ class Candidates:
         model, env = self.model, self.env
         a, scene = model.arrays, model.scene
         result = np.zeros((model.body_count, 6))
-        result[:, :3] = a.model.body_external_force.numpy()[env]
-        result[:, 3:] = a.model.body_external_torque.numpy()[env]
+        if model.pushed:
+            result[:, :3] = a.model.body_external_force.numpy()[env]
+            result[:, 3:] = a.model.body_external_torque.numpy()[env]
         if scene.couplings:
             ends = np.array([end for couplings in model.couplings for end in couplings.end_bodies()])
             force, torque = (getattr(a.ends, key).numpy()[env][: len(ends)] for key in ("force", "torque"))
@@ -203,15 +216,14 @@ class Candidates:
         """Adds the forces of a contact of a contact coupling to those of the bodies."""
 
         def read(key: str) -> Array:
-            values = self.model.measured(f"{contact.name}.{key}")[self.env].astype(np.float64)
-            return values.reshape(contact.count, -1)
+            return self._reading(f"{contact.name}.{key}").reshape(contact.count, -1)
 
         force = read("normal_force") * read("normal") + read("friction_force")
         point, couple = read("point"), read("torque")
-        position = self.model.arrays.state.body_position.numpy()[self.env]
+        position = self.place.read().position
         for sign, numbers in zip((1.0, -1.0), _bodies_of(contact).T, strict=True):
             held = (numbers != WORLD) & (force != 0.0).any(axis=1)
-            moment = np.cross(point[held] - position[numbers[held]], force[held]) + couple[held]
+            moment = cross(point[held] - position[numbers[held]], force[held]) + couple[held]
             np.add.at(result, numbers[held], sign * np.hstack([force[held], moment]))
 
 

@@ -11,9 +11,9 @@ from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP, MODE_STICK
 from warpcontact.unilateral.acceleration import ParadoxError, find_modes
-from warpcontact.unilateral.assembly import Assembler
+from warpcontact.unilateral.assembly import Assembler, Assembly
 from warpcontact.unilateral.events import Event, EventKind, EventRun, in_order
-from warpcontact.unilateral.snapshot import Snapshot, follow
+from warpcontact.unilateral.snapshot import Snapshot
 from warpcontact.unilateral.trajectory import Hold, Trajectory, View, held
 
 # Speeds below this are zero: far above the rounding of speeds, far below those of impacts that are not summed up [m/s].
@@ -26,6 +26,11 @@ TURN = 0.5
 BEYOND = 1.3
 # Parts of a step after an event at which it is looked what the contacts do: at the event itself it is undecided.
 AFTER = (1.0e-6, 1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2)
+# Work of impulses over that of all single ones that is rounding, and halvings of the restitution that brings more.
+NO_GAIN = 1.0e-12
+PARTS = 45
+# Speed of sliding over that of the last impact of a series up to which both end together.
+SLENDER = 20.0
 # Halvings of a step in search of where a contact was still open.
 HALVINGS = 60
 
@@ -51,7 +56,7 @@ class EventDriven:
     """The motion of one environment with hard contacts, from event to event.
 
     All contacts of the scene are rigid: they close without penetration, bounce by Newton's law with the
-    ``restitution`` of their law (0 if it has none), and slide or stick by Coulomb's with the ``mu`` of their friction
+    ``restitution`` of their law (0 if it has none; less where that would bring energy), and slide or stick by Coulomb's with the ``mu`` of their friction
     (``mu_static`` and ``mu_dynamic`` if it has two). Contact couplings and other couplings are forces, as the model
     computes them; what these remember stays as it is.
 
@@ -96,7 +101,7 @@ class EventDriven:
         self.method, self.most_events = method, most_events
         self.assembler = Assembler(model, env)
         self.trajectory = Trajectory(self.assembler)
-        self.state = self.assembler.bodies.settled(self.assembler.now())
+        self.state = self.assembler.bodies.settled(self.assembler.place.read())
         self._hold: Hold | None = None
         self._impacts: dict[int, tuple[float, float]] = {}  # of a pair: when it was last, and how long before that
         self._events: list[Event] = []
@@ -121,7 +126,7 @@ class EventDriven:
             every = float(checks.numbers("every", every, (), seconds))
         kept = _Kept(self.state.time, every)
         self._events = []
-        before = self.assembler.now()
+        before = self.assembler.place.read()
         try:
             self._go(end, kept)
         except ParadoxError as error:
@@ -129,7 +134,7 @@ class EventDriven:
             told.run = self._result(kept)
             raise told from error
         finally:
-            self.assembler.put(before)
+            self.assembler.place.write(before)
         return self._result(kept)
 
     def _result(self, kept: "_Kept") -> EventRun:
@@ -138,7 +143,7 @@ class EventDriven:
 
     def _go(self, end: float, kept: "_Kept") -> None:
         if self._hold is None:
-            self.state = follow(self.assembler.model, self.assembler.env, self.state)
+            self.state = self.assembler.place.follow(self.state)
             self._hold = Hold.nothing()
             self._refuse_overlaps()
             self._meet(self.state)
@@ -329,32 +334,62 @@ class EventDriven:
         speed = own.contact_velocity
         if not (speed[:, 0] < -STILL).any():
             return state, speed[:, 0] > STILL
-        nothing = np.zeros(own.count, dtype=bool)
         ending = self._series(state.time, pairs, speed[:, 0])
         restitution = np.where(np.isin(pairs, list(ending)), 0.0, own.restitution)
-        asked = speed.copy()
-        asked[:, 0] += restitution * np.minimum(speed[:, 0], 0.0)
-        found = find_modes(
-            own.delassus, asked, own.mu, own.mu, np.zeros((own.count, 2)), nothing, own.labels, self.method
-        )
-        velocity = state.velocity + own.inverse_mass @ (own.rows.T @ found.force.reshape(-1))
+        force = self._impulses(own, speed, restitution)
+        velocity = state.velocity + own.inverse_mass @ (own.rows.T @ force.reshape(-1))
         after = (own.rows @ velocity).reshape(-1, 3)[:, 0]
-        summed = np.isin(pairs, list(ending)) & (after > 0.0)
-        if summed.any():
-            # What is left of a series of impacts that follow each other ever closer.
-            rows = own.H[summed, 0]
-            response = own.inverse_mass @ rows.T
-            velocity = velocity - response @ np.linalg.lstsq(rows @ response, rows @ velocity, rcond=1.0e-11)[0]
+        if ending:
+            velocity = self._ended(own, velocity, np.isin(pairs, list(ending)), -speed[:, 0].min())
             after = (own.rows @ velocity).reshape(-1, 3)[:, 0]
-        impulse = (found.force[:, None, :] @ own.axes)[:, 0]
+        impulse = (force[:, None, :] @ own.axes)[:, 0]
         for number, pair in enumerate(pairs):
-            if found.force[number, 0] > NO_FORCE * found.force[:, 0].max():
+            if force[number, 0] > NO_FORCE * force[:, 0].max():
                 self._tell(
                     state.time, EventKind.IMPACT, pair, impulse[number], -speed[number, 0], after[number]
                 )
         for pair, time in ending.items():
             self._tell(time, EventKind.REST, pair)
         return state.with_velocity(velocity), after > STILL
+
+    @staticmethod
+    def _ended(own: Assembly, velocity: Array, ending: NDArray[np.bool_], approach: float) -> Array:
+        """Returns velocities (6 bodies,) after all of a series of impacts: without what is left of parting.
+
+        And of sliding that is no faster than the last ``approach`` [m/s] by more than bodies are longer than wide.
+        """
+        U = (own.rows @ velocity).reshape(-1, 3)
+        slow = (np.linalg.norm(U[:, 1:], axis=1) < SLENDER * approach) & (own.mu > 0.0)
+        chosen = np.stack([ending, ending & slow, ending & slow], axis=1).reshape(-1)
+        rows = own.rows[chosen]
+        response = own.inverse_mass @ rows.T
+        return velocity - response @ np.linalg.lstsq(rows @ response, rows @ velocity, rcond=1.0e-11)[0]
+
+    def _impulses(self, own: Assembly, speed: Array, restitution: Array) -> Array:
+        """Returns the impulses of an impact by local axes (contacts, 3) [N·s].
+
+        Newton's law alone may bring energy where friction turns a slip round, or contacts of different restitution
+        are hit together: restitution is then lowered, of all contacts alike, until it brings none.
+        """
+        none = np.zeros(own.count, dtype=bool)
+
+        def solved(part: float) -> tuple[Array, float]:
+            asked = speed.copy()
+            asked[:, 0] += part * restitution * np.minimum(speed[:, 0], 0.0)
+            slip = np.zeros((own.count, 2))
+            found = find_modes(own.delassus, asked, own.mu, own.mu, slip, none, own.labels, self.method)
+            after = speed + (own.delassus @ found.force.reshape(-1)).reshape(-1, 3)
+            work = found.force * (speed + after)
+            return found.force, float(work.sum() / (np.abs(work).sum() or 1.0))
+
+        force, gain = solved(1.0)
+        if gain <= NO_GAIN or not restitution.any():
+            return force
+        low, high = 0.0, 1.0
+        for _ in range(PARTS):
+            part = 0.5 * (low + high)
+            low, high = (part, high) if solved(part)[1] <= NO_GAIN else (low, part)
+        return solved(low)[0]
 
     def _series(self, time: float, pairs: NDArray[np.int_], speed: Array) -> dict[int, float]:
         """Returns the contacts of which impacts that come ever closer are summed up, and when they will have ended.

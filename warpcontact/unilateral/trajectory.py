@@ -10,7 +10,7 @@ from warpcontact.kernels.types import DRIVEN, MODE_SLIP, MODE_STICK
 from warpcontact.unilateral.acceleration import bent, check_slides, equations, forces_of_modes
 from warpcontact.unilateral.assembly import Assembler, Assembly, contact_rows
 from warpcontact.unilateral.candidates import Measured
-from warpcontact.unilateral.snapshot import Snapshot, follow
+from warpcontact.unilateral.snapshot import Snapshot, cross
 
 # Relative and absolute tolerance of a step of DOP853, some roundings of float64.
 RELATIVE, ABSOLUTE = 1.0e-12, 1.0e-13
@@ -160,7 +160,7 @@ class Trajectory:
                 orientation=orientation / np.linalg.norm(orientation, axis=1, keepdims=True),
             ).with_velocity(values[7 * count :])
             moved = self.assembler.bodies.settled(moved)
-            return follow(self.assembler.model, self.assembler.env, moved)
+            return self.assembler.place.follow(moved)
 
         def slopes(time: float, values: Array) -> Array:
             now = state(time, values)
@@ -169,7 +169,7 @@ class Trajectory:
             acceleration = own.accelerations(self._forces(now, own, hold))
             spin, q = now.angular_velocity, values[3 * count : 7 * count].reshape(count, 4)
             turn = np.hstack(
-                [q[:, 3:] * spin + np.cross(spin, q[:, :3]), -(spin * q[:, :3]).sum(axis=1, keepdims=True)]
+                [q[:, 3:] * spin + cross(spin, q[:, :3]), -(spin * q[:, :3]).sum(axis=1, keepdims=True)]
             )
             return np.concatenate([now.linear_velocity.reshape(-1), 0.5 * turn.reshape(-1), acceleration])
 
@@ -245,7 +245,7 @@ class Trajectory:
             axes = np.concatenate([there[:, None], own.axes[:, 1:]], axis=1)
             rows = contact_rows(axes, point, self.pairs[pairs], moved.position)
             result += weight * (rows.reshape(3 * len(pairs), -1) @ velocity).reshape(-1, 3)
-        self.assembler.put(snapshot)
+        self.assembler.place.write(snapshot)
         return result / (12.0 * step)
 
 
