@@ -81,7 +81,7 @@ def ladder(mu, angle, length=4.0):
 
 
 def three_balls(mu_between, mu_ground, spacing=2.1):
-    """A ball on two others, which lie apart on the ground; radius 1, and the sine of the slope of the line between."""
+    """A ball of radius 1 on two others, which lie apart; and the sine of the slope of the line between them."""
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     ground = scene.add_surface(wc.meshes.grid((40.0, 40.0), (1, 1)), name="ground")
     top = 1.0 + np.sqrt(4.0 - 0.25 * spacing**2)

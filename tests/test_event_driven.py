@@ -113,7 +113,7 @@ def test_a_block_tips_about_its_edge():
         return [y[1], moment / (inertia + 10.0 * 1.25)]
 
     expected = solve_ivp(slopes, (0.0, end), [0.0, 0.0], rtol=1e-12, atol=1e-14).y[:, -1]
-    qx, qy, qz, qw = body_of(run, "box", "orientation")[-1]
+    _, qy, _, qw = body_of(run, "box", "orientation")[-1]
     assert 2.0 * math.atan2(qy, qw) == pytest.approx(expected[0], abs=EXACT)
     assert body_of(run, "box", "angular_velocity")[-1, 1] == pytest.approx(expected[1], abs=EXACT)
     assert {one.item for one in run.events_of("LIFT_OFF")} <= {0, 1}
@@ -189,12 +189,14 @@ def test_a_block_leaves_a_shaken_table_when_that_falls_faster():
     motion = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=amplitude, frequency=frequency)
     table = scene.add_body(mass=1.0, inertia=(1, 1, 1), motion=motion, name="table")
     top = scene.add_surface(wc.meshes.grid((4.0, 4.0), (1, 1)), table, name="top")
-    brick = scene.add_body(mass=1.0, inertia=[0.1] * 3, position=(0, 0, 0.1), motion=wc.motions.Translation(), name="brick")
+    brick = scene.add_body(
+        mass=1.0, inertia=[0.1] * 3, position=(0, 0, 0.1), motion=wc.motions.Translation(), name="brick"
+    )
     scene.add_contact(scene.add_point(brick, (0, 0, -0.1)), top, rigid(0.0), name="touch")
-    run = EventDriven(scene.build(device="cpu", precision="float64")).run(0.15)
+    run = EventDriven(scene.build(device="cpu", precision="float64")).run(0.07)
     rate = 2.0 * math.pi * frequency
-    # The table falls with g at sin ωt = g/(a ω²). Its velocities and accelerations are differences in time, of 1e-6 s
-    # and 2e-5 s: 1e-10 and 1e-6 of their size are rounding.
+    # The table falls with g at sin ωt = g/(a ω²). Its velocities and accelerations are differences in time, of
+    # 1e-6 s and 2e-5 s: 1e-10 and 1e-6 of their size are rounding.
     leaves = math.asin(G / (amplitude * rate**2)) / rate
     assert run.events_of("LIFT_OFF")[0].time == pytest.approx(leaves, abs=1e-6)
 
@@ -269,17 +271,21 @@ def test_energy_never_grows_in_a_tumble():
 
 def test_a_rocking_block_loses_what_housner_says_and_comes_to_rest():
     model = block(mu=0.9)
-    tilt = 0.1
+    tilt = 2e-3
     # About the edge at x = 0.5, which stays where it is.
-    model["box.position"] = (0.5 - 0.5 * math.cos(tilt) + math.sin(tilt), 0.0, 0.5 * math.sin(tilt) + math.cos(tilt))
+    model["box.position"] = (
+        0.5 - 0.5 * math.cos(tilt) + math.sin(tilt),
+        0.0,
+        0.5 * math.sin(tilt) + math.cos(tilt),
+    )
     model["box.orientation"] = turned_about_y(tilt)
-    run = EventDriven(model).run(1.6)
+    run = EventDriven(model).run(0.3)
     hits = run.events_of("IMPACT")
     times = sorted({round(one.time, 9) for one in hits})
     rate = body_of(run, "box", "angular_velocity")[:, 1]
     ratios = []
-    for time in times[:8]:
-        at = np.flatnonzero(np.abs(run.times - time) < 1e-8)
+    for time in times[:5]:
+        at = np.flatnonzero(np.abs(run.times - time) < 1e-7)
         ratios.append(rate[at[-1]] / rate[at[0]])
     # 1 − (3/2) sin² α of a slender block with tan α = 1/2.
     np.testing.assert_allclose(ratios, 0.7, atol=1e-9)
@@ -330,7 +336,7 @@ def test_what_it_cannot_take_is_named():
         engine.run(0.0)
     with pytest.raises(ValueError, match="zeno must be greater than 0, got 0 s"):
         EventDriven(ball(), zeno=0.0)
-    with pytest.raises(KeyError, match="no 'ball.place' in an event-driven run; there are position"):
+    with pytest.raises(KeyError, match=r"no 'ball.place' in an event-driven run; there are position"):
         engine.run(0.1)["ball.place"]
     # Eternal bouncing is not summed up.
     with pytest.raises(RuntimeError, match="more than 5 events up to t = "):

@@ -1,8 +1,8 @@
 """What closed contacts do next: the complementarity problem of accelerations, with Coulomb friction.
 
 Relative accelerations of contacts are w = W λ + b. Where nothing slides, λ is in the cone of friction at rest and
-w = 0 or opposite to it; where a contact slides already, its friction has the direction of sliding. From the solution
-follows what each contact does, and with that the forces once more, as those of a linear system, to rounding.
+w = 0 or opposite to it; where a contact slides already, its friction has the direction of sliding. From the
+solution follows what each contact does, and with that the forces once more, by a linear system, to rounding.
 """
 
 from collections.abc import Iterator
@@ -226,7 +226,7 @@ def _exact(
     for _ in range(NEWTON):
         w = (W @ force.reshape(-1)).reshape(-1, 3) + b
         left, slopes = w.copy(), W.copy()
-        for contact in np.flatnonzero(starts):
+        for contact in np.flatnonzero(starts).tolist():
             _oppose(contact, W, mu[contact], force, w, left, slopes)
         change = push @ np.linalg.lstsq(slopes[rows] @ push, -left.reshape(-1)[rows], rcond=SINGULAR)[0]
         size = np.abs(change).max(initial=0.0)

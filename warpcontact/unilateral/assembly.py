@@ -106,9 +106,9 @@ class Assembler:
         """Returns the assembly of ``chosen`` pairs (numbers of candidates) in a state that was measured last."""
         own, bodies = self.candidates, self.bodies
         response = bodies.response(snapshot)
-        force = measured.force.reshape(-1, 6).copy()
-        force[:, :3] += bodies.mass[:, None] * bodies.gravity
-        force = force.reshape(-1)
+        weight = np.zeros((bodies.count, 6))
+        weight[:, :3] = bodies.mass[:, None] * bodies.gravity
+        force = measured.force + weight.reshape(-1)
         free = response.inverse_mass @ force + response.bias + bodies.driven_accelerations()
         axes = contact_axes(measured.normal[chosen])
         return Assembly(
@@ -159,9 +159,9 @@ def contact_rows(axes: Array, point: Array, bodies: NDArray[np.int_], position: 
 def assemble(model: Any, env: int = 0, closed: float = 1.0e-6) -> Assembly:
     """Returns the closed contacts of one environment in its current state, and the bodies that they hold.
 
-    All contacts of the scene count: of points and spheres with meshes, of smooth shapes, and of the pairs of mutual
-    contacts. Contact couplings are forces like those of other couplings. μ is that of the friction of a contact
-    (``mu``, or ``mu_static`` and ``mu_dynamic``), the restitution that of its law, or 0.
+    All contacts of the scene count: of points and spheres with meshes, of smooth shapes, and of the pairs of
+    mutual contacts. Contact couplings are forces like those of other couplings. μ is that of the friction of a
+    contact (``mu``, or ``mu_static`` and ``mu_dynamic``), the restitution that of its law, or 0.
 
     Args:
         model: From ``Scene.build``; its state stays as it is. ``precision="float64"`` is recommended.

@@ -26,8 +26,8 @@ class Equilibrium:
     Attributes:
         assembly: The closed contacts and the bodies.
         holds: Whether all bodies stay at rest.
-        mode: ``ContactMode`` of each contact (contacts,): STICK where it holds, SLIP and OPEN where it will slide or
-            part. A contact without friction that presses is SLIP.
+        mode: ``ContactMode`` of each contact (contacts,): STICK where it holds, SLIP and OPEN where it will slide
+            or part. A contact without friction that presses is SLIP.
         force: Forces on the first body of each contact (contacts, 3), world [N].
         normal_force: Their normal part (contacts,) [N].
         determined: Whether the force is the only one (contacts,).
@@ -63,7 +63,7 @@ class Equilibrium:
 
     @property
     def body_force(self) -> Array:
-        """Sum of the contact forces on each body (bodies, 3), world [N]; the same in all solutions of free bodies."""
+        """Sum of the contact forces on each body (bodies, 3), world [N]; of free bodies the only one."""
         return self._wrench[:, :3]
 
     @property
@@ -160,8 +160,8 @@ def _solved(own: Assembly, method: str) -> Equilibrium:
         mode=found.mode,
         force=(found.force[:, None, :] @ own.axes)[:, 0],
         normal_force=found.force[:, 0],
-        determined=~free.any(axis=1),
-        normal_determined=~free[:, 0],
+        determined=np.logical_not(free.any(axis=1)),
+        normal_determined=np.logical_not(free[:, 0]),
         linear_acceleration=acceleration.reshape(-1, 6)[:, :3],
         angular_acceleration=acceleration.reshape(-1, 6)[:, 3:],
         residual=float(np.abs(wrong).max(initial=0.0) / scale),

@@ -58,13 +58,11 @@ class Bodies:
         if not self.anchored.any():
             return snapshot
         position, velocity = snapshot.position.copy(), snapshot.linear_velocity.copy()
-        for body in np.flatnonzero(self.anchored):
+        for body in np.flatnonzero(self.anchored).tolist():
             arm = self._arm(body, snapshot)
             position[body] = self.anchor[body] + arm
             velocity[body] = cross(snapshot.angular_velocity[body], arm)
-        return Snapshot(
-            snapshot.time, position, snapshot.orientation, velocity, snapshot.angular_velocity
-        )
+        return Snapshot(snapshot.time, position, snapshot.orientation, velocity, snapshot.angular_velocity)
 
     def response(self, snapshot: Snapshot) -> Response:
         """Returns how the bodies answer to forces in a state; of bodies that follow a function of time not yet."""

@@ -9,7 +9,6 @@ from warpcontact.checks import Array
 from warpcontact.elements import Contact
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.types import DRIVEN, UNSOLVED, WORLD
-from warpcontact.model import Model
 from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.pile import Pile
 from warpcontact.smooth.elements import SmoothContact
@@ -66,22 +65,23 @@ class Candidates:
 
     def __init__(self, place: Place) -> None:
         self.place = place
-        self.model, self.env = model, env = place.model, place.env
+        self.model, self.env = place.model, place.env
+        model = place.model
         scene = model.scene
-        self.meshes = [contact for contact in scene.contacts if contact.facing is None]
-        self.smooth = list(scene.smooth_contacts)
+        own = [contact for contact in scene.contacts if contact.facing is None]
+        self.elements: list[Contact | SmoothContact] = [*own, *scene.smooth_contacts]
         self.piles = [(pile, _pairs(pile)) for pile in model.piles]
         names: list[str] = []
         items: list[int] = []
         labels: list[str] = []
-        bodies: list[Array] = []
+        bodies: list[NDArray[np.int_]] = []
         factors: list[Array] = []
-        for contact in (*self.meshes, *self.smooth):
+        for contact in self.elements:
             single = contact.points.single if isinstance(contact, Contact) else contact.single
-            own = [-1] if single else list(range(contact.count))
+            numbers = [-1] if single else list(range(contact.count))
             names += [contact.name] * contact.count
-            items += own
-            labels += [contact.name if item < 0 else f"{contact.name}[{item}]" for item in own]
+            items += numbers
+            labels += [contact.name if item < 0 else f"{contact.name}[{item}]" for item in numbers]
             bodies.append(_bodies_of(contact))
             factors.append(self._factors(contact, contact.count))
         for pile, pairs in self.piles:
@@ -89,7 +89,7 @@ class Candidates:
             names += [one.name] * len(pairs)
             items += range(len(pairs))
             labels += [f"{one.name}: {one.label(i)} on {one.label(j)}" for i, j in pairs]
-            bodies.append(one.bodies[pairs])
+            bodies.append(one.bodies[pairs].astype(int))
             factors.append(self._factors(one, len(pairs)))
         self.names, self.items, self.labels = np.array(names, dtype=object), np.array(items, dtype=int), labels
         self.bodies = np.concatenate([np.zeros((0, 2), dtype=int), *bodies])
@@ -119,7 +119,7 @@ class Candidates:
         self.place.write(snapshot)
         self.model.prepare(self._needs)
         parts = [(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))]
-        parts += [self._of_reading(contact) for contact in (*self.meshes, *self.smooth)]
+        parts += [self._of_reading(contact) for contact in self.elements]
         parts += [self._of_pile(pile, pairs, snapshot) for pile, pairs in self.piles]
         gap, normal, point = (np.concatenate([part[i] for part in parts]) for i in range(3))
         gap = np.where(self.enabled > 0.0, gap, np.inf)
@@ -130,20 +130,22 @@ class Candidates:
         for part in ("rolling", "torsion"):
             if not isinstance(contact.template.formulas[part], Frictionless):
                 raise ValueError(
-                    f"{contact.name}.{part} must be left out: resistance to rolling and to spinning is not part of "
+                    f"{contact.name}.{part} must be left out: resistance to rolling and spinning is not part of "
                     f"this method, got {type(contact.template.formulas[part]).__name__}"
                 )
         sources = Hard(contact, contact.template.formulas, count).sources()
         friction = contact.template.friction
         if friction.parameters() and sources["mu_static"] is None:
             raise ValueError(
-                f"{contact.name}.friction is {type(friction).__name__}, which has no coefficient of friction for hard "
-                "contact; take a model with mu, such as wc.frictions.Coulomb"
+                f"{contact.name}.friction is {type(friction).__name__}, which has no coefficient of friction for "
+                "hard contact; take a model with mu, such as wc.frictions.Coulomb"
             )
         if (self._values(f"{contact.name}.share", count, 1.0) != 1.0).any():
             raise ValueError(f"{contact.name}.share must be 1: a hard contact cannot be a part of one")
         columns = [
-            np.zeros(count) if source is None else self._values(f"{contact.name}.{source[0]}.{source[1]}", count, 0.0)
+            np.zeros(count)
+            if source is None
+            else self._values(f"{contact.name}.{source[0]}.{source[1]}", count, 0.0)
             for source in (sources[key] for key in ("mu_static", "mu_dynamic", "restitution"))
         ]
         columns.append(self._values(f"{contact.name}.enabled", count, 1.0))
@@ -243,4 +245,3 @@ def _pairs(pile: Pile) -> NDArray[np.int_]:
     kind, allowed = pile.contact.kinds
     may = (allowed[kind[one], kind[other]] > 0) & (pile.contact.bodies[one] != pile.contact.bodies[other])
     return np.stack([one[may], other[may]], axis=1)
-

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -9,15 +10,17 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array
-from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP, MODE_STICK
+from warpcontact.kernels.types import MODE_OPEN, MODE_STICK
 from warpcontact.unilateral.acceleration import ParadoxError, find_modes
 from warpcontact.unilateral.assembly import Assembler, Assembly
 from warpcontact.unilateral.events import Event, EventKind, EventRun, in_order
 from warpcontact.unilateral.snapshot import Snapshot
 from warpcontact.unilateral.trajectory import Hold, Trajectory, View, held
 
-# Speeds below this are zero: far above the rounding of speeds, far below those of impacts that are not summed up [m/s].
+# Speeds below this are zero: above the rounding of speeds, below those of impacts that are not summed up [m/s].
 STILL = 1.0e-9
+# Part of the length that is closed by which a gap must be closed for an impact.
+UNSEEN = 1.0e-3
 # Forces below this share of the largest are zero.
 NO_FORCE = 1.0e-9
 # Most that a body turns between two looks at contacts [rad].
@@ -35,39 +38,64 @@ SLENDER = 20.0
 HALVINGS = 60
 
 
+class _Watched(IntEnum):
+    """What is positive as long as contacts do what they do."""
+
+    GAP = 0  # of a pair that is open
+    THERE = 1  # 1 while a pair that is closed can touch, then −1
+    PRESS = 2  # normal force of a contact that is held
+    GRIP = 3  # what is left until it slides
+    SLIDE = 4  # speed in the direction in which it slides
+
+
 @dataclass(frozen=True)
 class _Crossing:
     """A function of the state that turns negative within a step.
 
     Attributes:
-        value: The function.
-        pair: The pair whose gap it is; −1 of others.
-        decided: Whether velocities say what comes next, or contacts must be seen a little later.
+        watched: What.
+        number: Of the pair, or of the contact that is held.
         threshold: Below its negative the function is negative.
     """
 
-    value: Callable[[View], float]
-    decided: bool
+    watched: _Watched
+    number: int
     threshold: float
-    pair: int = -1
+
+    @property
+    def decided(self) -> bool:
+        """Whether velocities say what comes next; if not, contacts must be seen a little later."""
+        return self.watched not in (_Watched.PRESS, _Watched.GRIP)
+
+    def value(self, view: View, hold: Hold) -> float:
+        """Returns the function in a state."""
+        if self.watched is _Watched.GAP:
+            # Where nothing can touch it is large.
+            return float(min(view.measured.gap[self.number], 1.0e9))
+        if self.watched is _Watched.THERE:
+            return 1.0 if np.isfinite(view.measured.gap[self.number]) else -1.0
+        if self.watched is _Watched.SLIDE:
+            return float(view.slide[self.number])
+        press, grip = held(view, hold)
+        return float((press if self.watched is _Watched.PRESS else grip)[self.number])
 
 
 class EventDriven:
     """The motion of one environment with hard contacts, from event to event.
 
     All contacts of the scene are rigid: they close without penetration, bounce by Newton's law with the
-    ``restitution`` of their law (0 if it has none; less where that would bring energy), and slide or stick by Coulomb's with the ``mu`` of their friction
-    (``mu_static`` and ``mu_dynamic`` if it has two). Contact couplings and other couplings are forces, as the model
-    computes them; what these remember stays as it is.
+    ``restitution`` of their law (0 if it has none; less where that would bring energy), and slide or stick by
+    Coulomb's with the ``mu`` of their friction (``mu_static`` and ``mu_dynamic`` if it has two). Couplings, and
+    contact couplings, are forces, as the model computes them; what these remember stays as it is.
 
-    Flight is in closed form where accelerations are uniform, else by DOP853 to 1e-12. Times at which a gap closes, a
-    contact parts, slides or stops are roots, to rounding. Contacts that impact together do so in one problem with
-    friction, and impacts that come ever closer are summed up as a geometric series. What is smooth must be so: where
-    a ball rolls over the edges of a tessellated surface, its acceleration is that of the faces.
+    Flight is in closed form where accelerations are uniform, else by DOP853 to 1e-12. Times at which a gap closes,
+    or a contact parts, slides or stops, are roots, to rounding. Contacts that impact together do so in one problem
+    with friction, and impacts that come ever closer are summed up as a geometric series. What is smooth must be
+    so: where a ball rolls over the edges of a tessellated surface, its acceleration is that of the faces.
 
     Args:
-        model: From ``Scene.build``, best with ``precision="float64"`` and few environments: each evaluation of forces
-            is one of all of them. Its state stays as it is.
+        model: From ``Scene.build``, best with ``precision="float64"`` and few environments: each evaluation of
+            forces is one of all of them. Its state stays as it is.
         env: Number of the environment.
         closed: Gaps up to this are zero [m].
         step: Longest time between two looks at the contacts [s].
@@ -111,13 +139,13 @@ class EventDriven:
 
         Args:
             duration: Simulated time [s].
-            every: Time between the states that are kept [s]; ``None``: those of all steps, and before and after each
-                event.
+            every: Time between the states that are kept [s]; ``None``: those of all steps, and before and after
+                each event.
 
         Raises:
             ValueError: If a time is not positive, or a contact begins in overlap.
-            ParadoxError: If at some time no accelerations agree with rigid bodies and Coulomb friction, or several;
-                ``error.run`` has what was computed up to there.
+            ParadoxError: If at some time no accelerations agree with rigid bodies and Coulomb friction, or
+                several; ``error.run`` has what was computed up to there.
             RuntimeError: If there are too many events, or the motion could not be integrated.
         """
         seconds = checks.limits("s", above=0.0)
@@ -190,7 +218,9 @@ class EventDriven:
         deep = np.flatnonzero(gap < -self.closed)
         if len(deep):
             label = self.assembler.candidates.labels[deep[0]]
-            raise ValueError(f"{label} begins in overlap, {-gap[deep[0]]:.3g} m deep; hard contacts begin apart or closed")
+            raise ValueError(
+                f"{label} begins in overlap, {-gap[deep[0]]:.3g} m deep; hard contacts begin apart or closed"
+            )
 
     def _safe_step(self, view: View) -> float:
         """Returns a time [s] within which no contact that is open closes unseen by more than ``closed``."""
@@ -217,63 +247,61 @@ class EventDriven:
         hold = self._hold
         assert hold is not None
         first: tuple[float, bool] | None = None
-
-        def value_at(crossing: _Crossing, time: float) -> float:
-            return crossing.value(self.trajectory.view(advanced(time), hold))
-
-        for crossing in self._crossings(view, seen, length):
-            end = length if first is None else first[0]
-            late = seen if first is None else self.trajectory.view(advanced(end), hold)
-            if crossing.value(late) >= -crossing.threshold:
+        for crossing in self._crossings(view, seen, hold):
+            end: float | None = length if first is None else first[0]
+            late = seen if first is None else self.trajectory.view(advanced(first[0]), hold)
+            if crossing.value(late, hold) >= -crossing.threshold:
                 end = self._dip(crossing, view, late, end, advanced)
-                if end is None:
-                    continue
-            time = self._root(lambda s, one=crossing: value_at(one, s), crossing.value(view), end)
+            if end is None:
+                continue
+
+            def value(time: float, one: _Crossing = crossing) -> float:
+                return one.value(self.trajectory.view(advanced(time), hold), hold)
+
+            time = self._root(value, crossing.value(view, hold), end)
             if first is None or time < first[0]:
                 first = (time, crossing.decided)
         return first
 
-    def _crossings(self, view: View, seen: View, length: float) -> list[_Crossing]:
+    def _crossings(self, view: View, seen: View, hold: Hold) -> list[_Crossing]:
         """Returns what may have turned negative within a step."""
-        hold = self._hold
-        assert hold is not None
         found: list[_Crossing] = []
-        tiny = 1.0e-3 * self.closed
+        tiny = UNSEEN * self.closed
         is_open = np.isfinite(view.measured.gap) | np.isfinite(seen.measured.gap)
         is_open[hold.pairs] = False
-        for pair in np.flatnonzero(is_open):
-            dips = view.rate[pair] < 0.0 < seen.rate[pair]
-            if seen.measured.gap[pair] < -tiny or dips:
-                found.append(_Crossing(lambda view, i=pair: _size(view.measured.gap[i]), True, tiny, pair))
-        scale = max(np.abs(view.force).max(initial=0.0), np.abs(seen.force).max(initial=0.0))
-        normal, left = held(seen, hold)
-        for number, pair in enumerate(hold.pairs):
+        dips = (view.rate < 0.0) & (seen.rate > 0.0)
+        for pair in np.flatnonzero(is_open & ((seen.measured.gap < -tiny) | dips)).tolist():
+            found.append(_Crossing(_Watched.GAP, pair, tiny))
+        scale = NO_FORCE * max(np.abs(view.force).max(initial=0.0), np.abs(seen.force).max(initial=0.0))
+        press, grip = held(seen, hold)
+        for number, pair in enumerate(hold.pairs.tolist()):
             if not np.isfinite(seen.measured.gap[pair]):
-                found.append(_Crossing(lambda view, i=pair: 1.0 if np.isfinite(view.measured.gap[i]) else -1.0, True, 0.0))
-            if normal[number] < -NO_FORCE * scale:
-                found.append(_Crossing(lambda view, i=number: held(view, hold)[0][i], False, NO_FORCE * scale))
-            if left[number] < -NO_FORCE * scale:
-                found.append(_Crossing(lambda view, i=number: held(view, hold)[1][i], False, NO_FORCE * scale))
+                found.append(_Crossing(_Watched.THERE, pair, 0.0))
+            if press[number] < -scale:
+                found.append(_Crossing(_Watched.PRESS, number, scale))
+            if grip[number] < -scale:
+                found.append(_Crossing(_Watched.GRIP, number, scale))
             if seen.slide[number] < -STILL:
-                found.append(_Crossing(lambda view, i=number: view.slide[i], True, STILL))
+                found.append(_Crossing(_Watched.SLIDE, number, STILL))
         return found
 
     def _dip(
-        self, crossing: _Crossing, view: View, seen: View, end: float, advanced: Callable[[float], Snapshot]
+        self, crossing: _Crossing, view: View, seen: View, end: float | None, advanced: Callable[[float], Snapshot]
     ) -> float | None:
         """Returns when a gap that closes and opens within a step is least, if it is closed then."""
-        pair, hold = crossing.pair, self._hold
-        if pair < 0:
-            return None
-        if not view.rate[pair] < 0.0 < seen.rate[pair]:
-            return None
         from scipy.optimize import brentq
+
+        pair, hold = crossing.number, self._hold
+        assert hold is not None
+        if crossing.watched is not _Watched.GAP or end is None or not view.rate[pair] < 0.0 < seen.rate[pair]:
+            return None
 
         def rate(time: float) -> float:
             return float(self.trajectory.view(advanced(time), hold).rate[pair])
 
         least = float(brentq(rate, 0.0, end, xtol=1.0e-3 * end))
-        return least if crossing.value(self.trajectory.view(advanced(least), hold)) < -crossing.threshold else None
+        deep = crossing.value(self.trajectory.view(advanced(least), hold), hold) < -crossing.threshold
+        return least if deep else None
 
     @staticmethod
     def _root(value: Callable[[float], float], at_start: float, end: float) -> float:
@@ -310,8 +338,8 @@ class EventDriven:
     def _change(self, time: float, length: float, advanced: Callable[[float], Snapshot]) -> None:
         """Finds what contacts do after they came to the edge of what they did, within a step of ``length``.
 
-        A little later, forces that they cannot have show what they do instead. Redundant contacts may share them out
-        otherwise, and go on.
+        A little later, forces that they cannot have show what they do instead. Redundant contacts may share them
+        out otherwise, and go on.
         """
         before = self._hold
         assert before is not None
@@ -345,9 +373,7 @@ class EventDriven:
         impulse = (force[:, None, :] @ own.axes)[:, 0]
         for number, pair in enumerate(pairs):
             if force[number, 0] > NO_FORCE * force[:, 0].max():
-                self._tell(
-                    state.time, EventKind.IMPACT, pair, impulse[number], -speed[number, 0], after[number]
-                )
+                self._tell(state.time, EventKind.IMPACT, pair, impulse[number], -speed[number, 0], after[number])
         for pair, time in ending.items():
             self._tell(time, EventKind.REST, pair)
         return state.with_velocity(velocity), after > STILL
@@ -392,7 +418,7 @@ class EventDriven:
         return solved(low)[0]
 
     def _series(self, time: float, pairs: NDArray[np.int_], speed: Array) -> dict[int, float]:
-        """Returns the contacts of which impacts that come ever closer are summed up, and when they will have ended.
+        """Returns the contacts of which impacts are summed up that come ever closer, and when these will have ended.
 
         Remembers the impacts.
         """
@@ -491,11 +517,6 @@ class _Kept:
         """Keeps the state at the end of a step, or before or after an event."""
         if self.every is None:
             self.states.append(state)
-
-
-def _size(gap: float) -> float:
-    """Returns a gap that a root can be found of: where nothing can touch it is large."""
-    return float(min(gap, 1.0e9))
 
 
 def _at(state: Snapshot, time: float) -> Snapshot:

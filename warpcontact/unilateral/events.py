@@ -74,8 +74,8 @@ class EventRun:
     angular_velocity of a body.
 
     Attributes:
-        times: Of the states (n,) [s]. Where velocities jump there are two states of one time, unless the states are
-            those of fixed intervals.
+        times: Of the states (n,) [s]. Where velocities jump there are two states of one time, unless the states
+            are those of fixed intervals.
         states: Poses and velocities of all bodies.
         events: In the order of time.
         scene: The scene.
@@ -102,7 +102,9 @@ class EventRun:
         element, _, quantity = name.rpartition(".")
         bodies = {body.name: body for body in self.scene.bodies}
         if element not in bodies or quantity not in _UNITS:
-            raise KeyError(f"no {name!r} in an event-driven run; there are {', '.join(_UNITS)} of {', '.join(bodies)}")
+            raise KeyError(
+                f"no {name!r} in an event-driven run; there are {', '.join(_UNITS)} of {', '.join(bodies)}"
+            )
         body = bodies[element]
         values = np.stack([getattr(state, quantity)[body.items] for state in self.states])
         last, labels = _COMPONENTS[values.shape[-1]]

@@ -1,4 +1,4 @@
-"""The state of one environment on the host, in float64: read from a model, and written into it to evaluate it there."""
+"""The state of one environment on the host, in float64: read from a model, and written into it."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -45,7 +45,7 @@ class Snapshot:
         return replace(self, linear_velocity=rows[:, :3].copy(), angular_velocity=rows[:, 3:].copy())
 
     def moved(self, way: Array) -> "Snapshot":
-        """Returns the same with poses moved by ``way`` (6 bodies,): displacements [m] and rotation vectors [rad]."""
+        """Returns the same with poses moved by ``way`` (6 bodies,), displacements [m] and rotation vectors [rad]."""
         rows = way.reshape(-1, 6)
         return replace(
             self, position=self.position + rows[:, :3], orientation=turned(self.orientation, rows[:, 3:])

@@ -14,8 +14,8 @@ from warpcontact.unilateral.snapshot import Snapshot, cross
 
 # Relative and absolute tolerance of a step of DOP853, some roundings of float64.
 RELATIVE, ABSOLUTE = 1.0e-12, 1.0e-13
-# Way over which the rows of H are differentiated, by turns [rad] or lengths of what turns: the error of the formula,
-# of its fourth power, and that of rounding are both below 1e-12.
+# Way over which the rows of H are differentiated [rad, m]: the error of the formula, of its fourth power, and that
+# of rounding are both below 1e-12.
 DIFFERENCE = 3.0e-4
 # Speed below which the direction of a slide is that in which it began [m/s].
 SLOW = 1.0e-10
@@ -91,8 +91,8 @@ class Trajectory:
         speed = own.contact_velocity[:, None, :] @ own.axes
         slide = np.where(slips, (speed[:, 0] * hold.direction).sum(axis=1), 0.0)
         rows = self.normal_rows(snapshot, measured)
-        change = np.abs(rows) @ np.abs(acceleration)
-        # Beside that, of turning: at most ω² times the arm of K.
+        # What bodies that move alike have in common counts little; of turning it is at most ω² times the arm of K.
+        change = 2.0 * np.abs(rows @ acceleration) + 0.1 * np.abs(rows) @ np.abs(acceleration)
         arms = np.linalg.norm(
             np.nan_to_num(measured.point)[:, None] - snapshot.position[np.maximum(self.pairs, 0)], axis=2
         )
@@ -177,7 +177,9 @@ class Trajectory:
             slopes, (0.0, duration), start, "DOP853", rtol=RELATIVE, atol=ABSOLUTE, first_step=duration
         )
         if not result.success:
-            raise RuntimeError(f"the motion from t = {snapshot.time:.9g} s could not be integrated: {result.message}")
+            raise RuntimeError(
+                f"the motion from t = {snapshot.time:.9g} s could not be integrated: {result.message}"
+            )
         return state(duration, result.y[:, -1])
 
     def _forces(self, snapshot: Snapshot, own: Assembly, hold: Hold) -> Array:
@@ -210,7 +212,7 @@ class Trajectory:
             check_slides(matrix, [own.labels[i] for i in rubs])
 
     def projected(self, snapshot: Snapshot, hold: Hold) -> Snapshot:
-        """Returns the state with the gaps of closed contacts, and their velocities, at zero: takes off rounding."""
+        """Returns the state with the gaps of closed contacts, and their velocities, at zero."""
         if not len(hold.pairs):
             return snapshot
         for _ in range(2):
@@ -250,14 +252,14 @@ class Trajectory:
 
 
 def _pull(own: Assembly, rows: NDArray[np.int_], wanted: Array) -> Array:
-    """Returns the smallest change (6 bodies,), by the kinetic energy of it, that changes rows of H by ``wanted``."""
+    """Returns the change (6 bodies,) of least kinetic energy that changes rows of H by ``wanted``."""
     H = own.rows[rows]
     response = own.inverse_mass @ H.T
     return response @ np.linalg.lstsq(H @ response, wanted, rcond=1.0e-11)[0]
 
 
 def held(view: View, hold: Hold) -> tuple[Array, Array]:
-    """Returns how far contacts that are held are from parting and from sliding (contacts,) [N]; ∞ if they cannot."""
+    """Returns how far contacts that are held are from parting and sliding (contacts,) [N]; ∞: they cannot."""
     normal = view.force[:, 0]
     sticks = (hold.mode == MODE_STICK) & (view.assembly.mu_static > 0.0)
     left = view.assembly.mu_static * normal - np.linalg.norm(view.force[:, 1:], axis=1)
