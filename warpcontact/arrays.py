@@ -135,7 +135,7 @@ def row_bytes(values: NDArray[Any]) -> int:
 def broadcast(memory: wp.array, envs: int, items: int | None = None) -> wp.array:
     """Returns ``memory`` (1 or envs, items) as an array (envs, items), with stride 0 if it is shared.
 
-    With ``items`` that many share the one that there is. The caller keeps ``memory`` alive.
+    With ``items`` that many share the one that there is.
     """
     if memory.shape[0] == envs and items is None:
         return memory
@@ -144,7 +144,7 @@ def broadcast(memory: wp.array, envs: int, items: int | None = None) -> wp.array
         strides[0] = 0
     if items is not None:
         shape[1], strides[1] = items, 0
-    return wp.array(
+    array = wp.array(
         ptr=memory.ptr,
         shape=tuple(shape),
         strides=tuple(strides),
@@ -152,6 +152,8 @@ def broadcast(memory: wp.array, envs: int, items: int | None = None) -> wp.array
         device=memory.device,
         copy=False,
     )
+    array.memory = memory  # which lives as long
+    return array
 
 
 def _scalar(dtype: Any) -> Any:

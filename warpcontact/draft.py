@@ -47,6 +47,7 @@ class PartDraft(OfScene):
         readings: What can be measured.
         meshes: What is searched, once it is built.
         no_step: What a model has as an array; see there.
+        bounces: Whether restitution is to be looked after, where it may come.
     """
 
     scene: Scene
@@ -65,6 +66,7 @@ class PartDraft(OfScene):
     readings: dict[str, Reading]
     meshes: list[wp.Mesh]
     no_step: None = None
+    bounces: bool = True
 
     def needs(self, envs: int, varied: Collection[str] = ()) -> list[Need]:
         """Returns what ``envs`` environments would take; ``varied`` are to have a value in each."""

@@ -129,6 +129,8 @@ class Model(Environments, OfScene):
         self._evaluation: tuple[int, list[Any]] = (-1, [])
         # Contacts that the last simulation solves for impulses.
         self.hard: HardContacts | None = None
+        # Whether any of them has a restitution.
+        self.bounces = False
         self._handed_out = False
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
         self.send(uploads, (upload.content() for upload in uploads))
@@ -161,16 +163,29 @@ class Model(Environments, OfScene):
         model = self.arrays.model
         return External(force=model.body_external_force, torque=model.body_external_torque)
 
+    def _look_for_bounces(self) -> None:
+        bounces = self.hard is not None and self.hard.bounces(self.parameters)
+        if self.bounces != bounces:
+            self.bounces = bounces
+            self.revision += 1
+
     @beside_captures()
     def attach(self, hard: HardContacts | None) -> None:
-        """Lets contacts be those of the simulation that is to step: ``hard`` ones, or all with their forces."""
+        """Lets contacts be those of the simulation that is to step: ``hard`` ones, or all with their forces.
+
+        Hard ones remember nothing then: what they do may be of before a reset, or of a step of another simulation.
+        """
         if hard is self.hard:
             return
-        for own in () if self.hard is None else self.hard.readings():
-            del self.readings[own.name]
+        if self.hard is not None:
+            self.hard.let_go(self)
+            for own in self.hard.readings():
+                del self.readings[own.name]
         self.hard = self.arrays.hard = hard
-        for own in () if hard is None else hard.readings():
-            self.readings[own.name] = own
+        if hard is not None:
+            hard.follow(self)
+            self.readings.update((own.name, own) for own in hard.readings())
+        self._look_for_bounces()
         # Nobody writes what hard contacts would do to bodies by a force.
         near, ends = self.arrays.near, self.arrays.ends
         for array in (near.force, near.torque_1, near.torque_2, ends.force, ends.torque):
@@ -361,6 +376,7 @@ class Model(Environments, OfScene):
         if self.pushed != (pushed := self._is_pushed()):
             self.pushed = pushed
             self.revision += 1
+        self._look_for_bounces()
         # What was known of distances may not hold for other radii, poses or meshes.
         cache = self.arrays.cache
         for known in (cache.set_wake, cache.block_wake, cache.wake, cache.faces):

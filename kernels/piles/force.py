@@ -46,7 +46,7 @@ def _start_memory(parts: Parts, real: type) -> wp.Function:
 
 
 @functools.cache
-def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp.Kernel:
+def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard: bool = False) -> wp.Kernel:
     """Returns the kernel of the touches that a shape owns; items: shapes.
 
     Args:
@@ -56,6 +56,8 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
         moves: Whether bodies that are not free oppose to a force what their motions let them.
         alone: Whether one thread has all shapes of an environment, one after the other. It adds what touches do to
             the wrenches; else ``add`` does.
+        hard: Whether touches have no force, and are only told where they are. So are those of the last step that
+            have come apart: what pressed in it is shown.
     """
     t = structs(real)
     vec3, quat, Model, State, Wrenches = t.vec3, t.quat, t.Model, t.State, t.Wrenches
@@ -72,18 +74,11 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
     remembers = any(part.memories for part in parts)
 
     @wp.func
-    def touch_of(
-        model: Model,
+    def place_of(
         state: State,
         shapes: Shapes,
         settings: Settings,
-        touches: Touches,
-        coefficients: Coefficients,
-        remembered: Memory,
-        kept: Memory,
-        dt: real,
         env: int,
-        slot: int,
         first: int,
         second: int,
         spot_1: Spot,
@@ -92,10 +87,8 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
         distance: real,
         radius_1: real,
         radius_2: real,
-        bits: int,
-        wrenches: Wrenches,
     ):
-        """Computes the touch of two shapes into its record."""
+        """Where two shapes touch."""
         n_W = vec3(real(0.0), real(0.0), real(1.0))
         if distance > real(0.0):
             n_W = pair.apart / distance
@@ -119,6 +112,32 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
             smaller, larger = curvatures(pair, spot_1, spot_2, radius_1, radius_2)
             place.curvature_1 = smaller
             place.curvature_2 = larger
+        return place
+
+    @wp.func
+    def note(place: Place, touches: Touches, env: int, slot: int):
+        """Writes where two shapes touch into the record of the pair."""
+        touches.gap[env, slot] = -place.penetration
+        touches.normal[env, slot] = place.normal
+        touches.arm[env, slot] = place.arm_1
+
+    @wp.func
+    def touch_of(
+        model: Model,
+        state: State,
+        place: Place,
+        settings: Settings,
+        touches: Touches,
+        coefficients: Coefficients,
+        remembered: Memory,
+        kept: Memory,
+        dt: real,
+        env: int,
+        slot: int,
+        bits: int,
+        wrenches: Wrenches,
+    ):
+        """Computes what a touch does into its record."""
         entry_speed = real(-1.0)
         if (bits & TOUCHED) != 0:
             entry_speed = touches.entry_speed[env, slot]
@@ -134,15 +153,12 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
             settings.torsion_radius, q_WS,
         )  # fmt: skip
         normal_force = settings.share * acts.normal_force
-        force = normal_force * n_W + settings.share * acts.friction_force
+        force = normal_force * place.normal + settings.share * acts.friction_force
         torque = settings.share * acts.torque
         touches.approach_speed[env, slot] = acts.approach_speed
-        touches.gap[env, slot] = gap
         touches.normal_force[env, slot] = normal_force
-        touches.normal[env, slot] = n_W
-        touches.arm[env, slot] = place.arm_1
         touches.force[env, slot] = force
-        touches.bits[env, slot] = bits | TOUCHES
+        note(place, touches, env, slot)
         torque_1 = wp.cross(place.arm_1, force) + torque
         torque_2 = wp.cross(place.arm_2, force) + torque
         if wp.static(alone):
@@ -194,6 +210,7 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
             now = wp.int32(0)
             while entry < stop:
                 # The next that touches, so that threads side by side compute touches together.
+                looked_at = wp.bool(False)
                 touching = wp.bool(False)
                 partner = wp.int32(NONE)
                 bits = wp.int32(0)
@@ -204,7 +221,7 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
                 radius_2 = radius
                 pair = Pair()
                 distance = real(0.0)
-                while entry < stop and not touching:
+                while entry < stop and not looked_at:
                     partner = lists.partner[env, entry]
                     radius_2 = shapes.radius[env, partner]
                     reach = radius + radius_2
@@ -227,10 +244,19 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
                         now = now | bits
                         if not touching:
                             touches.bits[env, slot] = bits
+                    looked_at = touching
+                    if wp.static(hard):
+                        looked_at = touching or bits != 0
                     entry += 1
                     slot += 1
-                if touching:
-                    now = now | TOUCHES
+                if looked_at:
+                    if touching:
+                        now = now | TOUCHES
+                        touches.bits[env, slot - 1] = bits | TOUCHES
+                    if wp.static(hard):
+                        # One that has come apart may have been passed over.
+                        pair = nearest(spot_1, spot_2)
+                        distance = wp.length(pair.apart)
                     if partner < shape:
                         # The first is the lower; the same bits as if it had been taken first.
                         first = partner
@@ -241,11 +267,22 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool) -> wp
                         radius_2 = radius
                         pair = nearest(spot_1, spot_2)
                         distance = wp.length(pair.apart)
-                    touch_of(
-                        model, state, shapes, settings, touches, coefficients, remembered, kept, step[env, 0],
-                        env, slot - 1, first, partner, spot_1, spot_2, pair, distance, radius_1, radius_2, bits,
-                        wrenches,
+                    place = place_of(
+                        state, shapes, settings, env, first, partner, spot_1, spot_2, pair, distance, radius_1,
+                        radius_2,
                     )  # fmt: skip
+                    if wp.static(hard):
+                        note(place, touches, env, slot - 1)
+                        # For a law that is to act later it began at rest.
+                        touches.approach_speed[env, slot - 1] = real(0.0)
+                        if wp.static(remembers):  # noqa: SIM102
+                            if bits == 0:
+                                start_memory(remembered, env, slot - 1, step[env, 0])
+                    else:
+                        touch_of(
+                            model, state, place, settings, touches, coefficients, remembered, kept, step[env, 0],
+                            env, slot - 1, bits, wrenches,
+                        )  # fmt: skip
             if now != busy:
                 touches.busy[env, shape] = now
 

@@ -29,8 +29,8 @@ def copy_memory(parts: Parts, real: type) -> wp.Function:
 
 
 @functools.cache
-def advance(parts: Parts, real: type) -> wp.Kernel:
-    """Returns the kernel that takes touches into the history; items: shapes."""
+def advance(parts: Parts, real: type, hard: bool = False) -> wp.Kernel:
+    """Returns the kernel that takes touches into the history; items: shapes. ``hard``: see ``force.kernel``."""
     p = pile_structs(real)
     Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
     _, Memory = group_structs(parts, real)
@@ -65,7 +65,8 @@ def advance(parts: Parts, real: type) -> wp.Kernel:
                     touches.entry_speed[env, slot] = speed
                 elif speed > touches.entry_speed[env, slot]:
                     touches.entry_speed[env, slot] = speed
-                copy(kept, slot, memory, slot, env)
+                if wp.static(not hard):
+                    copy(kept, slot, memory, slot, env)
 
     return advance_pile
 

@@ -7,7 +7,7 @@ memory stays, however far apart it is now.
 
 Conditions are nested where Warp, which looks at both sides of ``and``, would read beyond an array.
 
-    check → clear → fill → gather → carry → join
+    check → clear → fill → gather → [carry_impulses] → carry → join
 """
 
 import functools
@@ -19,6 +19,7 @@ from warpcontact.kernels.piles.base import NONE, TOUCHED, Form, owns, pile_struc
 from warpcontact.kernels.piles.history import copy_memory
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import ENV_ACTIVE, Work, structs
+from warpcontact.kernels.unilateral.records import record_structs
 
 # Of half the skin, what a shape may move before lists are stale: the rest is for rounding.
 SHARE_OF_SKIN = 0.49
@@ -297,6 +298,97 @@ def carry(parts: Parts, real: type) -> wp.Kernel:
             lists.count[env, shape] = count
 
     return carry_history
+
+
+@functools.cache
+def carry_impulses(real: type) -> wp.Kernel:
+    """Returns the kernel that moves what is remembered of hard pairs, before the new lists are in force.
+
+    Items: shapes. Both lists are sorted, so that what moves down its records, and then what moves up, overwrites
+    nothing that is to move yet.
+    """
+    p = pile_structs(real)
+    Shapes, Lists, Grid = p.Shapes, p.Lists, p.Grid
+    Memory = record_structs(real).Memory
+
+    @wp.func
+    def forget(memory: Memory, env: int, number: int):
+        # No step has this number.
+        memory.stamp[env, number] = 0
+
+    @wp.func
+    def move(memory: Memory, env: int, source: int, target: int):
+        memory.impulse[env, target] = memory.impulse[env, source]
+        memory.couple[env, target] = memory.couple[env, source]
+        memory.normal[env, target] = memory.normal[env, source]
+        memory.approach_speed[env, target] = memory.approach_speed[env, source]
+        memory.slip_speed[env, target] = memory.slip_speed[env, source]
+        memory.mode[env, target] = memory.mode[env, source]
+        memory.stamp[env, target] = memory.stamp[env, source]
+        forget(memory, env, source)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def carry_pile_impulses(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        shapes: Shapes,
+        lists: Lists,
+        grid: Grid,
+        first: wp.int32,  # number of the contact of the first record
+        memory: Memory,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            shape = task % work.items
+            if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
+                continue
+            start = shapes.entry_start[shape]
+            slot = shapes.slot_start[shape]
+            number = first + slot
+            before = lists.owned[env, shape]
+            room = wp.min(grid.keys[env, shape], shapes.slot_start[shape + 1] - slot)
+            owned = wp.int32(0)
+            old = wp.int32(0)
+            while owned < room:
+                key = grid.key[env, start + owned]
+                if key >= work.items:
+                    break
+                while old < before:
+                    if lists.partner[env, start + old] >= key:
+                        break
+                    forget(memory, env, number + old)
+                    old += 1
+                if old < before:  # noqa: SIM102
+                    if lists.partner[env, start + old] == key:
+                        old += 1
+                owned += 1
+            while old < before:
+                forget(memory, env, number + old)
+                old += 1
+
+            old = wp.int32(0)
+            for new in range(owned):
+                key = grid.key[env, start + new]
+                while old < before:
+                    if lists.partner[env, start + old] >= key:
+                        break
+                    old += 1
+                if new < old and old < before:  # noqa: SIM102
+                    if lists.partner[env, start + old] == key:
+                        move(memory, env, number + old, number + new)
+            old = before - 1
+            for place in range(owned):
+                new = owned - 1 - place
+                key = grid.key[env, start + new]
+                while old >= 0:
+                    if lists.partner[env, start + old] <= key:
+                        break
+                    old -= 1
+                if old >= 0 and old < new:  # noqa: SIM102
+                    if lists.partner[env, start + old] == key:
+                        move(memory, env, number + old, number + new)
+
+    return carry_pile_impulses
 
 
 @functools.cache

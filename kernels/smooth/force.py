@@ -19,7 +19,7 @@ def looks_at_curvature(parts: Parts) -> bool:
 
 @functools.cache
 def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
-    """Returns the kernel for the classes of ``parts``; items: contacts of the group.
+    """Returns the kernel for the classes of ``parts``; items: contacts side by side of the group.
 
     With ``moves``, bodies that are not free oppose to a force what their motions let them.
     """
@@ -39,6 +39,7 @@ def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
         state: State,
         remembered: Memory,
         step: wp.array2d(dtype=real),  # [env, 0] what the force acts over [s]; 0: the force of this instant
+        first: wp.int32,  # contact
         first_end: wp.int32,
         members: Members,
         settings: wp.array2d(dtype=Settings),
@@ -49,7 +50,7 @@ def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
-            contact = task % work.items
+            contact = first + task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
             end = first_end + 2 * contact

@@ -7,6 +7,8 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import frames
+from warpcontact.kernels.piles.base import TOUCHES, pile_structs
+from warpcontact.kernels.smooth.records import Members, Settings, contact_structs
 from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, MODE_SLIP, Work, structs
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import row_structs
@@ -133,3 +135,117 @@ def mesh(real: type) -> wp.Kernel:
                     )  # fmt: skip
 
     return collect_mesh_contacts
+
+
+@functools.cache
+def smooth(real: type, rolls: bool) -> wp.Kernel:
+    """Returns the kernel that adds smooth contacts of one group; items: 1.
+
+    ``rolls``: whether their radii of rolling are known.
+    """
+    State, Smooth = structs(real).State, contact_structs(real).Smooth
+    r, records = row_structs(real), record_structs(real)
+    Rows, Outcome, Memory, Account, Material = r.Rows, r.Outcome, records.Memory, records.Account, records.Material
+    add = add_row(real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def collect_smooth_contacts(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        state: State,
+        first: wp.int32,  # number of the first contact of the group
+        items: wp.array(dtype=wp.int32),  # those of the group that are hard
+        item_count: wp.int32,
+        members: Members,
+        settings: wp.array2d(dtype=Settings),
+        smooth: Smooth,
+        material: wp.array2d(dtype=Material),
+        memory: Memory,
+        account: Account,
+        rows: Rows,
+        outcome: Outcome,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            for place in range(item_count):
+                item = items[place]
+                # For a law that is to act later it began at rest.
+                smooth.approach_speed[env, item] = real(0.0)
+                if smooth.status[env, item] != CONTACT:
+                    continue
+                radius = real(0.0)
+                if wp.static(rolls):
+                    radius = smooth.radius[env, item]
+                # Rigid bodies have no overlap, and touch in a point.
+                torsion_radius = wp.max(real(settings[env, item].torsion_radius), real(0.0))
+                contact = first + item
+                add(
+                    state, rows, outcome, memory, account, env, contact, material[env, contact],
+                    members.body_a[item], members.body_b[item], smooth.arm_a[env, item], smooth.arm_b[env, item],
+                    smooth.normal[env, item], radius, torsion_radius,
+                )  # fmt: skip
+
+    return collect_smooth_contacts
+
+
+@functools.cache
+def pile(real: type) -> wp.Kernel:
+    """Returns the kernel that adds the pairs of a pile in the order of their records; items: 1."""
+    State = structs(real).State
+    p = pile_structs(real)
+    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
+    r, records = row_structs(real), record_structs(real)
+    Rows, Outcome, Memory, Account, Material = r.Rows, r.Outcome, records.Memory, records.Account, records.Material
+    add = add_row(real)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def collect_pile(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        state: State,
+        shape_count: wp.int32,
+        shapes: Shapes,
+        lists: Lists,
+        touches: Touches,
+        first: wp.int32,  # number of the contact of the first record
+        substance: wp.int32,  # number of the material of all pairs
+        material: wp.array2d(dtype=Material),
+        memory: Memory,
+        account: Account,
+        rows: Rows,
+        outcome: Outcome,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            own = material[env, substance]
+            # Rigid bodies have no overlap, and touch in a point.
+            torsion_radius = wp.max(shapes.settings[env, 0].torsion_radius, real(0.0))
+            for shape in range(shape_count):
+                if (touches.busy[env, shape] & TOUCHES) == 0:
+                    continue
+                start = shapes.entry_start[shape]
+                slot = shapes.slot_start[shape]
+                for k in range(lists.owned[env, shape]):
+                    if (touches.bits[env, slot + k] & TOUCHES) == 0:
+                        continue
+                    partner = lists.partner[env, start + k]
+                    body_1 = shapes.body[wp.min(shape, partner)]
+                    body_2 = shapes.body[wp.max(shape, partner)]
+                    apart = state.body_position[env, body_1] - state.body_position[env, body_2]
+                    apart += (
+                        state.body_position_remainder[env, body_1] - state.body_position_remainder[env, body_2]
+                    )
+                    arm = touches.arm[env, slot + k]
+                    radius_1 = shapes.radius[env, shape]
+                    radius_2 = shapes.radius[env, partner]
+                    add(
+                        state, rows, outcome, memory, account, env, first + slot + k, own, body_1, body_2, arm,
+                        apart + arm, touches.normal[env, slot + k], radius_1 * radius_2 / (radius_1 + radius_2),
+                        torsion_radius,
+                    )  # fmt: skip
+
+    return collect_pile

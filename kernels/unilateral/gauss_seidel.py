@@ -13,8 +13,11 @@ RAW = 0
 SINGULAR = 1  # its block, which has no inverse
 REGULAR = 2  # its block and the inverse
 
+# Sweeps without a smaller residual after which momentum is left out: some, and some for every row. Small problems
+# with much friction can go in circles with it.
+LONG, LONGER = 64, 8
 # Sweeps that may pass without a smaller residual where that is of the size of rounding.
-PATIENCE = 8
+PATIENCE = 50
 
 
 @functools.cache
@@ -30,6 +33,8 @@ def scratch(real: type, rolls: bool) -> type:
         free: wp.array2d(dtype=vec3)  # q, W [m/s]
         inverse: wp.array2d(dtype=mat33)  # of the block, W [kg]
         block: wp.array2d(dtype=mat33)  # (normal, two tangents) [1/kg]
+        before: wp.array2d(dtype=vec3)  # impulse before the sweep, W [N·s]
+        swept: wp.array2d(dtype=vec3)  # impulse after the sweep before, W [N·s]
         if rolls:
             turning: wp.array2d(dtype=vec3)  # relative angular velocity without contact, W [rad/s]
 
@@ -45,58 +50,32 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
         moves: Whether not all bodies are free.
         rolls: Whether any contact opposes rolling or spinning.
 
-    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no more, or
-    after some sweeps, forwards and backwards in turn. A sweep begins with looking alone: where every row keeps its
-    law nothing is changed, and the solve is over. What is found in one that changes something belongs to many states,
-    so that the last sweep always looks alone.
+    It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no
+    more, or after some sweeps. Near the end a sweep looks first: where every row keeps its law nothing is
+    changed, and the solve is over. What a sweep finds that changes something belongs to many states, so that
+    the last looks alone. Between sweeps impulses go on with Nesterov's momentum, as in ``accelerated``.
     """
     t = structs(real)
-    vec3, mat33 = t.vec3, t.mat33
+    vec3 = t.vec3
     r = row_structs(real)
     Rows, Moving, Outcome = r.Rows, r.Moving, r.Outcome
     Change, Scratch = impulses.change_struct(real), scratch(real, rolls)
     c = cone.functions(real)
     basis, one_contact = c.basis, c.one_contact
     f = impulses.functions(real, moves)
-    at, changed_at, push, ease, turning_ease = f.at, f.changed_at, f.push, f.ease, f.turning_ease
-    block_of, inverse_of, off_squared = f.block, f.inverse_of, f.off_squared
-    zero, one, half, three = (wp.constant(real(x)) for x in (0.0, 1.0, 0.5, 3.0))
+    relative, spin, changed_at, push = f.relative, f.spin, f.changed_at, f.push
+    ease, turning_ease, in_discs = f.ease, f.turning_ease, f.in_discs
+    block_of, inverse_of, in_cone, off_squared = f.block, f.inverse_of, f.in_cone, f.off_squared
+    zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
     raw, singular, regular = wp.constant(RAW), wp.constant(SINGULAR), wp.constant(REGULAR)
     patience = wp.constant(PATIENCE)
     rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
-    ROUNDING = wp.constant(real(1000.0 * rounding))
+    # Of the largest impulse: what rounding may leave of a residual.
+    ROUNDING = wp.constant(real(4.0 * rounding))
+    # Residual over the tolerance, squared, from which the next sweep does not look first.
+    ROUGH = wp.constant(real(4.0))
     # Part of the tolerance below which a row is left as it is.
     KEPT = wp.constant(real(0.1))
-
-    @wp.func
-    def relative(moving: Moving, env: int, one_body: int, other: int, arm_1: vec3, arm_2: vec3):
-        """Relative velocity without contact."""
-        velocity = vec3()
-        if one_body >= 0:
-            velocity = at(moving.linear[env, one_body], moving.angular[env, one_body], arm_1)
-        if other >= 0:
-            velocity -= at(moving.linear[env, other], moving.angular[env, other], arm_2)
-        return velocity
-
-    @wp.func
-    def spin(angular: wp.array2d(dtype=vec3), env: int, one_body: int, other: int):
-        """Relative angular velocity."""
-        difference = vec3()
-        if one_body >= 0:
-            difference = angular[env, one_body]
-        if other >= 0:
-            difference -= angular[env, other]
-        return difference
-
-    @wp.func
-    def in_discs(couple: vec3, n: vec3, rolling: real, spinning: real):
-        """The couple nearest to ``couple`` that is no larger than the limits, across the normal and along it."""
-        along = wp.dot(couple, n)
-        across = couple - along * n
-        size = wp.length(across)
-        if size > rolling:
-            across = (rolling / size) * across
-        return across + wp.clamp(along, -spinning, spinning) * n
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def gauss_seidel(
@@ -125,6 +104,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 change.linear[env, body] = vec3()
                 change.angular[env, body] = vec3()
             scale = zero
+            finite = zero  # only if all terms are
             for row in range(count):
                 one_body = rows.body_1[env, row]
                 other = rows.body_2[env, row]
@@ -134,42 +114,54 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 free -= rows.bounce[env, row] * rows.normal[env, row]
                 trace = ease(moving, env, one_body, arm_1) + ease(moving, env, other, arm_2)
                 rho = zero
+                impulse = vec3()
                 if trace > zero:
                     rho = three / trace
-                scale = wp.max(scale, rho * rho * wp.length_sq(free))
+                    impulse = rows.impulse[env, row]
+                size = rho * rho * wp.length_sq(free)
+                scale = wp.max(scale, size)
+                finite += size + wp.length_sq(impulse)
                 scratch.ready[env, row] = raw
                 scratch.rho[env, row] = rho
                 scratch.free[env, row] = free
-                impulse = rows.impulse[env, row]
+                scratch.before[env, row] = impulse
+                scratch.swept[env, row] = impulse
+                rows.impulse[env, row] = impulse
                 turn_1 = wp.cross(arm_1, impulse)
                 turn_2 = wp.cross(arm_2, impulse)
                 if wp.static(rolls):
                     turning = spin(moving.angular, env, one_body, other)
                     scratch.turning[env, row] = turning
                     trace = turning_ease(moving, env, one_body) + turning_ease(moving, env, other)
-                    if trace > zero:
+                    if trace > zero and rows.rolling[env, row] + rows.spinning[env, row] > zero:
                         scale = wp.max(scale, rho * three / trace * wp.length_sq(turning))
                     couple = rows.couple[env, row]
                     turn_1 += couple
                     turn_2 += couple
                 push(moving, change, env, one_body, impulse, turn_1)
                 push(moving, change, env, other, -impulse, -turn_2)
+            if not wp.isfinite(finite):
+                outcome.residual[env] = finite
+                outcome.iterations[env] = 0
+                outcome.converged[env] = 0
+                continue
             if scale == zero:
                 scale = one
 
             goal = tolerance * tolerance * scale
             worst = zero
             least = scale
-            waited = int(0)
+            theta = one
+            waited = wp.int32(0)
             last = wp.where(iterations <= 0, 1, 0)
-            sweeps = int(0)
+            sweeps = wp.int32(0)
+            rough = wp.int32(0)
             while True:
                 worst = zero
-                changes = int(0)
-                for place in range(count):
-                    row = place
-                    if (sweeps & 1) == 1:
-                        row = count - 1 - place
+                most = scale
+                uphill = zero
+                changes = wp.where(last == 0, rough, 0)
+                for row in range(count):
                     one_body = rows.body_1[env, row]
                     other = rows.body_2[env, row]
                     arm_1 = rows.arm_1[env, row]
@@ -182,6 +174,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                     w -= changed_at(change, env, other, arm_2)
                     off = off_squared(impulse, w, n, mu, rho)
                     worst = wp.max(worst, off)
+                    most = wp.max(most, wp.length_sq(impulse))
                     if last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal)):
                         changes += 1
                         ready = scratch.ready[env, row]
@@ -195,7 +188,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                             ready = singular + invertible
                             scratch.ready[env, row] = ready
                         new = vec3()
-                        sticks = int(0)
+                        sticks = wp.int32(0)
                         if ready == regular:
                             # Without slip, if the cone allows.
                             new = impulse - scratch.inverse[env, row] * w
@@ -209,6 +202,9 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                             b = vec3(wp.dot(w, n), wp.dot(w, across_1), wp.dot(w, across_2)) - W * local
                             local = one_contact(W, b, mu)
                             new = local[0] * n + local[1] * across_1 + local[2] * across_2
+                        if rho > zero:
+                            back = scratch.before[env, row] - new
+                            uphill += wp.dot(back, new - scratch.swept[env, row]) / rho
                         step = new - impulse
                         rows.impulse[env, row] = new
                         push(moving, change, env, one_body, step, wp.cross(arm_1, step))
@@ -242,8 +238,31 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 if worst < least:
                     least = worst
                     waited = 0
-                if sweeps == iterations or (waited >= patience and worst < ROUNDING * ROUNDING * scale):
+                if sweeps >= iterations or (waited >= patience and worst < ROUNDING * ROUNDING * most):
                     last = 1
+                    continue
+                rough = wp.where(worst > ROUGH * goal, 1, 0)
+
+                # A sweep is a step down a hill. Its momentum leads on, and starts again where it leads uphill.
+                if uphill > zero or waited > LONG + LONGER * count:
+                    theta = one
+                theta_next = half * theta * (wp.sqrt(theta * theta + four) - theta)
+                beta = theta * (one - theta) / (theta * theta + theta_next)
+                theta = theta_next
+                for row in range(count):
+                    swept = rows.impulse[env, row]
+                    new = swept
+                    if beta > zero:
+                        n = rows.normal[env, row]
+                        new = in_cone(swept + beta * (swept - scratch.swept[env, row]), n, rows.mu[env, row])
+                        rows.impulse[env, row] = new
+                        step = new - swept
+                        one_body = rows.body_1[env, row]
+                        other = rows.body_2[env, row]
+                        push(moving, change, env, one_body, step, wp.cross(rows.arm_1[env, row], step))
+                        push(moving, change, env, other, -step, -wp.cross(rows.arm_2[env, row], step))
+                    scratch.before[env, row] = new
+                    scratch.swept[env, row] = swept
 
             for body in range(change.linear.shape[1]):
                 moving.linear[env, body] = moving.linear[env, body] + change.linear[env, body]
@@ -253,7 +272,3 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             outcome.converged[env] = wp.where(worst <= goal, 1, 0)
 
     return gauss_seidel
-
-
-def defaults(real):
-    return (1e-5 if real is wp.float32 else 1e-10), 200

@@ -1,8 +1,8 @@
 """What impulses do to bodies, and what a row asks of them: common to the solvers of a step.
 
-Solvers look for the change of velocity, not for the velocity: it is as small as what contact does, however fast the
-bodies are, and so it is as fine in float32. A row has w = q + U(change), where q is its relative velocity without
-contact, less the speed at which it is to part.
+Solvers look for the change of velocity, not for the velocity: it is as small as what contact does, however fast
+the bodies are, and so it is as fine in float32. A row has w = q + U(change), where q is its relative velocity
+without contact, less the speed at which it is to part.
 """
 
 import functools
@@ -36,7 +36,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
     vec3, mat33 = t.vec3, t.mat33
     Moving = row_structs(real).Moving
     Change = change_struct(real)
-    zero, one, two, half, three = (wp.constant(real(x)) for x in (0.0, 1.0, 2.0, 0.5, 3.0))
+    zero, one, two, three = (wp.constant(real(x)) for x in (0.0, 1.0, 2.0, 3.0))
     rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
     # A block of less determinant, over the cube of a third of its trace, is not to be inverted.
     FLAT = wp.constant(real(100.0 * rounding))
@@ -80,9 +80,11 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
             A = moving.by_force[env, body]
             B = moving.across[env, body]
             trace += A[0, 0] + A[1, 1] + A[2, 2]
+            most = trace
             trace += two * wp.dot(arm, vec3(B[1, 2] - B[2, 1], B[2, 0] - B[0, 2], B[0, 1] - B[1, 0]))
-            # Of a place that does not move rounding leaves either sign.
-            trace = wp.max(trace, zero)
+            if trace <= FLAT * most:
+                # Of a place that does not move there is left what rounding is.
+                trace = zero
         else:
             trace += three * moving.inverse_mass[env, body]
         return trace
@@ -128,6 +130,85 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return mat33(c0[0], c0[1], c0[2], c0[1], a11, a12, c0[2], a12, a22), 1
 
     @wp.func
+    def in_cone(impulse: vec3, n: vec3, mu: real):
+        """The impulse nearest to ``impulse`` that a contact may carry, as ``cone.project``; all in W."""
+        along = wp.dot(impulse, n)
+        l_t = impulse - along * n
+        across_squared = wp.length_sq(l_t)
+        limit = mu * along
+        if along >= zero and across_squared <= limit * limit:
+            return impulse
+        across = wp.sqrt(across_squared)
+        a = along + mu * across
+        if a <= zero:
+            return vec3()
+        a = a / (one + mu * mu)
+        share = zero
+        if across > zero:
+            share = a * mu / across
+        return a * n + share * l_t
+
+    @wp.func
+    def relative(moving: Moving, env: int, one_body: int, other: int, arm_1: vec3, arm_2: vec3):
+        """Relative velocity without contact."""
+        velocity = vec3()
+        if one_body >= 0:
+            velocity = at(moving.linear[env, one_body], moving.angular[env, one_body], arm_1)
+        if other >= 0:
+            velocity -= at(moving.linear[env, other], moving.angular[env, other], arm_2)
+        return velocity
+
+    @wp.func
+    def spin(angular: wp.array2d(dtype=vec3), env: int, one_body: int, other: int):
+        """Relative angular velocity."""
+        difference = vec3()
+        if one_body >= 0:
+            difference = angular[env, one_body]
+        if other >= 0:
+            difference -= angular[env, other]
+        return difference
+
+    @wp.func
+    def in_discs(couple: vec3, n: vec3, rolling: real, spinning: real):
+        """The couple nearest to ``couple`` that is no larger than the limits, across the normal and along it."""
+        along = wp.dot(couple, n)
+        across = couple - along * n
+        size = wp.length(across)
+        if size > rolling:
+            across = (rolling / size) * across
+        return across + wp.clamp(along, -spinning, spinning) * n
+
+    @wp.func
+    def pressing(impulse: vec3, couple: vec3, n: vec3, mu: real, rolling: real, spinning: real):
+        """Normal part of what is nearest, among what a contact may carry, to an impulse and a couple over an arm.
+
+        The coefficients of couples are over that arm too. Beyond their limits, which grow with it, all three draw
+        at the normal impulse; those that are within the limits they have at the result do not.
+        """
+        along = wp.dot(impulse, n)
+        turning = wp.dot(couple, n)
+        slip = wp.length(impulse - along * n)
+        roll = wp.length(couple - turning * n)
+        twist = wp.abs(turning)
+        pressed = along + mu * slip + rolling * roll + spinning * twist
+        pressed = pressed / (one + mu * mu + rolling * rolling + spinning * spinning)
+        for _ in range(3):
+            # Each that is left out makes it larger.
+            sum = along
+            weight = real(1.0)
+            if slip > mu * pressed:
+                sum += mu * slip
+                weight += mu * mu
+            if roll > rolling * pressed:
+                sum += rolling * roll
+                weight += rolling * rolling
+            if twist > spinning * pressed:
+                sum += spinning * twist
+                weight += spinning * spinning
+            pressed = sum / weight
+        return wp.max(pressed, zero)
+
+    @wp.func
     def off_squared(impulse: vec3, w: vec3, n: vec3, mu: real, rho: real):
         """Square of how far an impulse is from its law at the velocity ``w``, as ``cone.residual``; all in W."""
         w_n = wp.dot(w, n)
@@ -140,7 +221,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         z_t = l_t - rho * w_t
         limit = mu * z_n
         across_squared = wp.length_sq(z_t)
-        if limit >= zero and across_squared <= limit * limit:
+        if z_n >= zero and across_squared <= limit * limit:
             return rho * rho * (lifted * lifted + slip_squared)
         across = wp.sqrt(across_squared)
         a = z_n + mu * across
@@ -155,12 +236,16 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return rest * rest + wp.length_sq(l_t - share * z_t)
 
     return SimpleNamespace(
-        at=at,
+        relative=relative,
+        spin=spin,
+        in_discs=in_discs,
+        pressing=pressing,
         changed_at=changed_at,
         push=push,
         ease=ease,
         turning_ease=turning_ease,
         block=block,
+        in_cone=in_cone,
         inverse_of=inverse_of,
         off_squared=off_squared,
     )

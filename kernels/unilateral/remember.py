@@ -1,8 +1,10 @@
 """After a step: what hard contacts remember of it, what they took of the energy, and how it is read."""
 
 import functools
+from typing import Any
 
 import warp as wp
+from warpcontact.kernels.piles.base import TOUCHES, pile_structs
 from warpcontact.kernels.types import ENV_ACTIVE, MODE_OPEN, MODE_SLIP, MODE_STICK, Work, structs
 from warpcontact.kernels.unilateral import relative
 from warpcontact.kernels.unilateral.records import record_structs
@@ -102,24 +104,28 @@ def kernel(real: type) -> wp.Kernel:
 
 
 @functools.cache
-def read(real: type) -> wp.Kernel:
-    """Returns the kernel that shows what the last step did, where readings look. Launch with dim (env, item)."""
-    t = structs(real)
-    vec3, Contacts = t.vec3, t.Contacts
+def read(real: type, Contacts: Any) -> wp.Kernel:
+    """Returns the kernel that shows what the last step did, where readings look. Launch with dim (env, item).
+
+    ``Contacts`` is the struct of the arrays of its contacts.
+    """
+    vec3 = structs(real).vec3
     records = record_structs(real)
     Memory, Account, Shown = records.Memory, records.Account, records.Shown
 
     @wp.kernel(module="unique", enable_backward=False)
     def show_contacts(
         step: wp.array2d(dtype=real),  # [env, 0] [s]
-        numbers: wp.array(dtype=wp.int32),  # [item] those of hard contacts with meshes
+        first: wp.int32,  # number of the first contact of the arrays
+        items: wp.array(dtype=wp.int32),  # [item] those of the arrays that are hard
         memory: Memory,
         account: Account,
         contacts: Contacts,
         shown: Shown,
     ):
-        env, item = wp.tid()
-        contact = numbers[item]
+        env, place = wp.tid()
+        item = items[place]
+        contact = first + item
         impulse = vec3()
         couple = vec3()
         approach_speed = real(0.0)
@@ -139,13 +145,63 @@ def read(real: type) -> wp.Kernel:
         per_step = real(1.0) / step[env, 0]
         shown.impulse[env, contact] = impulse
         shown.mode[env, contact] = mode
-        contacts.normal_force[env, contact] = per_step * along
-        contacts.friction_force[env, contact] = per_step * (impulse - along * normal)
-        contacts.torque[env, contact] = per_step * couple
-        contacts.approach_speed[env, contact] = approach_speed
-        contacts.slip_speed[env, contact] = slip_speed
+        contacts.normal_force[env, item] = per_step * along
+        contacts.friction_force[env, item] = per_step * (impulse - along * normal)
+        contacts.torque[env, item] = per_step * couple
+        contacts.approach_speed[env, item] = approach_speed
+        contacts.slip_speed[env, item] = slip_speed
 
     return show_contacts
+
+
+@functools.cache
+def read_pile(real: type) -> wp.Kernel:
+    """Returns the kernel that shows what the last step did in a pile. Launch with dim (env, shape).
+
+    What pressed in it is shown as touching, even if it has come apart since.
+    """
+    vec3 = structs(real).vec3
+    p = pile_structs(real)
+    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
+    records = record_structs(real)
+    Memory, Account = records.Memory, records.Account
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def show_pile(
+        step: wp.array2d(dtype=real),  # [env, 0] [s]
+        first: wp.int32,  # number of the contact of the first record
+        shapes: Shapes,
+        lists: Lists,
+        memory: Memory,
+        account: Account,
+        touches: Touches,
+    ):
+        env, shape = wp.tid()
+        if touches.busy[env, shape] == 0:
+            return
+        per_step = real(1.0) / step[env, 0]
+        start = shapes.slot_start[shape]
+        for slot in range(start, start + lists.owned[env, shape]):
+            bits = touches.bits[env, slot]
+            if bits == 0:
+                continue
+            force = vec3()
+            along = real(0.0)
+            approach_speed = real(0.0)
+            contact = first + slot
+            if memory.stamp[env, contact] == account.step[env]:  # noqa: SIM102  Warp would look at both sides
+                if memory.mode[env, contact] != MODE_OPEN:
+                    force = per_step * memory.impulse[env, contact]
+                    normal = memory.normal[env, contact]
+                    along = wp.dot(force, normal)
+                    approach_speed = memory.approach_speed[env, contact]
+                    touches.normal[env, slot] = normal
+                    touches.bits[env, slot] = bits | TOUCHES
+            touches.force[env, slot] = force
+            touches.normal_force[env, slot] = along
+            touches.approach_speed[env, slot] = approach_speed
+
+    return show_pile
 
 
 @functools.cache

@@ -1,8 +1,8 @@
 """Keeps impacts from bringing energy.
 
-Newton's law says with what speed a contact parts, whatever impulse that takes. Where friction turns the slip round,
-or contacts of different restitution are hit together, it may do more work than there was (Kane and Levinson 1985).
-With no restitution it cannot, whatever the friction; so there is a part of it that does not.
+Newton's law says with what speed a contact parts, whatever impulse that takes. Where friction turns the slip
+round, or contacts of different restitution are hit together, it may do more work than there was (Kane and Levinson
+1985). With no restitution it cannot, whatever the friction; so there is a part of it that does not.
 """
 
 import functools

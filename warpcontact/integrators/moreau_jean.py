@@ -12,7 +12,7 @@ from warpcontact.checks import limits
 from warpcontact.integrators.base import Integrator, formulas_of
 from warpcontact.kernels.frictions import Friction
 from warpcontact.kernels.motions import driven
-from warpcontact.kernels.unilateral import gauss_seidel, restrain, step
+from warpcontact.kernels.unilateral import accelerated, gauss_seidel, restrain, step
 from warpcontact.schedule import Span, StepLength, force_stages
 
 if TYPE_CHECKING:
@@ -21,7 +21,11 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
     from warpcontact.unilateral.hard_contacts import HardContacts
 
-SOLVERS = {"gauss_seidel": gauss_seidel}
+SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
+#: Most iterations of a step, if nothing is said.
+ITERATIONS = {"gauss_seidel": 200, "accelerated": 500}
+#: Relative residual to reach, if nothing is said, by precision.
+TOLERANCES = {wp.float32: 1.0e-5, wp.float64: 1.0e-8}
 THETA = limits("-", at_least=0.5, at_most=1.0)
 TOLERANCE = limits("-", above=0.0, at_most=1.0)
 
@@ -47,7 +51,7 @@ class MoreauJean(Integrator):
         solver: ``"gauss_seidel"``, one contact after the other, or ``"accelerated"``, all at once with momentum,
             for heavy bodies on light ones and tall stacks.
         iterations: Most iterations of a step; ``None``: those of the solver.
-        tolerance: Relative residual to reach; ``None``: 1e-5 in float32, 1e-10 in float64.
+        tolerance: Relative residual to reach; ``None``: 1e-5 in float32, 1e-8 in float64.
         compliant: Names of contacts that act by the force of their law instead.
 
     Raises:
@@ -141,7 +145,7 @@ class MoreauJean(Integrator):
             return free + self._solve(span, chosen)
 
         launches += solve(status)
-        for number in range(restrain.ROUNDS if hard.bounces else 0):
+        for number in range(restrain.ROUNDS if model.bounces else 0):
             inputs = [status, number, middle, hard.rows, hard.moving, hard.outcome, hard.restraint]
             launches += span.prepare(restrain.kernel(real), 1, inputs)
             launches += solve(hard.restraint.status)
@@ -152,9 +156,8 @@ class MoreauJean(Integrator):
         hard, real = span.hard, span.model.types.real
         assert hard is not None
         solver = SOLVERS[self.solver]
-        tolerance, iterations = solver.defaults(real)
-        tolerance = tolerance if self.tolerance is None else self.tolerance
-        iterations = iterations if self.iterations is None else self.iterations
+        tolerance = TOLERANCES[real] if self.tolerance is None else self.tolerance
+        iterations = ITERATIONS[self.solver] if self.iterations is None else self.iterations
         kernel = solver.kernel(real, span.model.moves, hard.rolls)
         inputs = [status, hard.rows, hard.moving, hard.outcome, tolerance, iterations]
         return span.prepare(kernel, 1, [*inputs, hard.scratch, hard.change])

@@ -119,6 +119,11 @@ class Pile:
         self._alone = layout.device.is_cpu
         self._kernel = force.kernel(self._parts, self._form, self.real, moves, self._alone)
 
+    @property
+    def _finder(self) -> wp.Kernel:
+        """The kernel that finds touches that have no force."""
+        return force.kernel(self._parts, self._form, self.real, moves=False, alone=True, hard=True)
+
     def _make_lists(self, layout: Layout, parameters: Parameters) -> NDArray[np.int_] | None:
         """Declares the lists; returns how many partners each shape may have, ``None`` if they are all pairs."""
         contact = self.contact
@@ -331,15 +336,17 @@ class Pile:
     def force_stages(self, span: "Span", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that add what its shapes do to each other to the wrenches of ``state``.
 
-        Arguments are those of ``schedule.force_stages``.
+        Arguments are those of ``schedule.force_stages``. Of hard pairs, those that find where they touch.
         """
         model = span.model.arrays.model
         count, wrenches = self.contact.count, span.model.arrays.wrenches
         shapes, lists_, touches, grid = self.shapes, self.lists, self.touches, self.grid
         launches = [] if self.fixed else self._list_stages(span, state, status)
+        hard = self._is_hard(span)
+        kernel = self._finder if hard else self._kernel
         inputs = [status, model, state, shapes, lists_, grid, self._memory, step, self._coefficients, touches]
-        launches += span.prepare(self._kernel, count, [*inputs, self._kept, wrenches])
-        if not self._alone:
+        launches += span.prepare(kernel, count, [*inputs, self._kept, wrenches])
+        if not self._alone and not hard:
             adding = force.add(self.real, self._single)
             launches += span.prepare(adding, self._carriers, [status, shapes, lists_, touches, wrenches])
         return launches
@@ -348,6 +355,10 @@ class Pile:
         """Returns the launches that make the lists anew where they do not hold."""
         count, buckets, real, form = self.contact.count, self._buckets, self.real, self._form
         shapes, lists_, touches, grid = self.shapes, self.lists, self.touches, self.grid
+        impulses = []
+        if span.hard is not None and self._is_hard(span):
+            inputs = [status, shapes, lists_, grid, span.hard.number_of(self.contact), span.hard.memory]
+            impulses = span.prepare(lists.carry_impulses(real), count, inputs)
         return [
             *span.prepare(lists.check(form, real), count, [status, state, shapes, grid]),
             *span.prepare(lists.clear(real), buckets, [status, grid]),
@@ -355,6 +366,7 @@ class Pile:
             *span.prepare(
                 lists.gather(form, real), count, [status, buckets, state, shapes, lists_, touches, grid]
             ),
+            *impulses,
             *span.prepare(
                 lists.carry(self._parts, real),
                 count,
@@ -367,7 +379,11 @@ class Pile:
         """Returns the launch that remembers what an accepted step led to."""
         status = span.model.arrays.status
         inputs = [status, self.shapes, self.lists, self.touches, self._kept, self._memory]
-        return span.prepare(history.advance(self._parts, self.real), self.contact.count, inputs)
+        kernel = history.advance(self._parts, self.real, self._is_hard(span))
+        return span.prepare(kernel, self.contact.count, inputs)
+
+    def _is_hard(self, span: "Span") -> bool:
+        return span.hard is not None and not span.hard.acts(self.contact.name)
 
     def restart(self, chosen: wp.array, envs: int) -> None:
         """Empties what the environments of the mask ``chosen`` [env] remember."""

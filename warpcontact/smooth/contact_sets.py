@@ -233,6 +233,8 @@ class SmoothSet:
     def force_stages(self, span: "Span", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
         """Returns the launches that find where its shapes meet in ``state``, and the forces at its ends.
 
+        Hard contacts have none.
+
         ``step`` [env, 0] is what these act over [s]; ``status`` [env] says which environments are active.
         """
         a, settings = span.model.arrays, self.settings
@@ -243,9 +245,12 @@ class SmoothSet:
             inputs = [status, state, items.start, self.members, *arrays, settings]
             inputs += [self.held, self.found, self.smooth]
             launches += span.prepare(kernel, items.stop - items.start, inputs)
-        inputs = [status, a.model, state, self.memory, step, self.first_end, self.members, settings]
-        inputs += [self.coefficients, self.smooth, self.kept, a.ends]
-        return launches + span.prepare(self.kernel, self.count, inputs)
+        acting = [(0, self.count)] if span.hard is None else span.hard.compliant_items(self.items)
+        for first, count in acting:
+            inputs = [status, a.model, state, self.memory, step, first, self.first_end, self.members, settings]
+            inputs += [self.coefficients, self.smooth, self.kept, a.ends]
+            launches += span.prepare(self.kernel, count, inputs)
+        return launches
 
     def accept_stages(self, span: "Span") -> list[wp.Launch]:
         """Returns the launches that remember what an accepted step led to."""

@@ -1,7 +1,7 @@
 """Hard contacts of a model on its device: the rows of a step, what is remembered, and what the step launches."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from types import SimpleNamespace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,13 +9,19 @@ import warp as wp
 
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.groups import Group, by_code
+from warpcontact.kernels.smooth.records import contact_structs
 from warpcontact.kernels.unilateral import collect, impulses, remember
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.parameters import Parameter
+from warpcontact.piles.elements import MutualContact
+from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
+from warpcontact.smooth.contact_sets import SmoothSet
+from warpcontact.smooth.elements import SmoothContact
 from warpcontact.status import ContactMode
-from warpcontact.unilateral.materials import Hard, material_upload
+from warpcontact.unilateral.materials import Hard, material_upload, parameters_of
 
 if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
@@ -23,11 +29,29 @@ if TYPE_CHECKING:
     from warpcontact.schedule import Span
 
 
+PURPOSE = "hard contacts"
+
+
+@dataclass
+class _List:
+    """Which of the items of some arrays are hard.
+
+    Attributes:
+        first: Number of the contact of the first item.
+        count: How many are hard.
+        items: These, on the device.
+    """
+
+    first: int
+    count: int
+    items: Any = None
+
+
 class HardContacts:
     """What stepping hard contacts takes beside a model.
 
     Contacts are numbered: those with meshes as they lie on the device, then smooth ones, then the records of pairs
-    of mutual contacts.
+    of mutual contacts, one mutual contact after the other. Materials likewise, but one for all of these pairs.
 
     Args:
         model: The model, or what is drawn up of it.
@@ -50,7 +74,7 @@ class HardContacts:
         account: Of each environment, since reset.
         shown: What readings show.
         reactions: Mean wrenches of the last step on the bodies.
-        material: [env, contact], of a mutual contact one for all pairs.
+        material: [env, material].
     """
 
     def __init__(
@@ -64,90 +88,138 @@ class HardContacts:
         scene: Scene = model.scene
         self.compliant = frozenset(compliant)
         self._real = t.real
+        self._contacts = t.Contacts
         self._device = layout.device
         rows, records = row_structs(t.real), record_structs(t.real)
         contacts = [contact for group in by_code(scene.contacts) for contact in group]
         starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
-        self._items = {
-            contact: slice(start, start + contact.count) for contact, start in zip(contacts, starts, strict=False)
-        }
+        meshes = {contact: _items(start, contact.count) for contact, start in zip(contacts, starts, strict=False)}
         self._blocks_of = {
-            contact: model.blocks.of_contacts(items.start, contact.count) for contact, items in self._items.items()
+            contact: _items(*model.blocks.of_contacts(own.start, contact.count)) for contact, own in meshes.items()
         }
-        hard = [contact for contact in contacts if contact.name not in self.compliant]
-        blocks = [np.arange(first, first + count) for first, count in (self._blocks_of[one] for one in hard)]
-        self._numbers = np.concatenate([np.zeros(0, np.int32), *(_range(self._items[one]) for one in hard)])
-        self._block_numbers = np.concatenate([np.zeros(0, np.int32), *blocks])
-        self._hard = hard
-        self._contact_count = starts[-1]
-        self.capacity = len(self._numbers)
-        known = starts[-1]
+        self._mesh = self._list(0, meshes, layout)
+        self._mesh_blocks = self._list(0, self._blocks_of, layout)
+        # What readings show of single contacts.
+        self._shown: dict[Contact | SmoothContact, slice] = dict(meshes.items())
+        self._smooth: list[tuple[SmoothSet, _List]] = []
+        for one in model.smooth:
+            first = starts[-1] + one.first
+            self._shown |= {
+                contact: slice(first + own.start, first + own.stop) for contact, own in one.items.items()
+            }
+            self._smooth.append((one, self._list(first, one.items, layout)))
+        count = starts[-1] + model.smooth_count
+        known = count
+        self._number_of: dict[MutualContact, int] = {}
+        self._piles: list[tuple[Pile, int]] = []  # those that are hard, with their material
+        for number, pile in enumerate(model.piles):
+            self._number_of[pile.contact] = known
+            known += pile.slots
+            if not self.acts(pile.contact.name):
+                self._piles.append((pile, count + number))
+        self.capacity = self._mesh.count + sum(own.count for _, own in self._smooth)
+        self.capacity += sum(pile.slots for pile, _ in self._piles)
+        everything = (*self._shown, *self._number_of)
+        self._hard = [contact for contact in everything if not self.acts(contact.name)]
 
-        bodies, each_row, each = per_env(model.body_count), per_env(max(1, self.capacity)), per_env(max(1, known))
-        purpose = "hard contacts"
-        self.middle = layout.struct(purpose, t.State, bodies)
+        bodies, each_row = per_env(model.body_count), per_env(max(1, self.capacity))
+        self.middle = layout.struct(PURPOSE, t.State, bodies)
         apart = ("by_force", "across") if not model.moves else ("inverse_mass",)
         nothing = fixed(1, 1)
-        self.moving = layout.struct(purpose, rows.Moving, bodies, records=True, **dict.fromkeys(apart, nothing))
-        self.rows = layout.struct(purpose, rows.Rows, each_row, records=True)
-        self.scratch = layout.struct(purpose, scratch(t.real, self.rolls), each_row, records=True)
-        self.change = layout.struct(purpose, impulses.change_struct(t.real), bodies, records=True)
-        self.outcome = layout.struct(purpose, rows.Outcome, per_env())
-        self.restraint = layout.struct(purpose, records.Restraint, per_env())
-        self.memory = layout.struct(purpose, records.Memory, each, records=True)
-        self.account = layout.struct(purpose, records.Account, per_env())
-        self.shown = layout.struct(purpose, records.Shown, each)
-        self.reactions = layout.struct(purpose, t.Wrenches, bodies)
-        self._lists = SimpleNamespace(blocks=None, numbers=None)
-        layout.content(purpose, self._lists, "blocks", _filled(self._block_numbers), wp.int32)
-        layout.content(purpose, self._lists, "numbers", _filled(self._numbers), wp.int32)
+        self.moving = layout.struct(PURPOSE, rows.Moving, bodies, records=True, **dict.fromkeys(apart, nothing))
+        self.rows = layout.struct(PURPOSE, rows.Rows, each_row, records=True)
+        self.scratch = layout.struct(PURPOSE, scratch(t.real, self.rolls), each_row, records=True)
+        self.change = layout.struct(PURPOSE, impulses.change_struct(t.real), bodies, records=True)
+        self.outcome = layout.struct(PURPOSE, rows.Outcome, per_env())
+        self.restraint = layout.struct(PURPOSE, records.Restraint, per_env())
+        self.memory = layout.struct(PURPOSE, records.Memory, per_env(max(1, known)), records=True)
+        self.account = layout.struct(PURPOSE, records.Account, per_env())
+        self.shown = layout.struct(PURPOSE, records.Shown, per_env(max(1, count)))
+        self.reactions = layout.struct(PURPOSE, t.Wrenches, bodies)
         self.material: Any = None
         self._bodies, self._step = 0, None
-        self._materials = [Hard(contact, contact.template.formulas, contact.count) for contact in contacts]
+        self._upload: Any = None
+        self._materials = [
+            Hard(one, one.template.formulas, own.stop - own.start) for one, own in self._shown.items()
+        ]
+        self._materials += [Hard(one, one.formulas, 1) for one in self._number_of]
+
+    def _list(self, first: int, items: Mapping[Any, slice], layout: Layout) -> _List:
+        """Declares the list of those of ``items``, by contact, that are hard."""
+        hard = [np.arange(own.start, own.stop) for contact, own in items.items() if not self.acts(contact.name)]
+        numbers = np.concatenate([np.zeros(0, np.int64), *hard])
+        made = _List(first, len(numbers))
+        # No array is empty.
+        layout.content(PURPOSE, made, "items", numbers if len(numbers) else [0], wp.int32)
+        return made
 
     def begin(self, model: "Model", step: wp.array) -> None:
-        """Readies what is allocated: restitution and coefficients of friction follow their parameters from now on.
-
-        Args:
-            model: The model.
-            step: Length of a step [env, 0] [s].
-        """
+        """Takes what is allocated: the model, and the length of a step [env, 0] [s]."""
         self._bodies, self._step = model.body_count, step
-        upload = material_upload(self, self._materials, model.parameters, model.device, self._real)
-        model.send([upload], [upload.content()])
+        self._upload = material_upload(self, self._materials, model.parameters, model.device, self._real)
+
+    def follow(self, model: "Model") -> None:
+        """Lets restitution and coefficients of friction follow their parameters; no contact remembers anything."""
+        for parameter in parameters_of(self._materials, model.parameters):
+            if self._upload not in parameter.uploads:
+                parameter.uploads.append(self._upload)
+        model.send([self._upload], [self._upload.content()])
         self.restart(wp.full(model.envs, True, dtype=wp.bool, device=model.device))
+
+    def let_go(self, model: "Model") -> None:
+        """Follows the parameters no longer."""
+        for parameter in parameters_of(self._materials, model.parameters):
+            if self._upload in parameter.uploads:
+                parameter.uploads.remove(self._upload)
+
+    def acts(self, name: str) -> bool:
+        """Whether the contact ``name`` acts by the force of its law."""
+        return name in self.compliant
+
+    def number_of(self, contact: MutualContact) -> int:
+        """Returns the number of the first record of a mutual contact."""
+        return self._number_of[contact]
 
     @property
     def rolls(self) -> bool:
         """Whether anything opposes rolling or spinning of a hard contact."""
         return any(contact.template.parts.rolls or contact.template.parts.twists for contact in self._hard)
 
-    @property
-    def bounces(self) -> bool:
-        """Whether there are restitution and friction, which may bring energy together, or several restitutions."""
-        return any("restitution" in one.template.law.parameters() for one in self._hard)
+    def bounces(self, parameters: Mapping[str, Parameter]) -> bool:
+        """Whether any hard contact has a restitution now: impacts may then bring energy."""
+        names = [f"{one.name}.law.restitution" for one in self._hard]
+        return any(bool(parameters[name].field.values.any()) for name in names if name in parameters)
 
     def compliant_blocks(self, group: Group) -> list[tuple[int, int]]:
         """Returns the blocks of the contacts of ``group`` that are not hard: the first and their number."""
-        ranges: list[tuple[int, int]] = []
-        for contact, (first, count) in self._blocks_of.items():
-            inside = group.first_block <= first < group.first_block + group.block_count
-            if not inside or contact.name not in self.compliant:
-                continue
-            if ranges and sum(ranges[-1]) == first:
-                ranges[-1] = (ranges[-1][0], ranges[-1][1] + count)
-            else:
-                ranges.append((first, count))
-        return ranges
+        last = group.first_block + group.block_count
+        return self.compliant_items(
+            {contact: own for contact, own in self._blocks_of.items() if group.first_block <= own.start < last}
+        )
+
+    def compliant_items(self, items: Mapping[Any, slice]) -> list[tuple[int, int]]:
+        """Returns where those of ``items``, by contact, are that are not hard: the first and how many follow."""
+        return _runs(own for contact, own in items.items() if self.acts(contact.name))
 
     def collect_stages(self, span: "Span") -> list[wp.Launch]:
         """Returns the launches that list the closed contacts of the middle of the step."""
-        a = span.model.arrays
-        if not len(self._numbers):
-            return []
-        inputs = [a.status, a.model, self.middle, a.contacts, a.near]
-        inputs += [self._lists.blocks, len(self._block_numbers), self.material, self.memory, self.account]
-        return span.prepare(collect.mesh(self._real), 1, [*inputs, self.rows, self.outcome])
+        a, real = span.model.arrays, self._real
+        outputs = [self.material, self.memory, self.account, self.rows, self.outcome]
+        launches = []
+        if self._mesh.count:
+            blocks = self._mesh_blocks
+            inputs = [a.status, a.model, self.middle, a.contacts, a.near, blocks.items, blocks.count]
+            launches += span.prepare(collect.mesh(real), 1, [*inputs, *outputs])
+        for one, own in self._smooth:
+            if own.count:
+                inputs = [a.status, self.middle, own.first, own.items, own.count, one.members, one.settings]
+                launches += span.prepare(collect.smooth(real, one.curved), 1, [*inputs, one.smooth, *outputs])
+        for pile, material in self._piles:
+            contact = pile.contact
+            inputs = [a.status, self.middle, contact.count, pile.shapes, pile.lists, pile.touches]
+            inputs += [self._number_of[contact], material]
+            launches += span.prepare(collect.pile(real), 1, [*inputs, *outputs])
+        return launches
 
     def accept_stages(self, span: "Span", step: wp.array) -> list[wp.Launch]:
         """Returns the launch that remembers what an accepted step led to; ``step`` [env, 0] [s]."""
@@ -162,37 +234,46 @@ class HardContacts:
 
     def show(self, model: "Model") -> None:
         """Puts the last step where readings look; forces are the mean over it."""
-        a, device = model.arrays, self._device
-        if len(self._numbers):
-            inputs = [self._step, self._lists.numbers, self.memory, self.account, a.contacts, self.shown]
-            shape = (model.envs, len(self._numbers))
-            wp.launch(remember.read(self._real), dim=shape, inputs=inputs, device=device)
+        a, device, real = model.arrays, self._device, self._real
+        known = [self.memory, self.account]
+        targets = [(self._mesh, remember.read(real, self._contacts), a.contacts)]
+        for one, own in self._smooth:
+            targets.append((own, remember.read(real, contact_structs(real).Smooth), one.smooth))
+        for own, kernel, target in targets:
+            if own.count:
+                inputs = [self._step, own.first, own.items, *known, target, self.shown]
+                wp.launch(kernel, dim=(model.envs, own.count), inputs=inputs, device=device)
+        for pile, _ in self._piles:
+            inputs = [self._step, self._number_of[pile.contact], pile.shapes, pile.lists, *known, pile.touches]
+            shape = (model.envs, pile.contact.count)
+            wp.launch(remember.read_pile(real), dim=shape, inputs=inputs, device=device)
         shape = (model.envs, model.body_count)
-        inputs = [self.reactions, a.wrenches]
-        wp.launch(remember.push(self._real), dim=shape, inputs=inputs, device=device)
+        wp.launch(remember.push(real), dim=shape, inputs=[self.reactions, a.wrenches], device=device)
 
     def readings(self) -> Iterator[Reading]:
         """Iterates over what can be measured of hard contacts."""
-        yield from hard_readings(self._items, self.compliant)
+        yield from hard_readings(self._shown, self.compliant)
 
 
-def hard_readings(items: dict[Contact, slice], compliant: Collection[str]) -> Iterator[Reading]:
+def hard_readings(items: Mapping[Contact | SmoothContact, slice], compliant: Collection[str]) -> Iterator[Reading]:
     """Iterates over what can be measured of hard contacts, given their numbers."""
     for contact, numbers in items.items():
         if contact.name in compliant:
             continue
-        own: int | slice = numbers.start if contact.points.single else numbers
-        several = 0 if contact.points.single else contact.count
-        text = "impulse of the last step on the point's body, world"
-        array = _shown("impulse", own)
-        yield Reading(f"{contact.name}.impulse", "N·s", text, array, needs=("contacts",), items=several)
+        if isinstance(contact, SmoothContact):
+            single, on = contact.single, "the body of its first shape"
+        else:
+            single, on = contact.points.single, "the point's body"
+        own: int | slice = numbers.start if single else numbers
+        several = 0 if single else contact.count
+        name, array = f"{contact.name}.impulse", _shown("impulse", own)
+        text = f"impulse of the last step on {on}, world"
+        yield Reading(name, "N·s", text, array, needs=("contacts",), items=several)
+        name, array = f"{contact.name}.mode", _shown("mode", own)
         text = "whether it stuck or slipped in the last step"
-        array = _shown("mode", own)
-        yield Reading(
-            f"{contact.name}.mode", "-", text, array, needs=("contacts",), items=several, codes=ContactMode
-        )
-    for name, (part, attribute, unit, meaning) in OF_SCENE.items():
-        yield Reading(f"scene.{name}", unit, meaning, _of_scene(part, attribute))
+        yield Reading(name, "-", text, array, needs=("contacts",), items=several, codes=ContactMode)
+    for key, (part, attribute, unit, meaning) in OF_SCENE.items():
+        yield Reading(f"scene.{key}", unit, meaning, _of_scene(part, attribute))
 
 
 # name: (struct, array, unit, what it is)
@@ -216,10 +297,16 @@ def _of_scene(part: str, attribute: str) -> Any:
     return lambda arrays: getattr(getattr(arrays.hard, part), attribute)
 
 
-def _range(items: slice) -> np.ndarray[Any, np.dtype[np.int32]]:
-    return np.arange(items.start, items.stop, dtype=np.int32)
+def _items(first: int, count: int) -> slice:
+    return slice(first, first + count)
 
 
-def _filled(numbers: Sequence[int] | np.ndarray[Any, Any]) -> Any:
-    """Returns ``numbers``, one of them at least: no array is empty."""
-    return numbers if len(numbers) else [0]
+def _runs(ranges: Iterable[slice]) -> list[tuple[int, int]]:
+    """Returns what lies side by side of some ranges in order, as the first and how many."""
+    runs: list[tuple[int, int]] = []
+    for own in ranges:
+        if runs and sum(runs[-1]) == own.start:
+            runs[-1] = (runs[-1][0], own.stop - runs[-1][0])
+        else:
+            runs.append((own.start, own.stop - own.start))
+    return runs

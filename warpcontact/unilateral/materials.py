@@ -1,6 +1,6 @@
 """What hard contacts take from their templates: Newton's restitution and the coefficients of Coulomb's cone."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -53,19 +53,26 @@ class Hard:
                 table[key] = None if name is None else (part, name)
         return table
 
+    def given(self, parameters: Mapping[str, Parameter]) -> dict[str, Parameter | None]:
+        """Returns the parameter that each number of the material is taken from."""
+        return {
+            key: None if source is None else parameters[f"{self.contact.name}.{source[0]}.{source[1]}"]
+            for key, source in self.sources().items()
+        }
+
+
+def parameters_of(hard: Sequence[Hard], parameters: Mapping[str, Parameter]) -> Iterator[Parameter]:
+    """Iterates over the parameters that the materials of all contacts are taken from."""
+    tables = (one.given(parameters).values() for one in hard)
+    return (parameter for table in tables for parameter in table if parameter is not None)
+
 
 def material_upload(
     target: Any, hard: Sequence[Hard], parameters: Mapping[str, Parameter], device: wp.Device, real: type
 ) -> Upload:
-    """Returns what puts the materials of all contacts into ``target.material``, and follows their parameters."""
+    """Returns what puts the materials of all contacts into ``target.material``."""
     struct = record_structs(real).Material
-    own = [
-        {
-            key: None if source is None else parameters[f"{one.contact.name}.{source[0]}.{source[1]}"]
-            for key, source in one.sources().items()
-        }
-        for one in hard
-    ]
+    own = [one.given(parameters) for one in hard]
 
     def content() -> NDArray[Any]:
         columns: dict[str, list[NDArray[Any]]] = {name: [] for name in struct.vars}
@@ -79,9 +86,4 @@ def material_upload(
             return pack(struct, {name: np.zeros((1, 1)) for name in columns})
         return pack(struct, {name: np.concatenate(parts, axis=1) for name, parts in columns.items()})
 
-    upload = Upload(target, "material", struct, content, device)
-    for table in own:
-        for parameter in table.values():
-            if parameter is not None and upload not in parameter.uploads:
-                parameter.uploads.append(upload)
-    return upload
+    return Upload(target, "material", struct, content, device)

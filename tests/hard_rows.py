@@ -1,0 +1,219 @@
+"""Steps of hard contact made by hand: bodies and rows in NumPy, their dense system, the device solvers on them."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+from warpcontact.kernels.types import WORLD, Work
+from warpcontact.kernels.unilateral import accelerated, gauss_seidel
+from warpcontact.kernels.unilateral.impulses import change_struct
+from warpcontact.kernels.unilateral.rows import row_structs
+
+SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
+#: Where they run.
+DEVICE = "cpu"
+
+
+def cross(a):
+    """The matrix of a ×."""
+    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+
+
+def frame(n):
+    """Rotation from contact axes, normal first, to the world."""
+    n = np.asarray(n, float)
+    t = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
+    t /= np.linalg.norm(t)
+    return np.column_stack([n, t, np.cross(n, t)])
+
+
+def project(z, mu):
+    """The point of Coulomb's cone nearest to z."""
+    across = np.linalg.norm(z[1:])
+    if across <= mu * z[0]:
+        return z
+    if mu * across <= -z[0]:
+        return np.zeros(3)
+    a = (z[0] + mu * across) / (1 + mu * mu)
+    return np.concatenate([[a], a * mu * z[1:] / across])
+
+
+@dataclass
+class Row:
+    first: int
+    second: int
+    arm_1: np.ndarray
+    arm_2: np.ndarray
+    normal: np.ndarray
+    mu: float = 0.0
+    bounce: float = 0.0
+    rolling: float = 0.0
+    spinning: float = 0.0
+    impulse: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    couple: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+
+class Step:
+    """Bodies and contacts of one environment.
+
+    Args:
+        inverse_masses: Of the bodies, 6 × 6 each, [[A, B], [Bᵀ, C]], or pairs (mass, inertia in W).
+        velocities: Without contact, (linear, angular) each.
+        rows: The contacts.
+    """
+
+    def __init__(self, inverse_masses, velocities, rows):
+        self.moves = not all(isinstance(given, tuple) for given in inverse_masses)
+        self.inverse = np.array([_inverse(m) for m in inverse_masses])
+        self.velocity = np.array([np.concatenate(v) for v in velocities], float)
+        self.rows = rows
+
+    @property
+    def rolls(self):
+        return any(row.rolling or row.spinning for row in self.rows)
+
+    def jacobian(self):
+        """H (3 × rows, 6 × bodies): relative velocities in contact axes are H v."""
+        H = np.zeros((3 * len(self.rows), 6 * len(self.inverse)))
+        for i, row in enumerate(self.rows):
+            R = frame(row.normal)
+            for body, arm, sign in ((row.first, row.arm_1, 1.0), (row.second, row.arm_2, -1.0)):
+                if body != WORLD:
+                    own = np.hstack([np.eye(3), -cross(arm)])
+                    H[3 * i : 3 * i + 3, 6 * body : 6 * body + 6] = sign * R.T @ own
+        return H
+
+    def dense(self):
+        """W and q of w = W l + q in contact axes."""
+        H = self.jacobian()
+        M = np.zeros((6 * len(self.inverse),) * 2)
+        for i, inverse in enumerate(self.inverse):
+            M[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = inverse
+        q = H @ self.velocity.ravel()
+        q[::3] -= [row.bounce for row in self.rows]
+        return H @ M @ H.T, q
+
+    def residual(self, impulses, velocity):
+        """Natural-map residual of impulses in W and the velocities (body, 6) that go with them."""
+        W, q = self.dense()
+        w = self.jacobian() @ velocity.ravel()
+        w[::3] -= [row.bounce for row in self.rows]
+        worst, scale = 0.0, 0.0
+        for i, row in enumerate(self.rows):
+            own = slice(3 * i, 3 * i + 3)
+            rho = 3.0 / np.trace(W[own, own])
+            lifted = w[own] + [row.mu * np.linalg.norm(w[own][1:]), 0.0, 0.0]
+            local = frame(row.normal).T @ impulses[i]
+            worst = max(worst, np.linalg.norm(local - project(local - rho * lifted, row.mu)))
+            scale = max(scale, rho * np.linalg.norm(q[own]))
+        return worst / (scale or 1.0)
+
+    def momentum_after(self, impulses, couples=None):
+        """Velocities (body, 6) that impulses and couples in W lead to."""
+        after = self.velocity.copy()
+        for i, row in enumerate(self.rows):
+            couple = np.zeros(3) if couples is None else couples[i]
+            for body, arm, sign in ((row.first, row.arm_1, 1.0), (row.second, row.arm_2, -1.0)):
+                if body != WORLD:
+                    wrench = np.concatenate([impulses[i], np.cross(arm, impulses[i]) + couple])
+                    after[body] += sign * self.inverse[body] @ wrench
+        return after
+
+    def solve(self, solver, real=wp.float64, tolerance=None, iterations=1000, status=(0, 1, 0)):
+        """Returns what a solver makes of it in the last of some environments, and of one that is not active."""
+        arrays = self.arrays(real, len(status))
+        if tolerance is None:
+            tolerance = 1e-12 if real == wp.float64 else 1e-5
+        launch(solver, arrays, real, self.moves, self.rolls, tolerance, iterations, status)
+        return Result(arrays, len(self.rows))
+
+    def solve_in_turn(self, solvers, tolerance, iterations, status=(0, 1, 0)):
+        """Likewise with a number of iterations of each, where those before have not converged."""
+        arrays = self.arrays(wp.float64, len(status))
+        change = None
+        for solver, most in zip(solvers, iterations, strict=True):
+            options = {} if change is None else {"after": True}
+            change = launch(
+                solver, arrays, wp.float64, self.moves, self.rolls, tolerance, most, status, change, **options
+            )
+        return Result(arrays, len(self.rows))
+
+    def arrays(self, real, envs):
+        r = row_structs(real)
+        kind = wp.dtype_to_numpy(real)
+        rows, moving, outcome = r.Rows(), r.Moving(), r.Outcome()
+
+        def put(owner, name, values, dtype):
+            values = np.asarray(values, np.int32 if dtype == wp.int32 else kind)
+            tiled = np.repeat(values[None], envs, axis=0)
+            setattr(owner, name, wp.array(tiled, dtype=dtype, device=DEVICE))
+
+        # One more than there are, which is not to be looked at.
+        spare = Row(9999, 9999, *(np.full(3, np.nan),) * 3, *(np.nan,) * 4, *(np.full(3, np.nan),) * 2)
+        every = [*self.rows, spare]
+        put(rows, "contact", range(len(every)), wp.int32)
+        put(rows, "body_1", [row.first for row in every], wp.int32)
+        put(rows, "body_2", [row.second for row in every], wp.int32)
+        for name in ("arm_1", "arm_2", "normal", "impulse", "couple"):
+            put(rows, name, [getattr(row, name) for row in every], r.vec3)
+        for name in ("mu", "rolling", "spinning", "bounce"):
+            put(rows, name, [getattr(row, name) for row in every], real)
+        put(moving, "linear", self.velocity[:, :3], r.vec3)
+        put(moving, "angular", self.velocity[:, 3:], r.vec3)
+        put(moving, "inverse_mass", self.inverse[:, 0, 0], real)
+        put(moving, "by_force", self.inverse[:, :3, :3], r.mat33)
+        put(moving, "across", self.inverse[:, :3, 3:], r.mat33)
+        put(moving, "by_torque", self.inverse[:, 3:, 3:], r.mat33)
+        outcome.count = wp.full(envs, len(self.rows), dtype=wp.int32, device=DEVICE)
+        outcome.residual = wp.full(envs, -1.0, dtype=real, device=DEVICE)
+        outcome.iterations = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)
+        outcome.converged = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)
+        return rows, moving, outcome
+
+
+def launch(solver, arrays, real, moves, rolls, tolerance, iterations, status, change=None, **options):
+    """Runs a solver once on all environments; returns what it leaves of changes."""
+    rows, moving, outcome = arrays
+    module = SOLVERS[solver]
+    scratch = _zeros(module.scratch(real, rolls), rows.body_1.shape)
+    if change is None:
+        change = _zeros(change_struct(real), moving.linear.shape)
+    kernel = module.kernel(real, moves, rolls, **options)
+    work = Work()
+    work.first, work.items, work.tasks = 0, 1, len(status)
+    work.threads = work.tasks if wp.get_device(DEVICE).is_cuda else 1
+    states = wp.array(np.asarray(status, np.int32), device=DEVICE)
+    inputs = [work, states, rows, moving, outcome, real(tolerance), iterations, scratch, change]
+    wp.launch(kernel, work.threads, inputs, device=DEVICE)
+    return change
+
+
+class Result:
+    """What a solver left, of the last environment: in NumPy, float64."""
+
+    def __init__(self, arrays, count):
+        rows, moving, outcome = arrays
+        self.arrays = arrays
+        self.impulse = rows.impulse.numpy()[-1, :count].astype(float)
+        self.couple = rows.couple.numpy()[-1, :count].astype(float)
+        self.velocity = np.concatenate([moving.linear.numpy()[-1], moving.angular.numpy()[-1]], -1).astype(float)
+        self.residual = float(outcome.residual.numpy()[-1])
+        self.iterations = int(outcome.iterations.numpy()[-1])
+        self.converged = bool(outcome.converged.numpy()[-1] == 1)
+
+
+def _zeros(struct, shape):
+    instance = struct()
+    for name, variable in struct.vars.items():
+        setattr(instance, name, wp.zeros(shape, dtype=variable.type.dtype, device=DEVICE))
+    return instance
+
+
+def _inverse(given):
+    if isinstance(given, tuple):
+        mass, inertia = given
+        inverse = np.zeros((6, 6))
+        inverse[:3, :3] = np.eye(3) / mass
+        inverse[3:, 3:] = np.linalg.inv(np.asarray(inertia, float))
+        return inverse
+    return np.asarray(given, float)

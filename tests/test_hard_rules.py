@@ -1,0 +1,238 @@
+"""What hard contact promises beside its mechanics: schedules, resets, mixtures, readings, errors and warnings."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hard_scenes import HARD, G, add_box, ball, rigid
+from scenes import square
+
+import warpcontact as wc
+
+
+def thrown(envs=9, device="cpu", precision="float32"):
+    """Boxes that are thrown, each in its own way, onto a plane and a block that leans on it."""
+    scene = wc.Scene(gravity=(0.0, 0.0, -G))
+    ground = scene.add_surface(square(20.0), name="ground")
+    body = add_box(scene, (0.3, 0.4, 0.2), ground, rigid(0.5, 0.4), name="one", position=(0.0, 0.0, 0.4))
+    top = scene.add_surface(wc.meshes.box((0.3, 0.4, 0.2)), body, name="top")
+    other = scene.add_body(1.0, (0.01,) * 3, position=(0.0, 0.0, 0.8), name="two")
+    centre = scene.add_point(other, (0.0, 0.0, 0.0))
+    scene.add_contact(centre, top, rigid(0.2, 0.3), radius=0.1, name="above")
+    scene.add_contact(centre, ground, rigid(0.2, 0.3), radius=0.1, name="below")
+    model = scene.build(envs=envs, device=device, precision=precision)
+    rng = np.random.default_rng(5)
+    model["one.angular_velocity"] = rng.normal(size=(envs, 3))
+    model["two.linear_velocity"] = 0.3 * rng.normal(size=(envs, 3))
+    return model
+
+
+def state_after(model, steps=400, **options):
+    simulation = wc.Simulation(model, 1e-3, HARD, **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        simulation.step(steps)
+    names = (
+        "one.position",
+        "one.orientation",
+        "two.position",
+        "two.linear_velocity",
+        "above.impulse",
+        "one_feet.mode",
+    )
+    return {name: model.reading(name) for name in names}
+
+
+@pytest.fixture(scope="module")
+def reference(device):
+    return state_after(thrown(device=device), graphs=False)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"threads": 1}, {"threads": 2}, {"distance_cache": False, "graphs": False}, {"deterministic": True}],
+    ids=str,
+)
+def test_however_it_is_scheduled_the_result_is_the_same_to_the_bit(device, reference, options):
+    result = state_after(thrown(device=device), **options)
+    for name, values in reference.items():
+        assert np.array_equal(result[name], values), name
+
+
+def test_an_environment_alone_is_the_same_as_among_others(device, reference):
+    model = thrown(device=device)
+    alone = thrown(envs=1, device=device)
+    for name in ("one.angular_velocity", "two.linear_velocity"):
+        alone[name] = model[name][4:5]
+    result = state_after(alone)
+    for name, values in reference.items():
+        assert np.array_equal(result[name][0], values[4]), name
+
+
+def test_environments_on_two_devices_are_those_on_one(device, reference):
+    result = state_after(thrown(device=[device, device]))
+    for name, values in reference.items():
+        assert np.array_equal(result[name], values), name
+
+
+def test_a_reset_forgets_impulses_losses_and_failures_of_its_environments(device):
+    model = ball(0.5, 0.3, height=0.1, velocity=(1.0, 0.0, 0.0), envs=2, device=device)
+    simulation = wc.Simulation(model, 1e-3, HARD)
+    simulation.step(500)
+    first = model.reading("ball.position").copy()
+    losses = model.reading("scene.friction_loss")
+    assert (losses > 0.0).all()
+    assert (model.reading("touch.impulse")[:, 2] > 0.0).all()
+    simulation.reset([True, False])
+    assert model.reading("scene.friction_loss")[0] == 0.0
+    assert model.reading("scene.friction_loss")[1] == losses[1]
+    assert model.reading("touch.impulse")[0].tolist() == [0.0, 0.0, 0.0]
+    assert model.reading("touch.mode")[0] == wc.ContactMode.OPEN
+    simulation.step(500)
+    assert np.array_equal(model.reading("ball.position")[0], first[0])
+    simulation.reset()
+    simulation.step(500)
+    assert np.array_equal(model.reading("ball.position"), first)
+
+
+def test_forces_are_the_mean_over_the_last_step_and_bodies_feel_them(device):
+    model = ball(mu=0.3, height=0.0, velocity=(1.0, 0.0, 0.0), device=device)
+    simulation = wc.Simulation(model, 2e-3, HARD)
+    simulation.step(20)
+    impulse = model.reading("touch.impulse")[0]
+    assert model.reading("touch.normal_force")[0] == pytest.approx(impulse[2] / 2e-3, rel=1e-14)
+    assert model.reading("touch.friction_force")[0] == pytest.approx([impulse[0] / 2e-3, 0.0, 0.0], abs=1e-12)
+    assert model.reading("ball.force")[0] == pytest.approx(impulse / 2e-3, rel=1e-14, abs=1e-12)
+    assert model.reading("touch.slip_speed")[0] > 0.1
+    assert model.reading("touch.mode")[0] == wc.ContactMode.SLIP
+    assert model.reading("scene.closed_contacts")[0] == 1
+    assert model.reading("scene.solve_converged")[0] == 1
+
+
+def test_a_contact_in_the_air_has_no_impulse_and_is_open(device):
+    model = ball(0.9, height=0.05, device=device)
+    data = wc.Simulation(model, 1e-3, HARD).run(0.3, ["touch.impulse", "touch.mode", "touch.normal_force"])
+    impulse, mode = data["touch.impulse"].values[:, 0, 2], data["touch.mode"].values[:, 0]
+    assert 1 <= np.count_nonzero(impulse) <= 4
+    assert ((mode == wc.ContactMode.OPEN) == (impulse == 0.0)).all()
+    assert ((data["touch.normal_force"].values[:, 0] == 0.0) == (impulse == 0.0)).all()
+
+
+def test_compliant_and_hard_contacts_live_in_one_scene(device):
+    """A block on four springy feet and one on rigid ones, a springy ball on top of the second."""
+    scene = wc.Scene(gravity=(0.0, 0.0, -G))
+    ground = scene.add_surface(square(20.0), name="ground")
+    soft = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e4, damping=200.0))
+    feet = [(x, y, -0.1) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    add_box(scene, (0.5, 0.5, 0.2), ground, soft, name="soft", mass=4.0, feet=feet, position=(2.0, 0.0, 0.1))
+    base = add_box(
+        scene, (0.5, 0.5, 0.2), ground, rigid(mu=0.5), name="hard", mass=4.0, feet=feet, position=(0.0, 0.0, 0.1)
+    )
+    top = scene.add_surface(wc.meshes.box((0.5, 0.5, 0.2)), base, name="top")
+    one = scene.add_body(1.0, (0.01,) * 3, position=(0.0, 0.0, 0.3), name="ball")
+    scene.add_contact(scene.add_point(one, (0.0, 0.0, 0.0)), top, soft, radius=0.1, name="on_top")
+    model = scene.build(device=device, precision="float64")
+    integrator = wc.integrators.MoreauJean(compliant=["soft_feet", "on_top"])
+    simulation = wc.Simulation(model, 1e-3, integrator)
+    simulation.step(4000)
+    assert -model.reading("soft_feet.gap")[0] == pytest.approx(4.0 * G / 4e4, rel=1e-6)
+    assert -model.reading("on_top.gap")[0] == pytest.approx(G / 1e4, rel=1e-6)
+    assert model.reading("hard_feet.normal_force")[0].sum() == pytest.approx(5.0 * G, rel=1e-6)
+    assert np.abs(model.reading("hard_feet.gap")).max() < 2.0 * G * 1e-3**2
+    assert "on_top.impulse" not in model.reading_names
+    assert model.reading("scene.closed_contacts")[0] == 4
+
+
+def test_one_model_can_be_stepped_either_way(device):
+    template = wc.Template(
+        law=wc.laws.Hooke(stiffness=1e4), friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.01)
+    )
+    model = ball(template=template, height=0.01, device=device)
+    expected = wc.Simulation(model, 1e-4).run(0.2, ["ball.position"])["ball.position"].values
+    simulation = wc.Simulation(model, 1e-3, HARD)
+    simulation.reset()
+    simulation.step(200)
+    assert "touch.impulse" in model.reading_names
+    assert abs(model.reading("touch.gap")[0]) < 1e-3
+    soft = wc.Simulation(model, 1e-4)
+    soft.reset()
+    assert "touch.impulse" not in model.reading_names
+    assert np.array_equal(soft.run(0.2, ["ball.position"])["ball.position"].values, expected)
+
+
+def test_a_solve_that_ends_early_is_counted_and_said(device):
+    scene = wc.Scene(gravity=(0.0, 0.0, -G))
+    below = scene.add_surface(square(10.0), name="ground")
+    feet = [(x, y, -0.25) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    for number in range(4):
+        place = (0.0, 0.0, 0.25 + 0.5 * number)
+        body = add_box(scene, (0.5,) * 3, below, rigid(mu=0.5), name=f"box{number}", feet=feet, position=place)
+        below = scene.add_surface(wc.meshes.box((0.5,) * 3), body, name=f"top{number}")
+    model = scene.build(envs=2, device=device, precision="float64")
+    simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(iterations=1))
+    with pytest.warns(RuntimeWarning, match="not solved to the tolerance in some steps of 2 of 2 environments"):
+        simulation.run(0.05)
+    assert (model.reading("scene.solve_failures") > 0).all()
+    assert (model.reading("scene.solve_iterations") <= 1).all()
+
+
+def test_what_hard_contact_cannot_do_is_said(device):
+    cases = [
+        (lambda: wc.integrators.MoreauJean(theta=0.4), "theta must be at least 0.5"),
+        (lambda: wc.integrators.MoreauJean(solver="magic"), "solver must be one of 'gauss_seidel'"),
+        (
+            lambda: wc.integrators.MoreauJean(iterations=0),
+            "iterations must be a whole number of at least 1, got 0",
+        ),
+        (lambda: wc.integrators.MoreauJean(tolerance=0.0), "tolerance must be greater than 0"),
+    ]
+    for make, message in cases:
+        with pytest.raises(ValueError, match=message):
+            make()
+    with pytest.raises(TypeError, match="compliant must be a list of names"):
+        wc.integrators.MoreauJean(compliant="touch")
+    model = ball(0.5, 0.2, device=device)
+    with pytest.raises(ValueError, match=r"touch\.law is Rigid, which has no force of its own; step the scene"):
+        wc.Simulation(model, 1e-3)
+    with pytest.raises(ValueError, match="compliant: there is no contact 'tuoch'; there is 'touch'"):
+        wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["tuoch"]))
+    with pytest.raises(ValueError, match=r"compliant: touch\.law is Rigid"):
+        wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["touch"]))
+    viscous = wc.Template(law=wc.laws.Hooke(stiffness=1e4), friction=wc.frictions.Viscous(drag=1.0))
+    with pytest.raises(ValueError, match=r"touch\.friction is Viscous, which has no coefficient of friction"):
+        wc.Simulation(ball(template=viscous, device=device), 1e-3, HARD)
+    scene = wc.Scene()
+    body = scene.add_body(1.0, (0.1,) * 3, position=(0, 0, 1))
+    plate = scene.add_surface(square())
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), plate, rigid(), swept=True, name="thin")
+    with pytest.raises(ValueError, match=r"thin\.swept is for contacts with a force"):
+        wc.Simulation(scene.build(device=device), 1e-3, HARD)
+
+
+def test_memory_of_hard_contacts_is_part_of_the_estimate(device):
+    model = ball(0.5, 0.2, envs=100, device=device, precision="float32")
+    names = [need.purpose for need in wc.Simulation(model, 1e-3, HARD).memory().needs]
+    assert "hard contacts" in names
+    assert "hard contacts" not in [
+        need.purpose
+        for need in wc.Simulation(
+            ball(template=wc.Template(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3
+        )
+        .memory()
+        .needs
+    ]
+
+
+def test_simulations_of_one_model_each_follow_its_parameters_and_leave_nothing_behind(device):
+    model = ball(0.5, height=0.01, velocity=(0.0, 0.0, -1.0), gravity=0.0, device=device)
+    parameter = model.find_parameter("touch.law.restitution")
+    before = len(parameter.uploads)
+    simulations = [wc.Simulation(model, 1e-3, HARD) for _ in range(3)]
+    assert len(parameter.uploads) == before + 1
+    for simulation, restitution in zip(simulations, (0.2, 0.4, 0.6), strict=True):
+        model["touch.law.restitution"] = restitution
+        simulation.reset()
+        simulation.step(20)
+        assert model.reading("ball.linear_velocity")[0, 2] == pytest.approx(restitution, rel=1e-12)
+    wc.Simulation(ball(template=wc.Template(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3)
+    assert len(parameter.uploads) == before + 1

@@ -1,0 +1,399 @@
+"""The solvers of a step of hard contact, on bodies and contacts made by hand."""
+
+import json
+
+import hard_rows
+import numpy as np
+import pytest
+import warp as wp
+from hard_rows import SOLVERS, Row, Step, cross, frame
+from warpcontact.kernels.types import WORLD
+
+both = pytest.mark.parametrize("solver", list(SOLVERS))
+precisions = pytest.mark.parametrize("real", [wp.float64, wp.float32])
+UP = np.array([0.0, 0.0, 1.0])
+G = 9.81
+DT = 1e-2
+HALF = 0.05  # half an edge of the boxes of a tower [m]
+
+
+@pytest.fixture(autouse=True)
+def on_device(device, monkeypatch):
+    monkeypatch.setattr(hard_rows, "DEVICE", device)
+
+
+def close(real, fine=1e-9, coarse=2e-4):
+    """Tolerance: what a residual of the default tolerance leaves of quantities of order one."""
+    return fine if real == wp.float64 else coarse
+
+
+def block(force=0.0, height=1.0, mu=0.5):
+    """The rigid block of 10 kg, 1 m wide, 2 m high, on four corners, after a step under a push at a height."""
+    inertia = np.diag([10.0 * 5 / 12, 10.0 * 5 / 12, 10.0 / 6])
+    rows = [
+        Row(0, WORLD, np.array([x, y, -1.0]), np.array([x, y, 0.0]), UP, mu)
+        for x in (-0.5, 0.5)
+        for y in (-0.5, 0.5)
+    ]
+    spin = np.array([0.0, force * (height - 1.0) / inertia[1, 1] * DT, 0.0])
+    return Step([(10.0, inertia)], [(np.array([force / 10.0 * DT, 0.0, -G * DT]), spin)], rows)
+
+
+def tower(masses, push=0.0, mu=0.5):
+    """Cubes on top of each other, four contacts each, after a step under gravity; the top one is pushed."""
+    bodies, velocities, rows = [], [], []
+    for i, mass in enumerate(masses):
+        bodies.append((mass, np.eye(3) * mass * (2 * HALF) ** 2 / 6))
+        top = i == len(masses) - 1
+        velocities.append((np.array([push if top else 0.0, 0.0, -G * DT]), np.zeros(3)))
+        for x in (-HALF, HALF):
+            for y in (-HALF, HALF):
+                below = np.array([x, y, HALF if i else 0.0])
+                rows.append(Row(i, i - 1, np.array([x, y, -HALF]), below, UP, mu))
+    return Step(bodies, velocities, rows)
+
+
+def ball(velocity, spin=(0.0, 0.0, 0.0), mass=2.0, radius=0.1, **options):
+    """A solid ball on the ground."""
+    arm = np.array([0.0, 0.0, -radius])
+    row = Row(0, WORLD, arm, np.zeros(3), UP, **options)
+    return Step([(mass, 0.4 * mass * radius**2 * np.eye(3))], [(np.array(velocity), np.array(spin))], [row])
+
+
+def random_step(seed, bodies=5, contacts=10, mu=0.5, hinges=False):
+    """Bodies that touch each other and the world here and there, and approach or part."""
+    rng = np.random.default_rng(seed)
+    inverse_masses, velocities = [], []
+    for i in range(bodies):
+        R = frame(unit(rng))
+        mass = 10 ** rng.uniform(-0.5, 0.5)
+        inertia = mass * R @ np.diag(rng.uniform(0.3, 1.0, 3)) @ R.T
+        if hinges and i % 2 == 0:
+            inverse_masses.append(hinge(unit(rng), rng.normal(size=3), mass, inertia))
+            velocities.append((np.zeros(3), np.zeros(3)))
+        else:
+            inverse_masses.append((mass, inertia))
+            velocities.append((rng.normal(size=3), rng.normal(size=3)))
+    if hinges:
+        inverse_masses = [free(*m) if isinstance(m, tuple) else m for m in inverse_masses]
+    rows = []
+    for _ in range(contacts):
+        first, second = rng.choice(np.arange(WORLD, bodies), 2, replace=False)
+        # Bodies of one freedom cannot part from all sides at once.
+        bounce = 0.0 if hinges else 0.3 * rng.random()
+        rows.append(
+            Row(first, second, rng.normal(size=3), rng.normal(size=3), unit(rng), mu * rng.random(), bounce)
+        )
+    return Step(inverse_masses, velocities, rows)
+
+
+def unit(rng):
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+def free(mass, inertia):
+    """[[A, B], [Bᵀ, C]] of a free body."""
+    inverse = np.zeros((6, 6))
+    inverse[:3, :3] = np.eye(3) / mass
+    inverse[3:, 3:] = np.linalg.inv(inertia)
+    return inverse
+
+
+def hinge(axis, arm, mass, inertia):
+    """The same of a body that turns about an axis; ``arm`` leads from there to its centre of mass."""
+    lever = np.concatenate([np.cross(axis, arm), axis])
+    about = axis @ (inertia - mass * cross(arm) @ cross(arm)) @ axis
+    return np.outer(lever, lever) / about
+
+
+def assert_solved(step, result, tolerance):
+    """What a solver says of its residual is so, and impulses and velocities belong together."""
+    assert result.converged
+    assert result.residual <= tolerance
+    assert step.residual(result.impulse, result.velocity) <= 1.01 * tolerance + 1e-13
+    after = step.momentum_after(result.impulse, result.couple)
+    np.testing.assert_allclose(result.velocity, after, rtol=0, atol=1e-12 * max(1.0, np.abs(after).max()))
+
+
+@both
+@pytest.mark.parametrize("case", ["slip", "stick", "open"])
+def test_one_contact_of_the_oracle(shared, solver, case):
+    oracle = json.loads((shared / "spec" / "oracle_signorini.json").read_text())["contact3d"]
+    # A body that opposes to an impulse through its centre of mass what the oracle has as W.
+    inverse = np.zeros((6, 6))
+    inverse[:3, :3] = oracle["W"]
+    inverse[3:, 3:] = np.eye(3)
+    given = oracle[case]
+    row = Row(0, WORLD, np.zeros(3), np.zeros(3), np.array([1.0, 0.0, 0.0]), given["mu"])
+    step = Step([inverse], [(np.array(given["b"]), np.zeros(3))], [row])
+    result = step.solve(solver, tolerance=1e-14)
+    np.testing.assert_allclose(result.impulse[0], given["l"], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(result.velocity[0, :3], given["w"], rtol=0, atol=1e-13)
+
+
+@both
+@precisions
+def test_a_block_rests_slides_and_tips(solver, real):
+    atol = close(real)
+    rests = block(force=20.0, height=1.0).solve(solver, real)
+    left, right = rests.impulse[:2].sum(0) / DT, rests.impulse[2:].sum(0) / DT
+    assert rests.converged
+    np.testing.assert_allclose([left[2], right[2], left[0] + right[0]], [29.05, 69.05, -20.0], atol=100 * atol)
+    np.testing.assert_allclose(rests.velocity, 0.0, atol=atol)
+
+    slides = block(force=60.0, height=0.5).solve(solver, real)
+    left, right = slides.impulse[:2].sum(0) / DT, slides.impulse[2:].sum(0) / DT
+    assert slides.converged
+    np.testing.assert_allclose([left[2], right[2], left[0] + right[0]], [30.0, 68.1, -49.05], atol=100 * atol)
+    np.testing.assert_allclose(slides.velocity[0] / DT, [1.095, 0, 0, 0, 0, 0], atol=10 * atol)
+
+    tips = block(force=40.0, height=1.8, mu=0.9).solve(solver, real)
+    left, right = tips.impulse[:2].sum(0) / DT, tips.impulse[2:].sum(0) / DT
+    assert tips.converged
+    np.testing.assert_allclose(left, 0.0, atol=100 * atol)
+    np.testing.assert_allclose(right[[0, 2]], [-26.23, 104.985], atol=100 * atol)
+    np.testing.assert_allclose(tips.velocity[0] / DT, [1.377, 0, 0.6885, 0, 1.377, 0], atol=10 * atol)
+
+
+@both
+@pytest.mark.parametrize("hinges", [False, True])
+def test_random_systems_keep_their_law(solver, hinges):
+    for seed in range(20):
+        step = random_step(seed, hinges=hinges)
+        assert_solved(step, step.solve(solver, tolerance=1e-11, iterations=20000), 1e-11)
+
+
+@both
+def test_random_systems_keep_their_law_in_float32(solver):
+    for seed in range(20):
+        step = random_step(seed)
+        result = step.solve(solver, wp.float32)
+        assert result.converged
+        # Recomputed in float64, of what was rounded once more.
+        assert step.residual(result.impulse, result.velocity) <= 2e-5
+
+
+@pytest.mark.parametrize("hinges", [False, True])
+def test_solvers_agree_on_velocities(hinges):
+    """With little friction the solution is unique in velocities, however contacts share the impulses."""
+    for seed in range(10):
+        step = random_step(100 + seed, bodies=4, contacts=12, mu=0.2, hinges=hinges)
+        one, other = (step.solve(solver, tolerance=1e-12, iterations=50000) for solver in SOLVERS)
+        assert one.converged
+        assert other.converged
+        np.testing.assert_allclose(one.velocity, other.velocity, rtol=0, atol=1e-8)
+
+
+@both
+def test_contact_between_bodies_keeps_momentum(solver):
+    step = random_step(3)
+    step.rows = [row for row in step.rows if WORLD not in (row.first, row.second)]
+    for row in step.rows:  # at one place in the world: bodies at the origin
+        row.arm_2 = row.arm_1
+    result = step.solve(solver)
+    linear, angular = np.zeros(3), np.zeros(3)
+    for body, change in enumerate(result.velocity - step.velocity):
+        linear += change[:3] / step.inverse[body, 0, 0]
+        angular += np.linalg.solve(step.inverse[body, 3:, 3:], change[3:])
+    assert np.abs(result.impulse).max() > 0.01
+    np.testing.assert_allclose([linear, angular], 0.0, atol=1e-13)
+
+
+@both
+def test_a_contact_parts_at_its_bounce(solver):
+    result = ball([0.0, 0.0, -3.0], bounce=2.4).solve(solver)
+    np.testing.assert_allclose(result.velocity[0], [0, 0, 2.4, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(result.impulse[0], [0, 0, 2.0 * 5.4], atol=1e-11)
+    # Faster than its bounce already: nothing acts.
+    result = ball([0.3, 0.0, 3.0], bounce=2.4, mu=0.5).solve(solver)
+    np.testing.assert_allclose(result.velocity[0], [0.3, 0, 3.0, 0, 0, 0], atol=0)
+    np.testing.assert_allclose(result.impulse, 0.0, atol=0)
+
+
+@both
+def test_a_ball_that_slides_gets_spin(solver):
+    result = ball([1.0, 0.0, -0.1], mu=0.3).solve(solver)
+    # P = m (−μ 0.1, 0, 0.1), and r × P over 2/5 m r².
+    expected = [0.97, 0.0, 0.0, 0.0, 2.5 * 0.03 / 0.1, 0.0]
+    np.testing.assert_allclose(result.velocity[0], expected, atol=1e-11)
+    # Friction enough to roll: v = 5/7 of what it was.
+    result = ball([1.0, 0.0, -3.0], mu=0.3).solve(solver)
+    np.testing.assert_allclose(result.velocity[0], [5 / 7, 0, 0, 0, 5 / 0.7, 0], atol=1e-10)
+
+
+@both
+@precisions
+def test_rolling_and_spinning_are_held_to_their_limits(solver, real):
+    mass, radius, rolling, spinning = 2.0, 0.1, 2e-3, 1e-3
+    inertia, pressed = 0.4 * mass * radius**2, mass * 0.1
+    about = inertia + mass * radius**2
+    atol = close(real)
+    # It rolls on, braked: (I + m r²) Δω = rolling P_n, and the spin about the normal likewise.
+    spin = 2.0
+    options = {"mu": 0.8, "rolling": rolling, "spinning": spinning}
+    fast = ball([spin * radius, 0.0, -0.1], [0.0, spin, spin], **options).solve(solver, real)
+    assert fast.converged
+    rate = spin - rolling * pressed / about
+    twist = spin - spinning * pressed / inertia
+    np.testing.assert_allclose(fast.velocity[0], [rate * radius, 0, 0, 0, rate, twist], atol=10 * atol)
+    np.testing.assert_allclose(fast.couple[0], [0, -rolling * pressed, -spinning * pressed], rtol=10 * atol)
+    # So slow that it stops, with less than the limits.
+    spin = 1e-3
+    slow = ball([spin * radius, 0.0, -0.1], [0.0, spin, spin], **options).solve(solver, real)
+    assert slow.converged
+    np.testing.assert_allclose(slow.velocity[0], 0.0, atol=10 * atol)
+    np.testing.assert_allclose(slow.couple[0], [0, -about * spin, -inertia * spin], atol=atol * rolling)
+
+
+@both
+def test_a_door_is_stopped_and_thrown_back(solver):
+    axis, arm = UP, np.array([0.5, 0.0, 0.0])
+    inertia = np.diag([0.1, 0.2, 0.3])
+    about = 0.3 + 4.0 * 0.25
+    rate = -2.0
+    velocity = (rate * np.cross(axis, arm), rate * axis)
+    stop = Row(0, WORLD, np.array([0.4, 0.0, 0.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.5, bounce=0.9)
+    step = Step([hinge(axis, arm, 4.0, inertia)], [velocity], [stop])
+    result = step.solve(solver)
+    after = 0.9 / 0.9  # bounce over the lever
+    np.testing.assert_allclose(result.velocity[0], [0, 0.5 * after, 0, 0, 0, after], atol=1e-12)
+    np.testing.assert_allclose(result.impulse[0], [0, about * (after - rate) / 0.9, 0], atol=1e-10)
+
+
+@both
+def test_what_cannot_move_takes_no_impulse(solver):
+    step = random_step(5, hinges=True)
+    step.inverse[0] = 0.0
+    step.rows.append(Row(0, WORLD, np.ones(3), np.ones(3), UP, 0.5, impulse=np.ones(3)))
+    step.rows.append(Row(0, 1, np.ones(3), np.ones(3), UP, 0.5))
+    step.velocity[0] = [0.0, 0.0, -0.3, 0.0, 0.0, 0.0]
+    result = step.solve(solver, tolerance=1e-10, iterations=20000)
+    assert result.converged
+    np.testing.assert_array_equal(result.velocity[0], step.velocity[0])
+    np.testing.assert_array_equal(result.impulse[-2], 0.0)
+    assert np.abs(result.impulse).max() > 0.0
+
+
+@both
+def test_without_rows_nothing_changes(solver):
+    step = random_step(1)
+    step.rows = []
+    result = step.solve(solver)
+    assert (result.residual, result.iterations, result.converged) == (0.0, 0, True)
+    np.testing.assert_array_equal(result.velocity, step.velocity)
+
+
+@both
+def test_environments_that_are_not_active_are_left_alone(solver):
+    step = random_step(2)
+    rows, moving, outcome = step.solve(solver, status=(0, 1, 2, 0)).arrays
+    before = step.arrays(wp.float64, 4)
+    for env, touched in enumerate((True, False, False, True)):
+        for now, then in ((rows, before[0]), (moving, before[1]), (outcome, before[2])):
+            for name in ("impulse", "couple", "linear", "angular", "residual", "iterations", "converged"):
+                if hasattr(now, name) and name != "couple":
+                    same = np.array_equal(getattr(now, name).numpy()[env], getattr(then, name).numpy()[env], True)
+                    assert same != touched, (env, name)
+
+
+@both
+def test_what_is_not_finite_is_not_solved(solver):
+    for place in ("velocity", "impulse"):
+        step = random_step(2)
+        if place == "velocity":
+            step.velocity[1, 2] = np.nan
+        else:
+            step.rows[1].impulse = np.full(3, np.nan)
+        result = step.solve(solver)
+        assert not result.converged
+        assert not np.isfinite(result.residual)
+
+
+@both
+def test_a_good_guess_is_kept_and_a_fair_one_saves_iterations(solver):
+    step = tower([1.0, 1.0])
+    cold = step.solve(solver, tolerance=1e-8)
+    for row, impulse in zip(step.rows, cold.impulse, strict=True):
+        row.impulse = impulse
+    warm = step.solve(solver, tolerance=1e-8)
+    assert warm.iterations == 0
+    np.testing.assert_array_equal(warm.impulse, cold.impulse)
+    for row in step.rows:
+        row.impulse = row.impulse * 1.001
+    assert 0 < step.solve(solver, tolerance=1e-8).iterations < 0.8 * cold.iterations
+
+
+@both
+def test_float32_does_not_see_how_fast_bodies_are_together(solver):
+    """A tower in a train at 1000 m/s, where velocities are rounded to more than the tolerance."""
+    step = tower([1.0, 1.0])
+    still = step.solve(solver, wp.float32)
+    for row in step.rows[:4]:
+        row.first, row.second = 0, 2
+    step.velocity = np.vstack([step.velocity, np.zeros(6)])
+    step.inverse = np.concatenate([step.inverse, free(1e9, np.eye(3) * 1e9)[None]])
+    step.velocity[:, 0] += 1000.0
+    fast = step.solve(solver, wp.float32)
+    assert fast.converged
+    np.testing.assert_allclose(fast.impulse, still.impulse, atol=1e-5)
+
+
+@both
+def test_what_is_not_converged_is_said(solver):
+    step = tower([1.0, 1.0, 1.0], push=0.3)
+    result = step.solve(solver, tolerance=1e-12, iterations=5)
+    assert not result.converged
+    assert result.iterations == 5
+    # And what it says is so.
+    assert result.residual == pytest.approx(step.residual(result.impulse, result.velocity), rel=1e-9)
+    assert result.residual > 1e-6
+
+
+@both
+@precisions
+def test_a_tolerance_beyond_rounding_ends_the_search(solver, real):
+    result = block(force=20.0).solve(solver, real, tolerance=1e-30, iterations=100000)
+    assert not result.converged
+    assert result.iterations < 2000
+    assert result.residual < (1e-14 if real == wp.float64 else 1e-6)
+
+
+def test_where_gauss_seidel_goes_in_circles_the_accelerated_solver_converges():
+    """Friction up to μ = 2, arms in all directions: solutions exist, as there are velocities at which all part."""
+    for seed in (1004, 1015, 1025, 1054):
+        step = random_step(seed, mu=2.0)
+        slow = step.solve("gauss_seidel", tolerance=1e-10, iterations=3000)
+        assert not slow.converged
+        assert slow.residual > 1e-3
+        assert_solved(step, step.solve("accelerated", tolerance=1e-10, iterations=1000), 1e-10)
+        # One after the other: the second counts on, and starts from what is free of the first.
+        both_of_them = step.solve_in_turn(["gauss_seidel", "accelerated"], 1e-10, (50, 1000))
+        assert_solved(step, both_of_them, 1e-10)
+        assert 50 < both_of_them.iterations < 1050
+
+
+def test_the_second_solver_leaves_alone_what_the_first_has_solved():
+    step = random_step(3)
+    one = step.solve("gauss_seidel", tolerance=1e-10)
+    two = step.solve_in_turn(["gauss_seidel", "accelerated"], 1e-10, (1000, 1000))
+    np.testing.assert_array_equal(one.impulse, two.impulse)
+    np.testing.assert_array_equal(one.velocity, two.velocity)
+    assert one.iterations == two.iterations
+
+
+def test_hyperstatic_towers_need_the_accelerated_solver():
+    """Ten cubes on four feet each: Gauss–Seidel needs more than 1000 sweeps, this less than 200 iterations."""
+    step = tower([1.0] * 10)
+    slow = step.solve("gauss_seidel", tolerance=1e-10, iterations=400)
+    fast = step.solve("accelerated", tolerance=1e-10, iterations=400)
+    assert not slow.converged
+    assert_solved(step, fast, 1e-10)
+    np.testing.assert_allclose(fast.velocity, 0.0, atol=1e-9)
+
+
+@both
+def test_a_heavy_body_on_a_light_one(solver):
+    """A thousand to one, pushed so that contacts slip: thousands of iterations, and solved by both."""
+    step = tower([1.0, 1000.0], push=0.1)
+    assert_solved(step, step.solve(solver, tolerance=1e-9, iterations=20000), 1e-9)
