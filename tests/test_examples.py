@@ -126,6 +126,15 @@ def test_an_ellipsoid_in_a_bowl_keeps_its_energy():
     assert load("ellipsoid_in_bowl").energy_kept(duration=0.5) < 8.0e-3
 
 
+@pytest.mark.parametrize("name", ["one_dof_contact", "chain_against_walls"])
+def test_static_contact_is_its_closed_form_by_all_methods(name, tmp_path, capsys):
+    picture = tmp_path / "picture.png"
+    # A residual of 1e-13 or less, over what a chain of five softens.
+    assert load(name).main(["--picture", str(picture)]) < 1.0e-10
+    assert "gauss_seidel" in capsys.readouterr().out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_a_rattleback_turns_back_from_one_spin_only(tmp_path, device):
     run = wc.Experiment.from_toml(FOLDER / "rattleback.toml").run(tmp_path / "out", device=device)

@@ -17,6 +17,12 @@ four = wp.constant(wp.float64(4.0))
 # Sweeps of the power method, and what is added to what it finds, which is too small.
 POWERS = 30
 MARGIN = wp.constant(wp.float64(1.1))
+# Sweeps of Gauss–Seidel after which changes are made smaller if the residual has hardly fallen, what that is, by
+# how much, and how small they become.
+PATIENCE = wp.constant(wp.int32(200))
+HARDLY = wp.constant(wp.float64(0.9))
+SMALLER = wp.constant(wp.float64(0.7))
+LEAST_SHARE = wp.constant(wp.float64(0.05))
 # A problem with a held shift is solved to this part of what the shift is off by, before it is set anew.
 INNER = wp.constant(wp.float64(0.1))
 
@@ -118,7 +124,7 @@ def steps(dim: int) -> wp.Kernel:
 
 @functools.cache
 def gauss_seidel(dim: int) -> wp.Kernel:
-    """Returns the kernel that solves one contact after the other exactly. Launch with dim problems."""
+    """Returns the kernel that solves one contact after the other. Launch with dim problems."""
     f = _functions(dim)
     load, store, velocity, velocities = f.load, f.store, f.velocity, f.velocities
     one_contact, residual = f.one_contact, f.residual
@@ -129,14 +135,12 @@ def gauss_seidel(dim: int) -> wp.Kernel:
         k = e % p.W.shape[0]
         contacts = p.step.shape[1]
         reached = velocities(p, p.lam, e, k)
+        share = one
+        last = wp.float64(wp.inf)
         taken = wp.int32(0)
         while taken < iterations and reached > tolerance:
             most = zero
-            for s in range(contacts):
-                # To and fro: what one end of a chain does comes back in one sweep, not in one per contact.
-                i = s
-                if taken % 2 == 1:
-                    i = contacts - 1 - s
+            for i in range(contacts):
                 mu = p.mu[e % p.mu.shape[0], i]
                 v = velocity(p, p.lam, e, k, i)
                 old = load(p.lam, e, i)
@@ -147,8 +151,13 @@ def gauss_seidel(dim: int) -> wp.Kernel:
                         W[a, b] = p.W[k, dim * i + a, dim * i + b]
                 if wp.static(dim == 2):
                     W[2, 2] = W[1, 1]
-                store(p.lam, e, i, one_contact(W, v - W * old, mu))
+                store(p.lam, e, i, old + share * (one_contact(W, v - W * old, mu) - old))
             taken += 1
+            if wp.static(dim > 1) and taken % PATIENCE == 0:
+                # Strong coupling through friction makes it go round in circles; smaller changes end many of these.
+                if most > HARDLY * last:
+                    share = wp.max(SMALLER * share, LEAST_SHARE)
+                last = most
             # What a sweep finds along the way is almost what it leaves.
             if most <= four * tolerance * p.scale[e] or taken == iterations:
                 reached = velocities(p, p.lam, e, k)

@@ -23,7 +23,8 @@ class Delassus:
     mu: Array
 
     def __post_init__(self) -> None:
-        blocks = np.einsum("biaia->bi", self.W.reshape(-1, self.contacts, self.dim, self.contacts, self.dim))
+        shape = (len(self.W), self.contacts, self.dim, self.contacts, self.dim)
+        blocks = np.einsum("biaia->bi", self.W.reshape(shape))
         # What does not move takes the ρ of what moves most.
         largest = np.abs(blocks).max(axis=1, keepdims=True, initial=0.0)
         usual = np.where(largest > 0.0, largest, 1.0)

@@ -52,7 +52,6 @@ class Diagnosis:
     unique_lam: bool | None
     mu_bound: float | None
     solutions: list[Solution] | None
-    dim: int
     _text: list[str] = field(repr=False)
 
     def unique_sum(self, weights: ArrayLike) -> bool:
@@ -84,7 +83,7 @@ def diagnose(problem: Problem) -> Diagnosis:
             system = system if friction else system.normals()
         except SingularError:
             stiffness = "singular"
-    rows = problem.contacts * (problem.dim) if friction else problem.contacts
+    rows = problem.contacts * problem.dim if friction else problem.contacts
     rank, free, bound = None, np.zeros((rows, 0)), None
     if system is not None:
         rank, free, condition = _spectrum(system)
@@ -95,14 +94,15 @@ def diagnose(problem: Problem) -> Diagnosis:
     unique_lam: bool | None = None
     largest = float(np.asarray(problem.mu).max(initial=0.0))
     if stiffness == "positive definite":
-        # Without friction: a minimum over a convex set, if that is not empty.
-        feasible = rank == rows or _feasible(problem)
+        room = np.inf if rank == rows else _room(problem, friction)
         if not friction:
-            exists, unique_u = feasible, True if feasible else None
+            # A minimum over a convex set, if that is not empty.
+            exists = room >= 0.0
+            unique_u = True if exists else None
             unique_lam = True if rank == rows else None
-        elif rank == rows:
-            exists = True
-            if bound is not None and largest < bound:
+        else:
+            exists = True if room > 0.0 else None
+            if rank == rows and bound is not None and largest < bound:
                 unique_u = unique_lam = True
     solutions = _look(problem, friction) if exists is None or unique_u is None else None
     if solutions is not None:
@@ -113,9 +113,7 @@ def diagnose(problem: Problem) -> Diagnosis:
         elif solutions and rank == rows:
             unique_u = unique_lam = True
     text = _sentences(stiffness, friction, rows, rank, bound, largest, exists, unique_u, unique_lam, solutions)
-    return Diagnosis(
-        stiffness, rows, rank, free, exists, unique_u, unique_lam, bound, solutions, problem.dim, text
-    )
+    return Diagnosis(stiffness, rows, rank, free, exists, unique_u, unique_lam, bound, solutions, text)
 
 
 def _kind(problem: Problem) -> str:
@@ -142,26 +140,38 @@ def _spectrum(system: Delassus) -> tuple[int, Array, float]:
     return int((~zero).sum()), scale[:, None] * vectors[:, zero], condition
 
 
-def _feasible(problem: Problem) -> bool:
-    """Returns whether some u closes no gap by more than it has."""
+def _room(problem: Problem, friction: bool) -> float:
+    """Returns how open all gaps can be at once, in units of the largest, at most 1; negative: not even closed.
+
+    With friction, at rest along the tangents: if all gaps can be open then, there is a solution whatever the
+    friction (Acary and others, "A formulation of the linear discrete Coulomb friction problem via convex
+    optimization", 2011).
+    """
     from scipy.optimize import linprog
 
-    G, n = np.asarray(problem.G)[:, 0], problem.K.shape[-1]
-    # The largest slack, at most 1, in units of the gaps.
-    size = max(np.abs(np.asarray(problem.d)).max(initial=0.0), 1e-300)
-    rows = np.abs(G).max(axis=1, keepdims=True, initial=0.0)
-    rows = np.where(rows > 0.0, rows, 1.0)
+    G, targets, n = np.asarray(problem.G), problem.targets(), problem.K.shape[-1]
+    size = np.abs(targets).max(initial=0.0) or 1.0
+    lengths = np.linalg.norm(G, axis=-1, keepdims=True)
+    G, targets = G / np.where(lengths > 0.0, lengths, 1.0), targets / np.where(lengths > 0.0, lengths, 1.0)[..., 0]
+    rest = {}
+    if friction:
+        across = G[:, 1:].reshape(-1, n)
+        rest = {"A_eq": np.hstack([across, np.zeros((len(across), 1))]), "b_eq": targets[:, 1:].reshape(-1) / size}
     found = linprog(
         np.append(np.zeros(n), -1.0),
-        A_ub=np.hstack([G / rows, np.ones((len(G), 1))]),
-        b_ub=np.asarray(problem.d) / rows[:, 0] / size,
+        A_ub=np.hstack([G[:, 0], np.ones((len(G), 1))]),
+        b_ub=targets[:, 0] / size,
         bounds=[(None, None)] * n + [(None, 1.0)],
+        **rest,
     )
-    return bool(found.status == 0 and found.x[-1] >= -1e-9)
+    if found.status != 0:
+        return -np.inf
+    # What rounding leaves of a room is none.
+    return 0.0 if abs(found.x[-1]) < 1e-9 else float(found.x[-1])
 
 
 def _look(problem: Problem, friction: bool) -> list[Solution] | None:
-    dim = (problem.dim) if friction else 1
+    dim = problem.dim if friction else 1
     if dim == 3 or problem.contacts > MOST[dim] or (2 * dim) ** problem.contacts > _FEW_STATES:
         return None
     if problem.K.shape[-1] > 200:

@@ -28,7 +28,8 @@ def eliminate(problem: "Problem") -> tuple[Delassus, Array, Array]:
     """
     n, contacts = problem.K.shape[-1], problem.contacts
     count = 1 if problem.count is None else problem.count
-    G = np.asarray(problem.G).reshape(-1, contacts * problem.dim, n)
+    G = np.asarray(problem.G)
+    G = G.reshape(-1 if G.ndim == 4 else 1, contacts * problem.dim, n) if G.size else np.zeros((1, 0, n))
     f = np.asarray(problem.f).reshape(-1, n)
     turned = np.swapaxes(G, -1, -2)
     if hasattr(problem.K, "tocsc"):
@@ -44,7 +45,7 @@ def eliminate(problem: "Problem") -> tuple[Delassus, Array, Array]:
     W = 0.5 * (W + np.swapaxes(W, -1, -2))
     u_free = np.broadcast_to(u_free, (count, n))
     q = problem.targets() - (G @ u_free[..., None])[..., 0].reshape(count, contacts, problem.dim)
-    return Delassus(W, q, np.asarray(problem.mu).reshape(-1, contacts)), u_free, by_contact
+    return Delassus(W, q, np.atleast_2d(problem.mu)), u_free, by_contact
 
 
 def _check_regular(K: Array, many: bool) -> None:

@@ -29,6 +29,8 @@ def save(problem: Problem, path: str | Path) -> Path:
         entries["K"] = problem.K
     for name in ("f", "G", "d", "mu", "previous"):
         entries[name] = getattr(problem, name)
+    if problem.dim == 1:
+        entries["G"] = entries["G"][..., 0, :]
     with path.open("wb") as stream:
         np.savez_compressed(stream, **entries)
     return path
@@ -40,7 +42,7 @@ def load(path: str | Path) -> Problem:
     if not path.is_file():
         raise FileNotFoundError(f"{path} is not there")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             entries = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise ValueError(f"{path} cannot be read as a problem: {error}") from None

@@ -70,6 +70,8 @@ def symmetric(name: str, array: Array, size: str) -> Array:
             f"{name} must be of shape ({size}, {size}) or (problems, {size}, {size}), got {_shape(array)}"
         )
     turned = np.swapaxes(array, -1, -2)
+    if np.array_equal(array, turned):
+        return array
     skew, largest = np.abs(array - turned).max(axis=(-1, -2)), np.abs(array).max(axis=(-1, -2))
     bad = np.argwhere(skew > _SKEW * largest)
     if len(bad):

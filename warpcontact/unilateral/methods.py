@@ -12,7 +12,7 @@ from warpcontact.unilateral.iterations import iterate
 from warpcontact.unilateral.newton import newton
 
 #: Most iterations by default.
-ITERATIONS = {"enumeration": 0, "energy": 50_000, "projection": 300, "prox": 100_000, "gauss_seidel": 20_000}
+ITERATIONS = {"enumeration": 0, "energy": 50_000, "projection": 600, "prox": 100_000, "gauss_seidel": 20_000}
 #: Methods with a parameter of one's own, and its name.
 PARAMETERS = {"projection": "c", "prox": "r"}
 
@@ -33,6 +33,8 @@ def run(
         lam, taken = run(system.normals(), method, tolerance, iterations, normals, parameter, device)
         return np.concatenate([lam, np.zeros(system.q[..., 1:].shape)], axis=-1), taken
     if method == "enumeration":
+        if initial is not None:
+            raise ValueError("initial: method 'enumeration' has no start")
         check_size(system)
     lam = np.zeros(system.q.shape) if initial is None else np.array(initial)
     if not system.contacts or not system.count:

@@ -4,12 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.unilateral.delassus import Delassus
+from warpcontact.unilateral.delassus import Delassus, project
 from warpcontact.unilateral.iterations import iterate
 
-# Steps of Newton's method before sweeps of gauss_seidel look for a better start, and how many of these.
+# Steps of Newton's method before another method looks for a better start, which, and how many of its sweeps.
 _STEPS = 30
-_SWEEPS = 50
+_OTHERS = (("gauss_seidel", 50), ("prox", 1000))
 # Exchanges of all that is wrong that may fail to help before one by one is exchanged.
 _PATIENCE = 10
 # A pivot of W this small, over the largest entry, says that W is singular.
@@ -124,29 +124,36 @@ def _solve(matrix: Array, right: Array) -> Array:
 def _with_friction(
     problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None, device: str
 ) -> tuple[Array, Array]:
-    """Newton's method from l; where it fails, from what some sweeps of gauss_seidel make of the best so far."""
+    """Newton's method from l; where it fails, in turn from sweeps of others and from anywhere in the cones."""
     found, taken = lam.copy(), np.zeros(problem.count, dtype=int)
-    left, sweeps = np.arange(problem.count), _SWEEPS
-    steps = 0
-    while True:
+    reached, left = problem.residual(found), np.arange(problem.count)
+    random, start, effort = np.random.default_rng(0), found, 1
+    for trial, steps in enumerate(range(0, iterations, _STEPS)):
         part = problem.part(left)
-        found[left], more = _friction_steps(
-            part, found[left], tolerance, min(_STEPS, iterations - steps), parameter
-        )
+        most = min(_STEPS, iterations - steps)
+        new, more = _friction_steps(part, start, tolerance, most, parameter, damped=trial % 3 > 0 or trial == 0)
         taken[left] += more
-        steps += _STEPS
-        left = left[part.residual(found[left]) > tolerance]
-        if steps >= iterations or not len(left):
-            return found, taken
+        residual = part.residual(new)
+        better = residual < reached[left]
+        found[left[better]], reached[left[better]] = new[better], residual[better]
+        left = left[reached[left] > tolerance]
+        if not len(left):
+            break
         part = problem.part(left)
-        found[left], _ = iterate("gauss_seidel", part, found[left], tolerance, sweeps, None, device)
-        sweeps *= 2
+        if trial % 3 < 2:
+            method, sweeps = _OTHERS[trial % 3]
+            start, _ = iterate(method, part, found[left], tolerance, effort * sweeps, None, device)
+        else:
+            effort *= 2
+            size = part.scale[:, None, None] * random.exponential(1.0, (len(left), problem.contacts, 1))
+            start = project(size * random.normal(0.0, 1.0, (len(left), *problem.q.shape[1:])), part.mu)
+    return found, taken
 
 
 def _friction_steps(
-    problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None
+    problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None, damped: bool
 ) -> tuple[Array, Array]:
-    """Newton's method on Alart and Curnier's projections, halving steps that do not lead closer."""
+    """Newton's method on Alart and Curnier's projections; ``damped``: steps that do not lead closer are cut."""
     best, taken = lam.copy(), np.zeros(problem.count, dtype=int)
     reached = problem.residual(best)
     left = np.flatnonzero(reached > tolerance)
@@ -159,7 +166,7 @@ def _friction_steps(
         # The shortest of these is taken if none leads closer: it gets out of a corner.
         length, ahead = np.ones(len(left)), now + step
         after = _misfit(part, ahead, parameter)
-        for _ in range(5):
+        for _ in range(5 if damped else 0):
             worse = ~(after < (1.0 - 1e-4 * length) * size)
             if not worse.any():
                 break

@@ -30,6 +30,7 @@ def solve(
     initial: ArrayLike | None = None,
     parameter: float | None = None,
     device: str = "cpu",
+    dim: int = 0,
 ) -> Solution:
     """Returns a solution of K u + Gᵀλ = f with gap = d − G u ≥ 0, λ ≥ 0, gap·λ = 0, and Coulomb friction.
 
@@ -53,11 +54,12 @@ def solve(
         parameter: c of "projection" or r of "prox", one for all contacts, a stiffness; by default one for each
             contact from its own flexibility.
         device: Of the methods that go step by step, "cpu" or "cuda:0".
+        dim: Rows of a contact, where G does not say.
 
     Raises:
         ValueError: If an argument does not fit, the method cannot take the problem, or K is singular.
     """
-    problem = Problem(K, f, G, d, mu, previous)
+    problem = Problem(K, f, G, d, mu, previous, dim)
     return solve_problem(problem, method, tolerance, iterations, initial, parameter, device)
 
 
@@ -131,14 +133,16 @@ def solve_delassus(
         matrix = matrix.reshape(*matrix.shape[:-4], rows, rows)
     matrix = intake.symmetric("W", matrix, "rows")
     rows, friction = matrix.shape[-1], bool(coefficients.any())
-    flat = not friction and right.ndim in (1, 2) and right.shape[-1] == rows
+    # (1, dim) is one contact with tangents, not one problem of so many contacts without.
+    one_contact = right.shape in ((1, 2), (1, 3))
+    flat = not friction and right.ndim in (1, 2) and right.shape[-1] == rows and not one_contact
     if flat:
         right = right[..., None]
     fits = right.ndim in (2, 3) and right.shape[-1] in (1, 2, 3) and right.shape[-1] * right.shape[-2] == rows
     if not fits or (friction and right.shape[-1] == 1):
         raise ValueError(
-            "q must be of shape (m,), or with friction (m, dim) with dim 2 or 3, or have one more axis of problems "
-            f"before these, with as many numbers as W has rows, {rows}, got shape {np.shape(q)}"
+            "q must be of shape (m,), or with friction (m, dim) with dim 2 or 3, or have one more axis of "
+            f"problems before these, with as many numbers as W has rows, {rows}, got shape {np.shape(q)}"
         )
     m = right.shape[-2]
     coefficients = intake.fit("mu", coefficients, {"m": m}, spread=True)

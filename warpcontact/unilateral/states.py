@@ -58,20 +58,22 @@ def _solutions(problem: Problem, tolerance: float | None) -> Iterator[Solution]:
         matrix, right = rows_of(chunk, gaps, s * target, forces, part)
         matrix = np.concatenate([np.broadcast_to(equilibrium, (len(chunk), n, n + rows)), matrix], axis=1)
         right = np.concatenate([np.broadcast_to(f, (len(chunk), n)), right], axis=1)
-        for x in solve_all(matrix, right):
-            taken += 1
-            u, lam = x[:n] / s, np.zeros(targets.shape)
-            lam[:, : part.dim] = x[n:].reshape(-1, part.dim)
-            parts = np.abs(K) @ np.abs(u) + np.abs(G.T) @ np.abs(x[n:]) + np.abs(f)
-            if not (np.abs(K @ u + G.T @ x[n:] - f) <= 1e-11 * parts.max(initial=0.0)).all():
-                continue
-            w = targets - (np.asarray(problem.G) @ u).reshape(targets.shape)
-            allowed = 1e-10 if tolerance is None else tolerance
-            one = finish(
-                system, lam[None], w[None], u[None], np.array([taken]), allowed, "enumeration", problem, True
-            )
-            if tolerance is None or one.converged:
-                yield one
+        x = solve_all(matrix, right)
+        u, lam = x[:, :n] / s, np.zeros((len(x), *targets.shape))
+        lam[..., : part.dim] = x[:, n:].reshape(len(x), -1, part.dim)
+        # Of a singular system there may be no solution.
+        off = np.abs(u @ K + x[:, n:] @ G - f).max(axis=1, initial=0.0)
+        parts = (np.abs(u) @ np.abs(K) + np.abs(x[:, n:]) @ np.abs(G) + np.abs(f)).max(axis=1, initial=0.0)
+        w = targets - (u @ np.asarray(problem.G).reshape(-1, n).T).reshape(lam.shape)
+        many = Delassus(part.W, np.broadcast_to(part.q, (len(x), *part.q.shape[1:])), part.mu)
+        residual = many.residual(lam[..., : part.dim], w[..., : part.dim])
+        allowed = np.inf if tolerance is None else tolerance
+        for k in np.flatnonzero((off <= 1e-11 * parts) & (residual <= allowed)):
+            one = slice(k, k + 1)
+            number = np.array([taken + k + 1])
+            judged = 1e-10 if tolerance is None else tolerance
+            yield finish(system, lam[one], w[one], u[one], number, judged, "enumeration", problem, True)
+        taken += len(x)
 
 
 def _judge(problem: Problem, K: np.ndarray) -> Delassus:

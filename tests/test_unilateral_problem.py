@@ -1,0 +1,400 @@
+"""Static contact problems: what may be handed in, many at once, files, and what a diagnosis says."""
+
+import re
+import zipfile
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+import warpcontact as wc
+from warpcontact.unilateral import Problem, solve, solve_delassus
+
+METHODS = ["energy", "projection", "prox", "gauss_seidel"]
+
+
+def chain(size=4, stiffness=1000.0):
+    K = stiffness * (2.0 * np.eye(size) - np.eye(size, k=1) - np.eye(size, k=-1))
+    K[-1, -1] = stiffness
+    return K
+
+
+def frictional(seed=0, count=None, n=9, contacts=3, dim=3):
+    """Arguments of a problem whose gaps are open at u = 0."""
+    random = np.random.default_rng(seed)
+    shape = () if count is None else (count,)
+    A = random.normal(size=(n, n))
+    return {
+        "K": A @ A.T + np.eye(n),
+        "f": 5.0 * random.normal(size=(*shape, n)),
+        "G": random.normal(size=(contacts, dim, n)),
+        "d": 0.1 + random.random((*shape, contacts)),
+        "mu": random.uniform(0.1, 0.5, contacts),
+        "previous": 0.1 * random.normal(size=(contacts, dim - 1)),
+    }
+
+
+# What a solution is
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_solution_keeps_equilibrium_gaps_and_friction(method):
+    given = frictional()
+    solution = solve(**given, method=method, tolerance=1e-12)
+    K, G = given["K"], given["G"].reshape(-1, 9)
+    np.testing.assert_allclose(K @ solution.u + G.T @ solution.lam.reshape(-1), given["f"], atol=1e-12)
+    moved = (G @ solution.u).reshape(3, 3)
+    np.testing.assert_allclose(solution.gap, given["d"] - moved[:, 0], atol=1e-14)
+    np.testing.assert_allclose(solution.slip, moved[:, 1:] - given["previous"], atol=1e-14)
+    np.testing.assert_allclose(solution.w, np.column_stack([solution.gap, -solution.slip]), atol=1e-14)
+    assert solution.converged
+    for i in range(3):
+        limit, across = given["mu"][i] * solution.lam[i, 0], np.linalg.norm(solution.lam[i, 1:])
+        if solution.status[i] == wc.ContactMode.OPEN:
+            assert solution.gap[i] > 0.0
+        elif solution.status[i] == wc.ContactMode.STICK:
+            assert np.abs(solution.slip[i]).max() < 1e-10
+            assert across < limit
+        else:
+            assert across == pytest.approx(limit, rel=1e-9)
+            # Friction has the direction of the slip.
+            assert solution.slip[i] @ solution.lam[i, 1:] == pytest.approx(
+                np.linalg.norm(solution.slip[i]) * across, rel=1e-9
+            )
+    assert solution.active.tolist() == (solution.lam[:, 0] > 0.0).tolist()
+
+
+def test_a_solve_that_is_cut_short_says_so():
+    for method in METHODS:
+        solution = solve(**frictional(2), method=method, iterations=1, tolerance=1e-12)
+        assert not solution.converged
+        assert solution.residual > 1e-12
+
+
+def test_the_residual_is_the_natural_map_over_what_q_asks_for():
+    given = frictional(3)
+    solution = solve(**given, method="prox", iterations=3)
+    W = given["G"].reshape(-1, 9) @ np.linalg.solve(given["K"], given["G"].reshape(-1, 9).T)
+    u_free = np.linalg.solve(given["K"], given["f"])
+    q = np.column_stack([given["d"], given["previous"]]) - (given["G"] @ u_free)
+    off, scale = 0.0, 0.0
+    for i in range(3):
+        rho = 3.0 / np.trace(W[3 * i : 3 * i + 3, 3 * i : 3 * i + 3])
+        mu, w = given["mu"][i], solution.w[i]
+        shifted = np.append(w[0] + mu * np.linalg.norm(w[1:]), w[1:])
+        z = solution.lam[i] - rho * shifted
+        across = np.linalg.norm(z[1:])
+        if across <= mu * z[0]:
+            near = z
+        elif mu * across <= -z[0]:
+            near = np.zeros(3)
+        else:
+            near = (z[0] + mu * across) / (1.0 + mu**2) * np.append(1.0, mu * z[1:] / across)
+        off, scale = max(off, np.linalg.norm(solution.lam[i] - near)), max(scale, rho * np.linalg.norm(q[i]))
+    assert solution.residual == pytest.approx(off / scale, rel=1e-9)
+
+
+def test_a_start_at_the_solution_needs_no_iterations():
+    given = frictional(4)
+    first = solve(**given, tolerance=1e-9)
+    for method in METHODS:
+        again = solve(**given, method=method, initial=first.lam, tolerance=1e-8)
+        assert again.iterations == 0
+        np.testing.assert_allclose(again.lam, first.lam, atol=1e-9)
+
+
+def test_tangents_without_friction_change_nothing():
+    given = frictional(5) | {"mu": 0.0, "previous": 0.0}
+    with_tangents = solve(**given, dim=3)
+    without = solve(given["K"], given["f"], given["G"][:, 0], given["d"])
+    np.testing.assert_allclose(with_tangents.lam[:, 0], without.lam, atol=1e-13)
+    np.testing.assert_array_equal(with_tangents.lam[:, 1:], 0.0)
+    assert without.slip is None
+
+
+# Many at once
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_many_problems_are_each_as_alone(method):
+    given = frictional(6, count=5)
+    many = solve(**given, method=method)
+    assert many.u.shape == (5, 9)
+    assert many.lam.shape == (5, 3, 3)
+    for k in range(5):
+        one = solve(**given | {"f": given["f"][k], "d": given["d"][k]}, method=method)
+        np.testing.assert_allclose(one.u, many.u[k], atol=1e-12)
+        assert one.residual == pytest.approx(many.residual[k], abs=1e-12)
+
+
+def test_any_argument_may_be_one_for_each_problem():
+    given = frictional(7)
+    expected = solve(**given, tolerance=1e-12)
+    for name in given:
+        many = solve(**given | {name: np.stack([given[name]] * 3)}, tolerance=1e-12)
+        assert many.converged.shape == (3,)
+        np.testing.assert_allclose(many.lam, np.stack([expected.lam] * 3), atol=1e-12)
+
+
+def test_a_sparse_stiffness_and_many_loads():
+    random = np.random.default_rng(8)
+    K, loads = chain(300), 10.0 * random.normal(size=(20, 300))
+    G = np.eye(300)[::40]
+    d = 0.02 * np.ones(len(G))
+    dense, thin = solve(K, loads, G, d), solve(sparse.csr_array(K), loads, sparse.coo_array(G), d)
+    assert dense.converged.all()
+    assert thin.converged.all()
+    np.testing.assert_allclose(thin.lam, dense.lam, atol=1e-10 * np.abs(dense.lam).max())
+    np.testing.assert_allclose(thin.u, dense.u, atol=1e-10 * np.abs(dense.u).max())
+
+
+def test_gaps_of_three_axes_are_read_as_problems_or_as_tangents():
+    G = np.random.default_rng(9).normal(size=(2, 2, 4))
+    f = np.ones(4)
+    assert Problem(chain(), f, G, [0.1, 0.1]).count == 2
+    assert Problem(chain(), f, G, [0.1, 0.1], dim=2).count is None
+    assert Problem(chain(), f, G, [0.1, 0.1], mu=0.3).dim == 2
+    assert Problem(chain(), f, G, [[0.1, 0.1]], mu=0.3).count == 1
+
+
+def test_a_contact_that_nothing_can_close_is_open_or_unsolvable():
+    G = np.eye(4)[:2] * [[1.0], [0.0]]
+    for method in METHODS:
+        assert solve(chain(), 100.0 * np.ones(4), G, [0.1, 0.1], method=method).converged
+        assert not solve(chain(), 100.0 * np.ones(4), G, [0.1, -0.1], method=method, iterations=300).converged
+
+
+def test_no_contacts_at_all():
+    solution = solve(chain(), np.ones(4), np.zeros((0, 4)), np.zeros(0))
+    np.testing.assert_allclose(solution.u, np.linalg.solve(chain(), np.ones(4)))
+    assert solution.converged
+    assert solution.lam.shape == (0,)
+
+
+# Bad input
+
+BAD = [
+    ({"K": [[1.0, 2.0, 0.0]]}, "K must be of shape (n, n)"),
+    ({"K": np.triu(chain())}, "K must be symmetric, got one with K − Kᵀ of up to 1000"),
+    ({"K": np.zeros((4, 4))}, "K is singular: something can move without force"),
+    ({"K": sparse.csr_array(np.triu(chain()))}, "K must be symmetric, got a sparse matrix"),
+    ({"K": sparse.csc_array((4, 4))}, "K is singular"),
+    ({"K": sparse.csc_array((3, 4))}, "K must be square"),
+    ({"K": chain() * np.nan}, "K[0, 0] must be finite, got nan"),
+    ({"K": np.stack([chain(), 0.0 * chain()])}, "K[1] is singular"),
+    ({"f": np.ones(3)}, "f must be of shape (n,) or (problems, n) with n = 4, got shape (3,)"),
+    ({"f": ["a"] * 4}, "f must be numbers, got"),
+    ({"f": [1.0, np.inf, 0.0, 0.0]}, "f[1] must be finite, got inf"),
+    ({"d": np.ones(3)}, "G must be of shape (m, n)"),
+    ({"G": np.eye(4)[:2, :3]}, "with m = 2 (from d) and n = 4 (from K), got shape (2, 3)"),
+    ({"mu": 0.3}, "G must be of shape (m, dim, n) with dim 2 or 3 if mu is not 0"),
+    ({"mu": -0.1}, "mu must be finite and at least 0, got -0.1"),
+    ({"mu": [0.0, 0.0, 0.0]}, "mu must be a number, or of shape (m,) or (problems, m) with m = 2"),
+    ({"f": np.ones((2, 4)), "d": np.ones((3, 2))}, "must have equally many, got f 2, d 3"),
+    ({"method": "newton"}, "method must be one of 'enumeration', 'energy', 'projection', 'prox', 'gauss_seidel'"),
+    ({"tolerance": 0.0}, "tolerance must be a number between 0 and 1, got 0.0"),
+    ({"iterations": 0}, "iterations must be a whole number, at least 1, got 0"),
+    ({"iterations": 5, "method": "enumeration"}, "iterations: method 'enumeration' has none to limit"),
+    ({"initial": [0.0, 0.0], "method": "enumeration"}, "initial: method 'enumeration' has no start"),
+    ({"parameter": 1.0, "method": "energy"}, "parameter: method 'energy' has none"),
+    ({"parameter": -1.0}, "parameter c must be a positive number, got -1.0"),
+    ({"initial": [1.0]}, "initial must be of shape (m,) or (problems, m) with m = 2, got shape (1,)"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), BAD, ids=[re.sub(r"\W+", "_", text)[:40] for _, text in BAD])
+def test_bad_arguments_are_named(change, message):
+    given = {"K": chain(), "f": np.ones(4), "G": np.eye(4)[:2], "d": [0.1, 0.2]}
+    with pytest.raises(ValueError, match=re.escape(message)):
+        solve(**given | change)
+
+
+def test_enumeration_says_what_it_cannot_do():
+    with pytest.raises(ValueError, match="at most 16 of them, got 17"):
+        solve(chain(17), np.ones(17), np.eye(17), np.ones(17), method="enumeration")
+    with pytest.raises(ValueError, match="infinitely many ways to slip"):
+        solve(**frictional(), method="enumeration")
+    with pytest.raises(ValueError, match="of a single problem, got 5 problems"):
+        Problem(**frictional(count=5)).all_solutions()
+
+
+@pytest.mark.parametrize(
+    ("W", "q", "mu", "message"),
+    [
+        (np.eye(3), np.ones(2), 0.0, "as many numbers as W has rows, 3, got shape (2,)"),
+        (np.eye(3), np.ones(3), 0.5, "with friction (m, dim) with dim 2 or 3"),
+        (np.triu(np.ones((2, 2))), np.ones(2), 0.0, "W must be symmetric"),
+        (np.eye(2), [np.nan, 0.0], 0.0, "q[0] must be finite, got nan"),
+    ],
+)
+def test_bad_arguments_in_the_contacts_alone_are_named(W, q, mu, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        solve_delassus(W, q, mu)
+
+
+# Files
+
+
+@pytest.mark.parametrize("case", ["dense", "sparse", "many", "ambiguous", "frictionless"])
+def test_a_problem_comes_back_from_its_file(case, tmp_path):
+    given = frictional(10, count=4 if case == "many" else None, contacts=2, dim=2)
+    if case == "sparse":
+        given["K"] = sparse.csc_array(given["K"])
+    if case == "ambiguous":
+        given |= {"mu": 0.0, "dim": 2}
+    if case == "frictionless":
+        given |= {"mu": 0.0, "previous": 0.0, "G": given["G"][:, 0]}
+    problem = Problem(**given)
+    path = problem.save(tmp_path / "problem.npz")
+    again = Problem.load(path)
+    assert again.count == problem.count
+    assert again.dim == (1 if case == "frictionless" else 2)
+    np.testing.assert_array_equal(again.solve().lam, problem.solve().lam)
+    for name in ("f", "G", "d", "mu", "previous"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(problem, name))
+
+
+def test_files_that_are_none_are_named(tmp_path):
+    problem = Problem(chain(), np.ones(4), np.eye(4)[:2], [0.1, 0.2])
+    with pytest.raises(ValueError, match=r"path must end in \.npz"):
+        problem.save(tmp_path / "problem.txt")
+    with pytest.raises(FileNotFoundError, match="is not there"):
+        Problem.load(tmp_path / "missing.npz")
+    good = problem.save(tmp_path / "good.npz")
+    bad = tmp_path / "bad.npz"
+    bad.write_bytes(good.read_bytes()[:200])
+    with pytest.raises(ValueError, match="cannot be read as a problem"):
+        Problem.load(bad)
+    bad.write_text("not an archive")
+    with pytest.raises(ValueError, match="cannot be read as a problem"):
+        Problem.load(bad)
+    with np.load(good) as archive:
+        entries = dict(archive)
+    for change, message in [
+        ({"kind": "else"}, "is not the file of a problem"),
+        ({"schema": 2}, "schema must be 1, got 2: it was written by another version"),
+        ({"schema": "1"}, "schema must be a whole number"),
+        ({"f": None}, "lacks f"),
+        ({"dim": 5}, "dim must be 1, 2 or 3, got 5"),
+        ({"K": np.triu(chain())}, "K must be symmetric"),
+        ({"f": np.ones(3)}, r"f must be of shape \(n,\)"),
+        ({"d": np.array(["a", "b"])}, "d must be numbers"),
+    ]:
+        changed = {name: value for name, value in (entries | change).items() if value is not None}
+        np.savez(bad, **changed)
+        with pytest.raises(ValueError, match=message):
+            Problem.load(bad)
+    np.savez(bad, **entries | {"f": np.array([{}], dtype=object)}, allow_pickle=True)
+    with pytest.raises(ValueError, match="cannot be read as a problem"):
+        Problem.load(bad)
+
+
+def test_a_byte_that_was_changed_is_found(tmp_path):
+    path = Problem(chain(), np.ones(4), np.eye(4)[:2], [0.1, 0.2]).save(tmp_path / "problem.npz")
+    with zipfile.ZipFile(path) as archive:
+        start = archive.getinfo("f.npy").header_offset
+    data = bytearray(path.read_bytes())
+    data[start + 60] ^= 0xFF
+    path.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match="cannot be read as a problem"):
+        Problem.load(path)
+
+
+# Diagnosis
+
+
+def test_a_regular_problem_without_friction_has_one_solution():
+    diagnosis = Problem(chain(), np.ones(4), np.eye(4)[:2], [0.1, 0.2]).diagnose()
+    assert (diagnosis.exists, diagnosis.unique_u, diagnosis.unique_lam) == (True, True, True)
+    assert diagnosis.stiffness == "positive definite"
+    assert diagnosis.rank == 2
+    assert "λ is unique." in str(diagnosis)
+
+
+def test_two_walls_in_one_place_share_their_load_in_any_way():
+    problem = Problem(chain(), 50.0 * np.ones(4), np.eye(4)[[3, 3]], [0.1, 0.1])
+    diagnosis = problem.diagnose()
+    assert diagnosis.rank == 1
+    assert diagnosis.unique_u
+    assert diagnosis.unique_lam is not True
+    assert diagnosis.unique_sum([1, 1])
+    assert not diagnosis.unique_sum([1, 0])
+    sums = [problem.solve(method).lam.sum() for method in METHODS]
+    np.testing.assert_allclose(sums, sums[0], rtol=1e-8)
+    with pytest.raises(ValueError, match="weights must be 2 numbers"):
+        diagnosis.unique_sum([1.0])
+
+
+def test_walls_that_leave_no_room_have_no_solution():
+    # u ≤ −0.1 and u ≥ 0.1.
+    problem = Problem(1000.0 * np.eye(1), [0.0], [[1.0], [-1.0]], [-0.1, -0.1])
+    diagnosis = problem.diagnose()
+    assert diagnosis.exists is False
+    assert "There is no solution." in str(diagnosis)
+    for method in METHODS:
+        assert not problem.solve(method, iterations=500).converged
+
+
+def test_how_a_block_shares_friction_is_not_unique_its_sum_is():
+    # The mass matrix in place of K, accelerations in place of displacements: G = −H.
+    H = np.array([[0, 1, -0.5], [1, 0, 1.0], [0, 1, 0.5], [1, 0, 1.0]])
+    K = np.diag([10.0, 10.0, 10.0 * 5.0 / 12.0])
+    problem = Problem(K, [20.0, -98.1, 0.0], -H.reshape(2, 2, 3), np.zeros(2), mu=0.5)
+    diagnosis = problem.diagnose()
+    assert diagnosis.rank == 3
+    assert diagnosis.mu_bound == 0.0
+    assert diagnosis.unique_sum([0, 1, 0, 1])
+    assert diagnosis.unique_sum([1, 0, 0, 0])
+    assert not diagnosis.unique_sum([0, 1, 0, 0])
+    assert diagnosis.exists
+    np.testing.assert_allclose(problem.solve().lam.sum(axis=0), [98.1, -20.0], atol=1e-8)
+
+
+def test_friction_below_the_bound_has_one_solution():
+    random = np.random.default_rng(11)
+    for _ in range(20):
+        given = frictional(random.integers(1 << 30), contacts=3, dim=2)
+        bound = Problem(**given).diagnose().mu_bound
+        problem = Problem(**given | {"mu": 0.99 * bound})
+        diagnosis = problem.diagnose()
+        assert (diagnosis.exists, diagnosis.unique_u, diagnosis.unique_lam) == (True, True, True)
+        assert len(problem.all_solutions()) == 1
+
+
+def test_much_friction_may_have_several_solutions():
+    # W = [[1, 0.9], [0.9, 1]] and q = (0.2, 1): open, λ = 0; sticking, λ = −W⁻¹ q; or slipping with λ_t = −2 λ_n,
+    # where friction presses more than pressing parts, 0.2 + (1 − 1.8) λ_n = 0.
+    K = np.linalg.inv([[1.0, 0.9], [0.9, 1.0]])
+    problem = Problem(K, [0.0, 0.0], np.eye(2)[None], [0.2], mu=2.0, previous=1.0)
+    solutions = sorted(problem.all_solutions(), key=lambda one: one.lam[0, 0])
+    np.testing.assert_allclose(solutions[0].lam, [[0.0, 0.0]])
+    np.testing.assert_allclose(solutions[1].lam, [[0.25, -0.5]])
+    np.testing.assert_allclose(solutions[2].lam, -(K @ [0.2, 1.0])[None])
+    assert [one.status[0] for one in solutions] == [wc.ContactMode.OPEN, wc.ContactMode.SLIP, wc.ContactMode.STICK]
+    diagnosis = problem.diagnose()
+    assert diagnosis.mu_bound < 2.0
+    assert (diagnosis.exists, diagnosis.unique_u, diagnosis.unique_lam) == (True, False, False)
+    assert "3 different solutions were found." in str(diagnosis)
+    for method in ("enumeration", *METHODS):
+        solution = problem.solve(method)
+        assert solution.converged
+        assert any(np.allclose(solution.lam, one.lam, atol=1e-8) for one in solutions)
+
+
+@pytest.mark.parametrize("k", [0.0, -1000.0])
+def test_stiffness_that_is_not_positive_is_looked_at_by_states(k):
+    problem = Problem(k, 5.0, 1.0, 0.01)
+    diagnosis = problem.diagnose()
+    assert diagnosis.exists
+    assert diagnosis.stiffness == ("singular" if k == 0.0 else "indefinite")
+    best = problem.solve("enumeration")
+    assert best.converged
+    np.testing.assert_allclose(k * best.u + best.lam, 5.0, atol=1e-12)
+    assert not Problem(0.0, -5.0, 1.0, 0.01).diagnose().exists
+    assert not Problem(0.0, -5.0, 1.0, 0.01).solve("enumeration").converged
+
+
+def test_one_contact_with_tangents_and_no_friction_is_one_contact():
+    solution = solve_delassus(np.eye(3), [[-1.0, 2.0, 0.0]])
+    np.testing.assert_allclose(solution.lam, [[1.0, 0.0, 0.0]])
+    assert solution.status.tolist() == [wc.ContactMode.SLIP]
