@@ -79,7 +79,7 @@ class Equilibrium:
     def __str__(self) -> str:
         own = self.assembly
         if self.holds:
-            lines = [f"in equilibrium: {own.count} closed contacts hold {len(own.body_names)} bodies"]
+            lines = [f"in equilibrium: {own.count} closed contacts, {len(own.body_names)} bodies at rest"]
         else:
             moves = np.linalg.norm(self.linear_acceleration, axis=1) + np.linalg.norm(
                 self.angular_acceleration, axis=1

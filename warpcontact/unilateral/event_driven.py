@@ -418,7 +418,7 @@ class EventDriven:
         return solved(low)[0]
 
     def _series(self, time: float, pairs: NDArray[np.int_], speed: Array) -> dict[int, float]:
-        """Returns the contacts of which impacts are summed up that come ever closer, and when these will have ended.
+        """Returns contacts of which impacts that come ever closer are summed up, and when these will have ended.
 
         Remembers the impacts.
         """

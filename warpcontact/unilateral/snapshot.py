@@ -45,7 +45,7 @@ class Snapshot:
         return replace(self, linear_velocity=rows[:, :3].copy(), angular_velocity=rows[:, 3:].copy())
 
     def moved(self, way: Array) -> "Snapshot":
-        """Returns the same with poses moved by ``way`` (6 bodies,), displacements [m] and rotation vectors [rad]."""
+        """Returns the same with poses moved by ``way`` (6 bodies,): displacements, rotation vectors [m, rad]."""
         rows = way.reshape(-1, 6)
         return replace(
             self, position=self.position + rows[:, :3], orientation=turned(self.orientation, rows[:, 3:])
