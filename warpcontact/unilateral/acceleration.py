@@ -221,6 +221,10 @@ def _exact(
     # The friction of a slide that starts is unknown like that of a contact that sticks.
     unknown = np.where(starts, MODE_STICK, mode)
     push, rows = columns(unknown, direction, mu), equations(unknown)
+    if starts.any():
+        # In sliding friction may be less than what held.
+        direction[starts] = w[starts, 1:] / np.linalg.norm(w[starts, 1:], axis=1, keepdims=True)
+        force = forces_of_modes(W, b, mu, mode, direction, force)
     force = np.where((mode == MODE_OPEN)[:, None], 0.0, force)
     last = np.inf
     for _ in range(NEWTON):

@@ -15,7 +15,7 @@ from warpcontact.unilateral.acceleration import ParadoxError, find_modes
 from warpcontact.unilateral.assembly import Assembler, Assembly
 from warpcontact.unilateral.events import Event, EventKind, EventRun, in_order
 from warpcontact.unilateral.snapshot import Snapshot
-from warpcontact.unilateral.trajectory import Hold, Trajectory, View, held
+from warpcontact.unilateral.trajectory import Gone, Hold, Trajectory, View, held
 
 # Speeds below this are zero: above the rounding of speeds, below those of impacts that are not summed up [m/s].
 STILL = 1.0e-9
@@ -38,14 +38,17 @@ SLENDER = 20.0
 HALVINGS = 60
 
 
+# No pairs.
+NOTHING = np.zeros(0, dtype=int)
+
+
 class _Watched(IntEnum):
     """What is positive as long as contacts do what they do."""
 
     GAP = 0  # of a pair that is open
-    THERE = 1  # 1 while a pair that is closed can touch, then −1
-    PRESS = 2  # normal force of a contact that is held
-    GRIP = 3  # what is left until it slides
-    SLIDE = 4  # speed in the direction in which it slides
+    PRESS = 1  # normal force of a contact that is held
+    GRIP = 2  # what is left until it slides
+    SLIDE = 3  # speed in the direction in which it slides
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,6 @@ class _Crossing:
         if self.watched is _Watched.GAP:
             # Where nothing can touch it is large.
             return float(min(view.measured.gap[self.number], 1.0e9))
-        if self.watched is _Watched.THERE:
-            return 1.0 if np.isfinite(view.measured.gap[self.number]) else -1.0
         if self.watched is _Watched.SLIDE:
             return float(view.slide[self.number])
         press, grip = held(view, hold)
@@ -186,10 +187,16 @@ class EventDriven:
             def advanced(time: float, state: Snapshot = state, hold: Hold = hold) -> Snapshot:
                 return self.trajectory.advance(state, hold, time)
 
-            after = advanced(length)
+            length, after, gone = _as_far_as_held(advanced, length)
             seen = self.trajectory.view(after, hold)
             found = self._first_crossing(view, seen, length, advanced)
-            if found is None:
+            if found is None and len(gone):
+                kept.between(state, length, advanced)
+                self.state = after
+                kept.step(self.state)
+                self._meet(self.state, gone)
+                kept.step(self.state)
+            elif found is None:
                 kept.between(state, length, advanced)
                 # The last step of a run ends there, whatever the sum of times is rounded to.
                 self.state = self.trajectory.projected(after, hold)
@@ -274,9 +281,7 @@ class EventDriven:
             found.append(_Crossing(_Watched.GAP, pair, tiny))
         scale = NO_FORCE * max(np.abs(view.force).max(initial=0.0), np.abs(seen.force).max(initial=0.0))
         press, grip = held(seen, hold)
-        for number, pair in enumerate(hold.pairs.tolist()):
-            if not np.isfinite(seen.measured.gap[pair]):
-                found.append(_Crossing(_Watched.THERE, pair, 0.0))
+        for number in range(len(hold.pairs)):
             if press[number] < -scale:
                 found.append(_Crossing(_Watched.PRESS, number, scale))
             if grip[number] < -scale:
@@ -325,11 +330,12 @@ class EventDriven:
         is_closed[before.pairs] = np.isfinite(gap[before.pairs])
         return np.flatnonzero(is_closed)
 
-    def _meet(self, state: Snapshot) -> None:
-        """Lets contacts that are closed impact, and finds what they do from then on."""
+    def _meet(self, state: Snapshot, gone: NDArray[np.int_] = NOTHING) -> None:
+        """Lets contacts that are closed impact, and finds what they do from then on; ``gone`` do nothing more."""
         before = self._hold
         assert before is not None
         pairs = self._closed_pairs(state, before)
+        pairs = pairs[np.isin(pairs, gone, invert=True)]
         state, parted = self._impact(state, pairs)
         self._hold = self._held_from(state, pairs[~parted])
         self._tell_changes(state.time, before, self._hold)
@@ -492,6 +498,26 @@ class EventDriven:
                 separation_speed=float(separation),
             )
         )
+
+
+def _as_far_as_held(
+    advanced: Callable[[float], Snapshot], length: float
+) -> tuple[float, Snapshot, NDArray[np.int_]]:
+    """Returns how far contacts that are held stay on their surfaces, the state then, and the pairs that leave."""
+    try:
+        return length, advanced(length), NOTHING
+    except Gone as leaves:
+        gone = leaves.pairs
+    low, high = 0.0, length
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        try:
+            advanced(middle)
+        except Gone as leaves:
+            high, gone = middle, leaves.pairs
+        else:
+            low = middle
+    return low, advanced(low), gone
 
 
 class _Kept:

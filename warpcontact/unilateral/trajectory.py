@@ -45,6 +45,14 @@ class Hold:
         return Hold(np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
+class Gone(Exception):
+    """A contact that is held has left its surface: beyond its border nothing can touch."""
+
+    def __init__(self, pairs: NDArray[np.int_]) -> None:
+        super().__init__()
+        self.pairs = pairs
+
+
 @dataclass(frozen=True)
 class View:
     """What one sees of a state.
@@ -116,6 +124,9 @@ class Trajectory:
         """Returns the state after ``duration`` [s], in which ``hold`` holds.
 
         In closed form where accelerations are uniform; to rounding otherwise, by DOP853.
+
+        Raises:
+            Gone: If a contact that is held leaves its surface before.
         """
         if duration == 0.0:
             return snapshot
@@ -165,6 +176,9 @@ class Trajectory:
         def slopes(time: float, values: Array) -> Array:
             now = state(time, values)
             measured = self.assembler.candidates.measure(now)
+            there = np.isfinite(measured.gap[hold.pairs])
+            if not there.all():
+                raise Gone(hold.pairs[np.logical_not(there)])
             own = self.assembler.assembly(now, measured, hold.pairs)
             acceleration = own.accelerations(self._forces(now, own, hold))
             spin, q = now.angular_velocity, values[3 * count : 7 * count].reshape(count, 4)
