@@ -35,7 +35,7 @@ PARTS = 45
 # Speed of sliding over that of the last impact of a series up to which both end together.
 SLENDER = 20.0
 # Halvings of a step in search of where a contact was still open.
-HALVINGS = 60
+HALVINGS = 45
 
 
 # No pairs.

@@ -158,6 +158,7 @@ class Trajectory:
         from scipy.integrate import solve_ivp
 
         count = len(snapshot.position)
+        normal = self.assembler.candidates.measure(snapshot).normal[hold.pairs]
         start = np.concatenate(
             [snapshot.position.reshape(-1), snapshot.orientation.reshape(-1), snapshot.velocity]
         )
@@ -176,7 +177,7 @@ class Trajectory:
         def slopes(time: float, values: Array) -> Array:
             now = state(time, values)
             measured = self.assembler.candidates.measure(now)
-            there = np.isfinite(measured.gap[hold.pairs])
+            there = _touches(measured, hold.pairs, normal)
             if not there.all():
                 raise Gone(hold.pairs[np.logical_not(there)])
             own = self.assembler.assembly(now, measured, hold.pairs)
@@ -252,17 +253,32 @@ class Trajectory:
         if rate == 0.0 or not len(pairs):
             return np.zeros((len(pairs), 3))
         step = DIFFERENCE / rate
-        result = np.zeros((len(pairs), 3))
-        for steps, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
+        values = {0: (own.rows @ velocity).reshape(-1, 3)}
+        there = np.ones(len(pairs), dtype=bool)
+        for steps in (-2, -1, 1, 2):
             moved = snapshot.moved(steps * step * velocity)
             measured = self.assembler.candidates.measure(moved)
-            there = np.where(np.isfinite(measured.gap[pairs])[:, None], measured.normal[pairs], own.axes[:, 0])
-            point = np.where(np.isfinite(measured.gap[pairs])[:, None], measured.point[pairs], own.point)
-            axes = np.concatenate([there[:, None], own.axes[:, 1:]], axis=1)
-            rows = contact_rows(axes, point, self.pairs[pairs], moved.position)
-            result += weight * (rows.reshape(3 * len(pairs), -1) @ velocity).reshape(-1, 3)
+            if steps > 0:
+                there &= _touches(measured, pairs, own.axes[:, 0])
+            axes = np.concatenate([measured.normal[pairs][:, None], own.axes[:, 1:]], axis=1)
+            rows = contact_rows(axes, measured.point[pairs], self.pairs[pairs], moved.position)
+            values[steps] = (rows.reshape(3 * len(pairs), -1) @ velocity).reshape(-1, 3)
+        result = values[-2] - 8.0 * values[-1] + 8.0 * values[1] - values[2]
+        # At the border of a surface, by what lies behind.
+        behind = 6.0 * (values[-2] - 4.0 * values[-1] + 3.0 * values[0])
+        result = np.where(there[:, None], result, behind)
         self.assembler.place.write(snapshot)
         return result / (12.0 * step)
+
+
+def _touches(measured: Measured, pairs: NDArray[np.int_], normal: Array) -> NDArray[np.bool_]:
+    """Whether contacts that were closed with these normals a little before touch the same part of a surface.
+
+    What is beside the border of a surface is turned away from it.
+    """
+    alike = (measured.normal[pairs] * normal).sum(axis=1) > 0.5
+    result: NDArray[np.bool_] = np.isfinite(measured.gap[pairs]) & alike
+    return result
 
 
 def _pull(own: Assembly, rows: NDArray[np.int_], wanted: Array) -> Array:
