@@ -135,6 +135,20 @@ def test_static_contact_is_its_closed_form_by_all_methods(name, tmp_path, capsys
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_bouncing_ball_passes_its_zeno_point(device, tmp_path, capsys):
+    picture = tmp_path / "ball.png"
+    result = load("bouncing_ball").main(["--device", device, "--plot", str(picture)])
+    assert "at rest from 4.063712768" in capsys.readouterr().out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    # From event to event it is a closed form; the last of the series is extrapolated.
+    assert result["event-driven"] < 1.0e-12
+    assert result["zeno"] < 1.0e-10
+    # Where in a step an impact is decides about the error: the order of three steps is not that of the limit.
+    assert 0.85 < result["order"] < 1.15
+    assert result["largest error"] < 3.4e-4
+    assert result["last speed"] < 1.0e-12
+
+
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_a_rattleback_turns_back_from_one_spin_only(tmp_path, device):
     run = wc.Experiment.from_toml(FOLDER / "rattleback.toml").run(tmp_path / "out", device=device)
