@@ -24,7 +24,7 @@ from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.limits import limits
 from warpcontact.benchmark.simulation import simulation
 from warpcontact.crew import available_threads
-from warpcontact.schedule import Span, accept_stages, step_stages
+from warpcontact.schedule import Span, accept_stages
 from warpcontact.slices import Buffers
 
 # Steps over which a stage is timed, an even number.
@@ -56,11 +56,11 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
     device = str(model.device)
     gpu = model.device.is_cuda
     span = Span(model, 0, envs, sim.distance_cache, ordered=sim.deterministic or not gpu, queued=gpu)
-    buffers = Buffers(model)
+    buffers = Buffers(model, sim.integrator, sim.dt)
     buffers.allocate(envs)
     own, other = model.arrays.state, buffers.other
     ways = [
-        step_stages(span, sim.integrator, sim.times.whole, *states, None)
+        sim.integrator.step_stages(span, sim.times.whole, *states, None)
         + accept_stages(span, sim.times.whole, *states)
         for states in ((own, other), (other, own))
     ]

@@ -25,8 +25,9 @@ LEFT_OUT = object()
 VARIED = ("variation", "ball.mass")
 LAW = ("template", 0, "law")
 GROUND = ("surface", 0)
-NAMES = ", ".join(law.__name__ for law in wc.laws.CATALOGUE) + ", or FILE.py:CLASS"
-FRICTIONS = ", ".join(friction.__name__ for friction in wc.frictions.CATALOGUE) + ", or FILE.py:CLASS"
+NAMES = ", ".join(law.__name__ for law in (*wc.laws.CATALOGUE, *wc.laws.RIGID)) + ", or FILE.py:CLASS"
+RUBBING = (*wc.frictions.CATALOGUE, *wc.frictions.RIGID)
+FRICTIONS = ", ".join(friction.__name__ for friction in RUBBING) + ", or FILE.py:CLASS"
 
 
 def wrong(*changes):

@@ -145,12 +145,12 @@ def assert_same(left, right):
 def with_queues(monkeypatch):
     """Has one thread look at contacts as a GPU does."""
 
-    def queued(model, first, count, cached, ordered, _):
+    def queued(model, first, count, cached, ordered, _queued, hard):
         tasks, contacts = model.envs * model.blocks.count, model.envs * model.contact_count
         cache = model.arrays.cache
         cache.waiting_block = wp.zeros(tasks, dtype=wp.int32, device="cpu")
         cache.waiting_contact = wp.zeros((QUEUES, contacts), dtype=wp.int32, device="cpu")
-        return Span(model, first, count, cached, ordered, queued=True)
+        return Span(model, first, count, cached, ordered, queued=True, hard=hard)
 
     monkeypatch.setattr(simulation, "Span", queued)
     monkeypatch.setattr(simulation, "slice_size", lambda model, envs, *_: envs)

@@ -169,14 +169,16 @@ class Model(Environments, OfScene):
             self.bounces = bounces
             self.revision += 1
 
-    @beside_captures()
     def attach(self, hard: HardContacts | None) -> None:
         """Lets contacts be those of the simulation that is to step: ``hard`` ones, or all with their forces.
 
         Hard ones remember nothing then: what they do may be of before a reset, or of a step of another simulation.
         """
-        if hard is self.hard:
-            return
+        if hard is not self.hard:
+            self._exchange(hard)
+
+    @beside_captures()
+    def _exchange(self, hard: HardContacts | None) -> None:
         if self.hard is not None:
             self.hard.let_go(self)
             for own in self.hard.readings():
