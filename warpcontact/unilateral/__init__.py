@@ -12,23 +12,23 @@ from warpcontact.unilateral.solution import Solution
 from warpcontact.unilateral.solve import solve, solve_delassus
 
 if TYPE_CHECKING:
-    from warpcontact.unilateral.acceleration import ParadoxError
-    from warpcontact.unilateral.assembly import Assembly, assemble
-    from warpcontact.unilateral.at_rest import Equilibrium, equilibrium
-    from warpcontact.unilateral.event_driven import EventDriven
-    from warpcontact.unilateral.events import Event, EventKind, EventRun
+    from warpcontact.unilateral.rigid.acceleration import ParadoxError
+    from warpcontact.unilateral.rigid.assembly import Assembly, assemble
+    from warpcontact.unilateral.rigid.equilibrium import Equilibrium, equilibrium
+    from warpcontact.unilateral.rigid.event_driven import EventDriven
+    from warpcontact.unilateral.rigid.events import Event, EventKind, EventRun
 
 # Where each public name lives.
 _HOME = {
-    "Assembly": "assembly",
-    "Equilibrium": "at_rest",
-    "Event": "events",
-    "EventDriven": "event_driven",
-    "EventKind": "events",
-    "EventRun": "events",
-    "ParadoxError": "acceleration",
-    "assemble": "assembly",
-    "equilibrium": "at_rest",
+    "Assembly": "rigid.assembly",
+    "Equilibrium": "rigid.equilibrium",
+    "Event": "rigid.events",
+    "EventDriven": "rigid.event_driven",
+    "EventKind": "rigid.events",
+    "EventRun": "rigid.events",
+    "ParadoxError": "rigid.acceleration",
+    "assemble": "rigid.assembly",
+    "equilibrium": "rigid.equilibrium",
 }
 
 __all__ = [

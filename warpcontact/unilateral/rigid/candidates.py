@@ -13,10 +13,11 @@ from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.pile import Pile
 from warpcontact.smooth.elements import SmoothContact
 from warpcontact.status import Status
-from warpcontact.unilateral.bodies import rotation_matrices
 from warpcontact.unilateral.materials import Hard
-from warpcontact.unilateral.segments import closest_on_segments
-from warpcontact.unilateral.snapshot import Place, Snapshot, cross
+from warpcontact.unilateral.rigid.bodies import rotation_matrices
+from warpcontact.unilateral.rigid.events import Event, EventKind
+from warpcontact.unilateral.rigid.segments import closest_on_segments
+from warpcontact.unilateral.rigid.snapshot import Place, Snapshot, cross
 
 AnyContact = Contact | SmoothContact | MutualContact
 
@@ -109,6 +110,27 @@ class Candidates:
     def count(self) -> int:
         """Number of pairs."""
         return len(self.names)
+
+    def event(
+        self,
+        time: float,
+        kind: EventKind,
+        pair: int,
+        impulse: Array | None = None,
+        approach: float = 0.0,
+        separation: float = 0.0,
+    ) -> Event:
+        """Returns what happens to a pair; the impulse (3,) is on its first body, world [N·s]."""
+        return Event(
+            time=float(time),
+            kind=kind,
+            contact=str(self.names[pair]),
+            item=int(self.items[pair]),
+            label=self.labels[pair],
+            impulse=np.zeros(3) if impulse is None else impulse,
+            approach_speed=float(approach),
+            separation_speed=float(separation),
+        )
 
     def measure(self, snapshot: Snapshot) -> Measured:
         """Returns where they are in a state, which becomes the current one of the environment.

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.status import ContactMode
-from warpcontact.unilateral.acceleration import SINGULAR, columns, find_modes
-from warpcontact.unilateral.assembly import Assembler, Assembly
+from warpcontact.unilateral.rigid.acceleration import SINGULAR, columns, find_modes
+from warpcontact.unilateral.rigid.assembly import Assembler, Assembly
 
 # Accelerations below this share of the largest without contact are those of bodies at rest.
 AT_REST = 1.0e-8

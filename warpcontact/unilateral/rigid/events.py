@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.unilateral.snapshot import Snapshot
+from warpcontact.unilateral.rigid.snapshot import Snapshot
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -43,8 +43,7 @@ class Event:
         contact: Name of the contact.
         item: Its item, −1 of a contact without items; of a mutual contact the number of the pair.
         label: What to call it.
-        impulse: On the first body at K (3,), world [N·s]; of a REST that of the impacts that were summed up; 0 of
-            events without impact.
+        impulse: Of an IMPACT, on the first body at K (3,), world [N·s]; 0 of other kinds.
         approach_speed: Normal speed before, positive on approach [m/s].
         separation_speed: Normal speed after [m/s].
     """

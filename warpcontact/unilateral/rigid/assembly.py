@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.kernels.types import WORLD
-from warpcontact.unilateral.bodies import Bodies
-from warpcontact.unilateral.candidates import Candidates, Measured
-from warpcontact.unilateral.snapshot import Place, Snapshot, cross, find_environment
+from warpcontact.unilateral.rigid.bodies import Bodies
+from warpcontact.unilateral.rigid.candidates import Candidates, Measured
+from warpcontact.unilateral.rigid.snapshot import Place, Snapshot, cross, find_environment
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,10 @@ class Snapshot:
         """Linear and angular velocity of each body, one after the other, (6 bodies,)."""
         return np.hstack([self.linear_velocity, self.angular_velocity]).reshape(-1)
 
+    def at(self, time: float) -> "Snapshot":
+        """Returns the same at another time [s]."""
+        return replace(self, time=time)
+
     def with_velocity(self, velocity: Array) -> "Snapshot":
         """Returns the same with other velocities (6 bodies,)."""
         rows = velocity.reshape(-1, 6)

@@ -1,0 +1,282 @@
+"""Event-driven motion of rigid bodies with hard contacts: reference solutions for few of them."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact import checks
+from warpcontact.kernels.types import MODE_OPEN, MODE_STICK
+from warpcontact.unilateral.rigid.acceleration import ParadoxError, find_modes
+from warpcontact.unilateral.rigid.assembly import Assembler
+from warpcontact.unilateral.rigid.crossings import STILL, Step
+from warpcontact.unilateral.rigid.events import Event, EventKind, EventRun, in_order
+from warpcontact.unilateral.rigid.impacts import Impacts
+from warpcontact.unilateral.rigid.snapshot import Snapshot
+from warpcontact.unilateral.rigid.trajectory import Hold, Trajectory, View
+
+# Most that a body turns between two looks at contacts [rad].
+TURN = 0.5
+# How far beyond where a contact may close at the earliest the next look is, so that it is seen closed.
+BEYOND = 1.3
+# Parts of a step after an event at which it is looked what the contacts do: at the event itself it is undecided.
+AFTER = (1.0e-6, 1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2)
+# No pairs.
+NOTHING = np.zeros(0, dtype=int)
+
+
+class EventDriven:
+    """The motion of one environment with hard contacts, from event to event.
+
+    All contacts of the scene are rigid: they close without penetration, bounce by Newton's law with the
+    ``restitution`` of their law (0 if it has none; less where that would bring energy), and slide or stick by
+    Coulomb's with the ``mu`` of their friction (``mu_static`` and ``mu_dynamic`` if it has two). Couplings, and
+    contact couplings, are forces, as the model computes them; what these remember stays as it is.
+
+    Flight is in closed form where accelerations are uniform, else by DOP853 to 1e-12. Times at which a gap closes,
+    or a contact parts, slides or stops, are roots, to rounding. Contacts that impact together do so in one problem
+    with friction, and impacts that come ever closer are summed up as a geometric series. What is smooth must be
+    so: where a ball rolls over the edges of a tessellated surface, its acceleration is that of the faces.
+
+    Args:
+        model: From ``Scene.build``, best with ``precision="float64"`` and few environments: each evaluation of
+            forces is one of all of them. Its state stays as it is.
+        env: Number of the environment.
+        closed: Gaps up to this are zero [m].
+        step: Longest time between two looks at the contacts [s].
+        zeno: Impacts of a contact that follow one another within this time, ever closer, are summed up [s].
+        method: Of ``wc.unilateral.solve_delassus``.
+        most_events: After so many events a run is given up.
+
+    Attributes:
+        state: The state that the run has come to, at first that of the model.
+
+    Raises:
+        TypeError: If ``model`` is none.
+        ValueError: If an argument is out of range, or a contact has a friction that a cone cannot take.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        env: int = 0,
+        *,
+        closed: float = 1.0e-9,
+        step: float = 0.02,
+        zeno: float = 1.0e-5,
+        method: str = "gauss_seidel",
+        most_events: int = 10_000,
+    ) -> None:
+        seconds = checks.limits("s", above=0.0)
+        self.closed = float(checks.numbers("closed", closed, (), checks.limits("m", above=0.0)))
+        self.step = float(checks.numbers("step", step, (), seconds))
+        self.zeno = float(checks.numbers("zeno", zeno, (), seconds))
+        self.method, self.most_events = method, most_events
+        self.assembler = Assembler(model, env)
+        self.trajectory = Trajectory(self.assembler)
+        self.state = self.assembler.bodies.settled(self.assembler.place.read())
+        self._hold: Hold | None = None
+        self._impacts = Impacts(self.assembler, self.zeno, method)
+        self._events: list[Event] = []
+
+    def run(self, duration: float, every: float | None = None) -> EventRun:
+        """Goes on for ``duration`` [s].
+
+        Args:
+            duration: Simulated time [s].
+            every: Time between the states that are kept [s]; ``None``: those of all steps, and before and after
+                each event.
+
+        Raises:
+            ValueError: If a time is not positive, or a contact begins in overlap.
+            ParadoxError: If at some time no accelerations agree with rigid bodies and Coulomb friction, or
+                several; ``error.run`` has what was computed up to there.
+            RuntimeError: If there are too many events, or the motion could not be integrated.
+        """
+        seconds = checks.limits("s", above=0.0)
+        end = self.state.time + float(checks.numbers("duration", duration, (), seconds))
+        if every is not None:
+            every = float(checks.numbers("every", every, (), seconds))
+        kept = _Kept(self.state.time, every)
+        self._events = []
+        before = self.assembler.place.read()
+        try:
+            self._go(end, kept)
+        except ParadoxError as error:
+            told = ParadoxError(f"t = {self.state.time:.9g} s: {error}")
+            told.run = self._result(kept)
+            raise told from error
+        finally:
+            self.assembler.place.write(before)
+        return self._result(kept)
+
+    def _result(self, kept: "_Kept") -> EventRun:
+        times = np.array([state.time for state in kept.states])
+        return EventRun(times, tuple(kept.states), in_order(self._events), self.assembler.model.scene)
+
+    def _go(self, end: float, kept: "_Kept") -> None:
+        if self._hold is None:
+            self.state = self.assembler.place.follow(self.state)
+            self._hold = Hold.nothing()
+            self._refuse_overlaps()
+            self._meet(self.state)
+            self._events = []
+        kept.first(self.state)
+        view = self.trajectory.view(self.state, self._hold)
+        while self.state.time < end:
+            self.trajectory.check(view, self._hold)
+            length = min(self._safe_step(view), end - self.state.time)
+            step = Step(self.trajectory, view, self.state, self._hold, length)
+            found = step.first_crossing(self.closed)
+            if found is not None:
+                self._to_event(step, *found, kept)
+            else:
+                kept.between(step, step.length)
+                # The last step of a run ends there, whatever the sum of times is rounded to.
+                last = step.length == end - self.state.time
+                self.state = step.end if len(step.gone) else self.trajectory.projected(step.end, step.hold)
+                self.state = self.state.at(end) if last else self.state
+                kept.step(self.state)
+                if len(step.gone):
+                    self._meet(self.state, step.gone)
+                    kept.step(self.state)
+            if len(self._events) > self.most_events:
+                raise RuntimeError(
+                    f"more than {self.most_events} events up to t = {self.state.time:.9g} s; "
+                    "zeno= may be too small for them, or most_events="
+                )
+            view = self.trajectory.view(self.state, self._hold)
+
+    def _to_event(self, step: Step, time: float, decided: bool, kept: "_Kept") -> None:
+        """Goes to the event that is ``time`` after the start of a step, and finds what contacts do after it."""
+        kept.between(step, time)
+        self.state = step.at(time)
+        kept.step(self.state)
+        if decided:
+            self._meet(self.state)
+        else:
+            self._change(step, time)
+        kept.step(self.state)
+
+    def _refuse_overlaps(self) -> None:
+        gap = self.assembler.candidates.measure(self.state).gap
+        deep = np.flatnonzero(gap < -self.closed)
+        if len(deep):
+            label = self.assembler.candidates.labels[deep[0]]
+            raise ValueError(
+                f"{label} begins in overlap, {-gap[deep[0]]:.3g} m deep; hard contacts begin apart or closed"
+            )
+
+    def _safe_step(self, view: View) -> float:
+        """Returns a time [s] within which no contact that is open closes unseen by more than ``closed``."""
+        assert self._hold is not None
+        longest = self.step
+        spin = np.linalg.norm(self.state.angular_velocity, axis=1).max(initial=0.0)
+        if spin > 0.0:
+            longest = min(longest, TURN / spin)
+        is_open = np.isfinite(view.measured.gap)
+        is_open[self._hold.pairs] = False
+        gap, rate, change = (values[is_open] for values in (view.measured.gap, view.rate, view.change))
+        gap = np.maximum(gap, 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bent = (rate + np.sqrt(rate**2 + 2.0 * change * gap)) / change
+            straight = np.where(rate < 0.0, -gap / rate, np.inf)
+            earliest = np.where(change > 0.0, bent, straight)
+            shortest = np.sqrt(8.0 * self.closed / change)
+        return float(np.maximum(BEYOND * earliest, shortest).min(initial=longest))
+
+    def _closed_pairs(self, state: Snapshot, before: Hold) -> NDArray[np.int_]:
+        gap = self.assembler.candidates.measure(state).gap
+        is_closed = np.abs(gap) <= self.closed
+        is_closed[before.pairs] = np.isfinite(gap[before.pairs])
+        return np.flatnonzero(is_closed)
+
+    def _meet(self, state: Snapshot, gone: NDArray[np.int_] = NOTHING) -> None:
+        """Lets contacts that are closed impact, and finds what they do from then on; ``gone`` do nothing more."""
+        before = self._hold
+        assert before is not None
+        pairs = self._closed_pairs(state, before)
+        pairs = pairs[np.isin(pairs, gone, invert=True)]
+        state, parted, events = self._impacts.meet(state, pairs)
+        self._events += events
+        self._hold = self._held_from(state, pairs[~parted])
+        self._tell_changes(state.time, before, self._hold)
+        self.state = self.trajectory.projected(state, self._hold)
+
+    def _change(self, step: Step, time: float) -> None:
+        """Finds what contacts do after they came to the edge of what they did, ``time`` after the start.
+
+        A little later, forces that they cannot have show what they do instead. Redundant contacts may share them
+        out otherwise, and go on.
+        """
+        before = self._hold
+        assert before is not None
+        state = later = self.state
+        for part in AFTER:
+            later = step.at(time + part * step.length)
+            found = self._held_from(later, self._closed_pairs(later, before))
+            same = np.array_equal(found.pairs, before.pairs) and np.array_equal(found.mode, before.mode)
+            if not same:
+                self._tell_changes(state.time, before, found)
+                later = state
+                break
+        self._hold = found
+        self.state = self.trajectory.projected(later, found)
+
+    def _held_from(self, state: Snapshot, pairs: NDArray[np.int_]) -> Hold:
+        """Returns what closed contacts that do not part do from a state on."""
+        measured = self.assembler.candidates.measure(state)
+        own = self.assembler.assembly(state, measured, pairs)
+        b = self.trajectory.free_relative(state, own, pairs)
+        slip = own.contact_velocity[:, 1:]
+        sliding = np.linalg.norm(slip, axis=1) > STILL
+        found = find_modes(own.delassus, b, own.mu_static, own.mu, slip, sliding, own.labels, self.method)
+        stays = found.mode != MODE_OPEN
+        tangents = own.axes[stays, 1:]
+        return Hold(
+            pairs=pairs[stays],
+            mode=found.mode[stays],
+            direction=(found.direction[stays, None, :] @ tangents)[:, 0],
+            force=(found.force[stays, None, :] @ own.axes[stays])[:, 0],
+        )
+
+    def _tell_changes(self, time: float, before: Hold, after: Hold) -> None:
+        """Adds the events of contacts that do something else than before."""
+        candidates = self.assembler.candidates
+        was = dict(zip(before.pairs.tolist(), before.mode.tolist(), strict=True))
+        now = dict(zip(after.pairs.tolist(), after.mode.tolist(), strict=True))
+        for pair in was:
+            if pair not in now:
+                self._events.append(candidates.event(time, EventKind.LIFT_OFF, pair))
+        rubs = candidates.mu_static > 0.0
+        for pair, mode in now.items():
+            if rubs[pair] and was.get(pair) != mode:
+                kind = EventKind.STICK if mode == MODE_STICK else EventKind.SLIP
+                self._events.append(candidates.event(time, kind, pair))
+
+
+class _Kept:
+    """The states that a run keeps."""
+
+    def __init__(self, start: float, every: float | None) -> None:
+        self.start, self.every = start, every
+        self.states: list[Snapshot] = []
+
+    def first(self, state: Snapshot) -> None:
+        self.states.append(state)
+
+    def between(self, step: Step, length: float) -> None:
+        """Keeps the states at whole intervals within the first ``length`` [s] of a step."""
+        if self.every is None:
+            return
+        # Of a time that a step ends at to rounding, the state at its end.
+        while (next_time := self.start + len(self.states) * self.every) <= step.start.time + length * (
+            1.0 + 1.0e-12
+        ):
+            within = min(max(next_time - step.start.time, 0.0), length)
+            self.states.append(step.at(within).at(next_time))
+
+    def step(self, state: Snapshot) -> None:
+        """Keeps the state at the end of a step, or before or after an event."""
+        if self.every is None:
+            self.states.append(state)
