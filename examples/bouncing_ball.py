@@ -86,7 +86,7 @@ def plot(run: wc.unilateral.EventRun, stepped: dict[float, wc.Recording], errors
 
 def main(argv: list[str] | None = None) -> dict[str, float]:
     parser = argparse.ArgumentParser(description="A bouncing ball, event-driven and stepped.")
-    parser.add_argument("--plot", metavar="FILE", help="write a figure, such as ball.png")
+    parser.add_argument("--picture", metavar="FILE", help="draw it, such as ball.png")
     parser.add_argument("--device", default="auto", help="cpu, cuda:0 or auto (default)")
     options = parser.parse_args(argv)
     model = ball(options.device)
@@ -111,9 +111,9 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
     speed = float(np.abs(stepped[STEPS[1]]["ball.linear_velocity"].values[-1]).max())
     order = math.log10(errors[STEPS[0]] / errors[STEPS[-1]]) / math.log10(STEPS[0] / STEPS[-1])
     print(f"order of convergence {order:.2f}; speed at {DURATION:g} s {speed:.1e} m/s")
-    if options.plot:
-        plot(run, stepped, errors, options.plot)
-        print(f"plot: {options.plot}")
+    if options.picture:
+        plot(run, stepped, errors, options.picture)
+        print(f"picture: {options.picture}")
     return {
         "event-driven": float(np.abs(found - times).max()),
         "zeno": abs(rest - zeno),
