@@ -28,7 +28,7 @@ from warpcontact.benchmark.facts import facts, versions
 STEPS = 500
 PEER = Path(__file__).parent / "hard" / "peer.py"
 CONES = ("elliptic", "pyramidal")
-SOLVERS = ("gauss_seidel", "accelerated")
+SOLVERS = ("auto", "gauss_seidel", "accelerated")
 
 
 class Peer:

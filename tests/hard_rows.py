@@ -98,15 +98,25 @@ class Step:
         W, q = self.dense()
         w = self.jacobian() @ velocity.ravel()
         w[::3] -= [row.bounce for row in self.rows]
-        worst, scale = 0.0, 0.0
+        worst, speed = 0.0, self.speeds(q)
         for i, row in enumerate(self.rows):
             own = slice(3 * i, 3 * i + 3)
             rho = 3.0 / np.trace(W[own, own])
             lifted = w[own] + [row.mu * np.linalg.norm(w[own][1:]), 0.0, 0.0]
             local = frame(row.normal).T @ impulses[i]
-            worst = max(worst, np.linalg.norm(local - project(local - rho * lifted, row.mu)))
-            scale = max(scale, rho * np.linalg.norm(q[own]))
-        return worst / (scale or 1.0)
+            off = np.linalg.norm(local - project(local - rho * lifted, row.mu))
+            worst = max(worst, off / (max(rho * speed[i], np.linalg.norm(local)) or 1.0))
+        return worst
+
+    def speeds(self, q):
+        """V of each row: the largest velocity without contact of those that bodies connect with it."""
+        speed = np.linalg.norm(q.reshape(-1, 3), axis=1)
+        bodies = [{row.first, row.second} - {WORLD} for row in self.rows]
+        for _ in self.rows:
+            speed = np.array(
+                [max(v for v, theirs in zip(speed, bodies, strict=True) if own & theirs) for own in bodies]
+            )
+        return speed
 
     def momentum_after(self, impulses, couples=None):
         """Velocities (body, 6) that impulses and couples in W lead to."""
@@ -158,6 +168,7 @@ class Step:
             put(rows, name, [getattr(row, name) for row in every], r.vec3)
         for name in ("mu", "rolling", "spinning", "bounce"):
             put(rows, name, [getattr(row, name) for row in every], real)
+        put(rows, "recovery", [0.0] * len(every), real)
         put(moving, "linear", self.velocity[:, :3], r.vec3)
         put(moving, "angular", self.velocity[:, 3:], r.vec3)
         put(moving, "inverse_mass", self.inverse[:, 0, 0], real)

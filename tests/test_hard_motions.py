@@ -127,3 +127,29 @@ def test_a_block_rides_on_a_plate_that_moves(device):
     assert np.abs(slip[:, 0]).max() < 1e-9
     assert np.abs(slip[:, 1]).max() > 0.05
     assert np.abs(data["block.force"].values[200:, 1, 0]).max() == pytest.approx(0.1 * G, rel=1e-6)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_what_rides_on_a_plate_that_shakes_up_and_down_presses_as_its_acceleration_says(device, restitution):
+    rate, amplitude = 25.0, 0.01
+    scene = wc.Scene(gravity=(0.0, 0.0, -G))
+    shaking = wc.motions.Harmonic(
+        direction=(0.0, 0.0, 1.0), amplitude=amplitude, frequency=rate / (2.0 * np.pi), phase=0.0
+    )
+    plate = scene.add_body(1.0, (1.0, 1.0, 1.0), motion=shaking, name="plate")
+    top = scene.add_surface(square(5.0), plate, name="top")
+    speed = amplitude * rate
+    place, velocity = (0, 0, 0.1 - 1e-6), (0, 0, speed)
+    rider = scene.add_body(1.0, (0.1,) * 3, position=place, linear_velocity=velocity, name="rider")
+    scene.add_contact(scene.add_point(rider, (0, 0, 0)), top, rigid(restitution), radius=0.1, name="touch")
+    model = scene.build(device=device, precision="float64")
+    errors = []
+    for dt in (1e-3, 2.5e-4):
+        model.reset()
+        force = wc.Simulation(model, dt, HARD).run(1.0, ["touch.normal_force"])["touch.normal_force"]
+        middle = force["time"].values[1:] - 0.5 * dt
+        expected = G - amplitude * rate**2 * np.sin(rate * middle)
+        errors.append(np.abs(force.values[1:, 0] - expected)[3:].max())
+    # The mean over a step is that in its middle to second order.
+    assert errors[0] < amplitude * rate**4 * 1e-6
+    assert errors[1] < 0.1 * errors[0]

@@ -220,8 +220,14 @@ def test_a_start_in_overlap_is_said_to_stay(device):
 
 def test_memory_of_hard_contacts_is_part_of_the_estimate(device):
     model = ball(0.5, 0.2, envs=100, device=device, precision="float32")
-    names = [need.purpose for need in wc.Simulation(model, 1e-3, HARD).memory().needs]
-    assert "hard contacts" in names
+    simulation = wc.Simulation(model, 1e-3, HARD)
+    needs = [need for need in simulation.memory().needs if need.purpose == "hard contacts"]
+    assert needs
+    shared = sum(need.size for need in needs)
+    model["touch.friction.mu"] = np.linspace(0.1, 0.2, 100)
+    own = sum(need.size for need in simulation.memory().needs if need.purpose == "hard contacts")
+    # Five numbers for the only contact, in each environment.
+    assert own - shared == 99 * 20
     assert "hard contacts" not in [
         need.purpose
         for need in wc.Simulation(
@@ -245,3 +251,50 @@ def test_simulations_of_one_model_each_follow_its_parameters_and_leave_nothing_b
         assert model.reading("ball.linear_velocity")[0, 2] == pytest.approx(restitution, rel=1e-12)
     wc.Simulation(ball(template=wc.Template(law=wc.laws.Hooke(stiffness=1e4)), device=device), 1e-3)
     assert len(parameter.uploads) == before + 1
+
+
+def test_a_recording_is_of_the_simulation_that_runs(device):
+    model = ball(0.5, height=0.01, velocity=(0.0, 0.0, -1.0), device=device)
+    own = wc.Simulation(model, 1e-3, HARD)
+    own.step(30)
+    lost = model.reading("scene.impact_loss")[0]
+    assert lost > 0.1
+    wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver="accelerated"))
+    data = own.run(0.5, ["touch.impulse", "scene.closed_contacts", "scene.impact_loss"])
+    assert data["touch.impulse"].values[..., 2].max() > 0.1
+    assert data["scene.closed_contacts"].max() == 1
+    # What was lost before has not been forgotten.
+    assert data["scene.impact_loss"].values[-1, 0] > lost
+
+
+def test_contact_couplings_stay_forces(device):
+    scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
+    plate = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="plate")
+    body = scene.add_body(1.0, (0.1,) * 3, position=(0, 0, 0.1), name="box")
+    hull = scene.add_surface(wc.meshes.box((0.2, 0.2, 0.16)), body, name="hull")
+    # Its lower face is 2 cm above the plate, within the range.
+    kept = wc.ContactRange(k1=2e4, k2=0.0, effective_range=0.03)
+    scene.add_contact_coupling(hull, plate, kept, name="fender")
+    model = scene.build(device=device, precision="float64")
+    places = []
+    for integrator in (wc.integrators.SemiImplicitEuler(), HARD):
+        model.reset()
+        wc.Simulation(model, 1e-4, integrator).step(2000)
+        places.append(model.reading("box.position")[0, 2])
+    assert places[0] > 0.15
+    # The schemes differ by half a step of a few metres a second.
+    assert places[1] == pytest.approx(places[0], abs=5e-4)
+    with pytest.raises(ValueError, match="there is no contact 'fender_first'; there is none"):
+        wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["fender_first"]))
+
+
+def test_laws_begin_anew_after_hard_contact(device):
+    template = wc.Template(law=wc.laws.HuntCrossley(stiffness=1e6, exponent=1.5, restitution=0.5))
+    model = ball(template=template, height=1e-3, velocity=(0.0, 0.0, -2.0), device=device)
+    wc.Simulation(model, 1e-4).step(15)
+    assert model.arrays.history.entry_speed.numpy()[0, 0] > 1.5
+    wc.Simulation(model, 1e-4, HARD).step(5000)
+    assert model.arrays.history.entry_speed.numpy()[0, 0] < 0.1
+    soft = wc.Simulation(model, 1e-4)
+    soft.step(1)
+    assert model.arrays.history.entry_speed.numpy()[0, 0] < 0.1

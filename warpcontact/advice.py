@@ -1,6 +1,5 @@
 """Warnings about scenes that run and give nonsense: steps too long for a contact, starts in deep overlap."""
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from warpcontact.piles.elements import MutualContact
     from warpcontact.scene import Contact
     from warpcontact.smooth.elements import SmoothContact
+    from warpcontact.unilateral.hard_contacts import HardContacts
 
 # Steps per contact time from which on the restitution of a smooth law is kept to about 1e-3.
 ENOUGH_STEPS = 20.0
@@ -30,7 +30,7 @@ class ContactWarning(UserWarning):
     """A scene that will run but hardly mean what its author wants."""
 
 
-def advice(model: "Environments", dt: float, acts: Callable[[str], bool]) -> list[str]:
+def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> list[str]:
     """Returns what to say about the start of a model, a sentence or two per contact or coupling.
 
     Estimates from the elastic part of a law and the masses of the bodies, without their rotation, and from how
@@ -40,9 +40,15 @@ def advice(model: "Environments", dt: float, acts: Callable[[str], bool]) -> lis
     Args:
         model: The model.
         dt: Time step [s].
-        acts: Whether a contact, by its name, acts by the force of its law. Of others all that matters is whether
-            they start in overlap.
+        hard: The contacts that have no force; of these all that matters is whether they start in overlap.
     """
+
+    def acts(name: str) -> bool:
+        return hard is None or hard.acts(name)
+
+    def about_overlap(name: str) -> list[str]:
+        return [] if hard is not None and hard.recovery > 0.0 else _about_rigid_overlap(model, name, dt)
+
     sentences = []
     if model.scene.contacts or model.scene.smooth_contacts:
         model.evaluate()
@@ -50,7 +56,7 @@ def advice(model: "Environments", dt: float, acts: Callable[[str], bool]) -> lis
         sentences += contact_coupling_advice(model, coupling, dt)
     for contact in model.scene.contacts:
         if not acts(contact.name):
-            sentences += _about_rigid_overlap(model, f"{contact.name}.penetration", dt)
+            sentences += about_overlap(f"{contact.name}.penetration")
             continue
         sentences += friction_advice(model, contact, dt)
         if contact.facing is not None:
@@ -81,12 +87,12 @@ def advice(model: "Environments", dt: float, acts: Callable[[str], bool]) -> lis
         if acts(touch.name):
             sentences += _smooth_advice(model, touch, dt)
         else:
-            sentences += _about_rigid_overlap(model, f"{touch.name}.penetration", dt)
+            sentences += about_overlap(f"{touch.name}.penetration")
     for pile in model.scene.mutual_contacts:
         if acts(pile.name):
             sentences += _pile_advice(model, pile, dt)
         else:
-            sentences += _about_rigid_overlap(model, f"{pile.name}.max_penetration", dt)
+            sentences += about_overlap(f"{pile.name}.max_penetration")
     return sentences + coupling_advice(model, dt)
 
 
@@ -210,7 +216,8 @@ def _about_rigid_overlap(model: "Environments", name: str, dt: float) -> list[st
         return []
     return [
         f"{name.rpartition('.')[0]}: starts {depth[worst]:.3g} m deep in environment {model.first_env + worst}, "
-        "and stays so: impulses keep bodies from coming closer, and do not drive them apart; start outside"
+        "and stays so: impulses keep bodies from coming closer, and do not drive them apart; start outside, or "
+        "give MoreauJean a recovery_time"
     ]
 
 

@@ -17,7 +17,7 @@ from warpcontact.footprint import Footprint, Need, require, total
 from warpcontact.groups import Group, compile_forces
 from warpcontact.model import Model
 from warpcontact.of_scene import OfScene
-from warpcontact.parameters import Parameters, needs_of
+from warpcontact.parameters import Parameter, Parameters, needs_of
 from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
@@ -67,6 +67,11 @@ class PartDraft(OfScene):
     meshes: list[wp.Mesh]
     no_step: None = None
     bounces: bool = True
+
+    @property
+    def parameters_by_name(self) -> dict[str, Parameter]:
+        """The parameters by their names."""
+        return self.parameters.by_name
 
     def needs(self, envs: int, varied: Collection[str] = ()) -> list[Need]:
         """Returns what ``envs`` environments would take; ``varied`` are to have a value in each."""
@@ -135,7 +140,7 @@ class Draft:
         """
         shares = self.shares(envs)
         model = total(Footprint(own, str(part.device), tuple(part.needs(own, varied))) for part, own in shares)
-        return model.with_needs(stepping_footprint(shares, **stepping).needs)
+        return model.with_needs(stepping_footprint(shares, varied=varied, **stepping).needs)
 
     def build(self, envs: int) -> Model | SplitModel:
         """Returns the model of ``envs`` environments; once.

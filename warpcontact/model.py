@@ -1,6 +1,6 @@
 """A built scene: parameters, state and memory of many environments on one device."""
 
-from collections.abc import Collection, Iterable, Set
+from collections.abc import Collection, Iterable, Mapping, Set
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -193,6 +193,11 @@ class Model(Environments, OfScene):
         for array in (near.force, near.torque_1, near.torque_2, ends.force, ends.torque):
             array.zero_()
         self._evaluation = (-1, [])
+
+    @property
+    def parameters_by_name(self) -> Mapping[str, Parameter]:
+        """The parameters by their names."""
+        return self.parameters
 
     def _is_pushed(self) -> bool:
         names = [f"{self.scene.bodies[0].name}.{quantity}" for quantity in ("external_force", "external_torque")]

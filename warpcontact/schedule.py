@@ -5,8 +5,7 @@ Each stage reads what earlier ones wrote:
     travel → closest point → couplings → smooth contacts → contact force (one launch per law) → wrenches → piles
     → integrate, motions → sweep → finish → history
 
-What an integrator does between forces and ``finish`` is its own: ``integrators.py``, and for hard contacts
-``unilateral/moreau_jean.py``.
+What an integrator does between forces and ``finish`` is its own: ``integrators/``.
 """
 
 from dataclasses import dataclass

@@ -117,6 +117,13 @@ class Simulation:
         for part, buffers in zip(self.model.parts, self._buffers, strict=True):
             part.attach(buffers.hard)
 
+    def advice(self) -> list[str]:
+        """Returns what there is to say about the model as it is, and this step for it.
+
+        The first step from the start of the model warns of it.
+        """
+        return advice(self.model, self.dt, self._buffers[0].hard)
+
     def memory(self) -> Footprint:
         """Returns what the model and this simulation take of memory; recordings come on top."""
         return self.model.footprint().with_needs(self._stepping(self.model.envs).needs)
@@ -155,7 +162,7 @@ class Simulation:
         self._attach()
         if model.at_start and not self._advised:
             self._advised = True
-            for sentence in advice(model, self.dt, self.integrator.acts):
+            for sentence in self.advice():
                 warnings.warn(sentence, ContactWarning, stacklevel=2)
         for part in model.parts:
             part.untouched = False
@@ -235,6 +242,7 @@ class Simulation:
         steps, stride = recorded_steps(duration, every, self.dt)
         if isinstance(record, str):
             raise TypeError(f"record must be a list of readings, got the string {record!r}")
+        self._attach()
         recorder = Recorder(
             self.model, record, frames=frame_count(steps, stride), poses=poses, parameters=parameters
         )

@@ -1,7 +1,7 @@
 """What stepping takes beside the model: a second buffer of the state, and the prepared launches and graphs."""
 
 import ctypes
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import warp as wp
@@ -71,10 +71,12 @@ def stepping_footprint(
     threads: int | None = None,
     distance_cache: bool = True,
     graphs: bool = True,
+    varied: Collection[str] = (),
 ) -> Footprint:
     """Returns what a ``Simulation`` takes beside the model; the options are those of its class.
 
-    ``shares`` are the parts of the model, each with how many environments it has.
+    ``shares`` are the parts of the model, each with how many environments it has; the parameters ``varied`` are to
+    have a value in each.
     """
     threads = available_threads() if threads is None else threads
     integrator = SemiImplicitEuler() if integrator is None else integrator
@@ -97,7 +99,10 @@ def stepping_footprint(
         longest = slice_size(part, envs, LARGEST_SLICE * threads, threads)
         grows = size / longest if part.device.is_cpu and on_threads > threads * length else 0.0
         launches = Need("launches", HOST, -(-envs // length) * size, grows)
-        footprints.append(Footprint(envs, str(part.device), (*buffers.layout.needs(envs), launches)))
+        needs = [*buffers.layout.needs(envs), launches]
+        if buffers.hard is not None:
+            needs.append(buffers.hard.material_need(part.parameters_by_name, envs, varied))
+        footprints.append(Footprint(envs, str(part.device), tuple(needs)))
     return total(footprints)
 
 

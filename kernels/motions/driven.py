@@ -1,7 +1,8 @@
 """Bodies that follow a function of time: kernels for one class of motions.
 
-The pose of a state is that of the function at the time of its environment. Its velocities are the mean over the
-step that led there, as those of a free body are in semi-implicit Euler: what rides on the body has the same.
+The pose of a state is that of the function at the time of its environment. Its velocities are those that a free
+body which rides on it has in the scheme: in semi-implicit Euler the mean over the step that led there, in Moreau
+and Jean's with θ = ½ those of the instant.
 """
 
 import functools
@@ -91,7 +92,10 @@ def _of_time(function: wp.Function) -> wp.Function:
 
 @functools.cache
 def follow(motion: type[Motion], real: type) -> wp.Kernel:
-    """Returns the kernel that moves the bodies of a class over a step; items: ``members``."""
+    """Returns the kernel that moves the bodies of a class over a step; items: ``members``.
+
+    Their velocities are the mean from one share of the step to another, ``first`` to ``last``.
+    """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     Coefficients = coefficients_struct(motion)
@@ -109,6 +113,8 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
         members: wp.array(dtype=wp.int32),  # [item] body
         coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
         samples: wp.array2d(dtype=wp.float64),
+        first: wp.float64,
+        last: wp.float64,
         wrenches: Wrenches,
         state_out: State,
     ):
@@ -124,7 +130,8 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
             # The same sum as that of the clock.
             after = before + step[env, 0]
             turn = turn_at(p, samples, after)
-            v, w = mean_velocities(p, samples, motion, before, after)
+            h = step[env, 0]
+            v, w = mean_velocities(p, samples, motion, before + first * h, before + last * h)
             put(state_out, env, body, motion.position, way_at(p, samples, after, motion, turn))
             state_out.body_orientation[env, body] = narrow_quat(turn * motion.orientation)
             set_velocity(state_out, env, body, v, w)

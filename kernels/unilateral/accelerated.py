@@ -12,7 +12,7 @@ import functools
 import numpy as np
 import warp as wp
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
-from warpcontact.kernels.unilateral import impulses
+from warpcontact.kernels.unilateral import begin, impulses
 from warpcontact.kernels.unilateral.rows import row_structs
 
 # Iterations that may pass without a smaller residual where that is of the size of rounding.
@@ -31,6 +31,7 @@ def scratch(real: type, rolls: bool) -> type:
     @wp.struct
     class Scratch:
         rho: wp.array2d(dtype=real)  # [kg]
+        scale: wp.array2d(dtype=real)  # (ρ V)², see ``begin`` [N²·s²]
         free: wp.array2d(dtype=vec3)  # q, W [m/s]
         before: wp.array2d(dtype=vec3)  # impulse of the iteration before, W [N·s]
         trial: wp.array2d(dtype=vec3)  # where momentum leads, W [N·s]
@@ -71,14 +72,16 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
     Rows, Moving, Outcome = r.Rows, r.Moving, r.Outcome
     Change, Scratch = impulses.change_struct(real), scratch(real, rolls)
     f = impulses.functions(real, moves)
-    relative, spin, changed_at, push = f.relative, f.spin, f.changed_at, f.push
-    ease, turning_ease, in_cone, in_discs = f.ease, f.turning_ease, f.in_cone, f.in_discs
+    spin, changed_at, push = f.spin, f.changed_at, f.push
+    turning_ease, in_cone, in_discs = f.turning_ease, f.in_cone, f.in_discs
     off_squared, pressing = f.off_squared, f.pressing
-    zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
+    first = begin.functions(real, moves, rolls)
+    begin_row, spread, scale_of = first.begin, first.spread, first.scale
+    zero, half, one, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 4.0))
     # A step that was too long becomes this part of the longest that goes down; others grow.
     SHORTER, LONGER = wp.constant(real(0.9)), wp.constant(real(1.005))
     rounding = np.finfo(wp.dtype_to_numpy(real))
-    # Of the largest impulse: what rounding may leave of a residual.
+    # What rounding may leave of a residual.
     ROUNDING = wp.constant(real(4.0 * float(rounding.eps)))
     LARGEST = wp.constant(real(float(rounding.max)))
 
@@ -116,57 +119,34 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
             for body in range(change.linear.shape[1]):
                 change.linear[env, body] = vec3()
                 change.angular[env, body] = vec3()
-            scale = zero
+                change.speed_squared[env, body] = zero
             finite = zero  # only if all terms are
             for row in range(count):
-                one_body = rows.body_1[env, row]
-                other = rows.body_2[env, row]
-                arm_1 = rows.arm_1[env, row]
-                arm_2 = rows.arm_2[env, row]
-                free = relative(moving, env, one_body, other, arm_1, arm_2)
-                free -= rows.bounce[env, row] * rows.normal[env, row]
-                trace = ease(moving, env, one_body, arm_1) + ease(moving, env, other, arm_2)
-                rho = zero
-                impulse = vec3()
-                if trace > zero:
-                    rho = three / trace
-                    impulse = rows.impulse[env, row]
-                size = rho * rho * wp.length_sq(free)
-                scale = wp.max(scale, size)
-                finite += size + wp.length_sq(impulse)
+                free, rho, trace, size = begin_row(rows, moving, change, env, row, tolerance)
+                finite += size
                 scratch.rho[env, row] = rho
                 scratch.free[env, row] = free
-                rows.impulse[env, row] = impulse
-                scratch.before[env, row] = impulse
-                turn_1 = wp.cross(arm_1, impulse)
-                turn_2 = wp.cross(arm_2, impulse)
+                scratch.before[env, row] = rows.impulse[env, row]
                 if wp.static(rolls):
+                    one_body = rows.body_1[env, row]
+                    other = rows.body_2[env, row]
                     turning_trace = turning_ease(moving, env, one_body) + turning_ease(moving, env, other)
                     arm = zero
-                    couple = vec3()
                     if turning_trace > zero and rho > zero:
                         arm = wp.sqrt(trace / turning_trace)
-                        couple = rows.couple[env, row]
-                        scratch.couple_before[env, row] = couple / arm
-                    turning = arm * spin(moving.angular, env, one_body, other)
-                    if rows.rolling[env, row] + rows.spinning[env, row] > zero:
-                        scale = wp.max(scale, rho * rho * wp.length_sq(turning))
+                        scratch.couple_before[env, row] = rows.couple[env, row] / arm
                     scratch.arm[env, row] = arm
-                    scratch.turning_free[env, row] = turning
-                    rows.couple[env, row] = couple
-                    turn_1 += couple
-                    turn_2 += couple
-                push(moving, change, env, one_body, impulse, turn_1)
-                push(moving, change, env, other, -impulse, -turn_2)
+                    scratch.turning_free[env, row] = arm * spin(moving.angular, env, one_body, other)
             if not wp.isfinite(finite):
                 outcome.residual[env] = finite
                 outcome.iterations[env] = 0
                 outcome.converged[env] = 0
                 continue
-            if scale == zero:
-                scale = one
+            spread(rows, change, env, count)
+            for row in range(count):
+                scratch.scale[env, row] = scale_of(rows, change, env, row, scratch.rho[env, row])
 
-            goal = tolerance * tolerance * scale
+            goal = tolerance * tolerance
             length = one  # of a step, over rho
             theta = one
             beta = zero
@@ -177,7 +157,6 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
             while True:
                 # Where we are: the residual, and how the way here bent the velocities.
                 worst = zero
-                most = scale
                 bent = zero
                 gone = zero
                 uphill = zero
@@ -191,8 +170,8 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                     w = scratch.free[env, row] + changed_at(change, env, one_body, rows.arm_1[env, row])
                     w -= changed_at(change, env, other, rows.arm_2[env, row])
                     scratch.moved[env, row] = w
-                    worst = wp.max(worst, off_squared(impulse, w, n, mu, rho))
-                    most = wp.max(most, wp.length_sq(impulse))
+                    scale = wp.max(scratch.scale[env, row], wp.length_sq(impulse))
+                    worst = wp.max(worst, off_squared(impulse, w, n, mu, rho) / scale)
                     step = impulse - scratch.trial[env, row]
                     trial_w = scratch.moved_trial[env, row]
                     if rho > zero and steps > 0:
@@ -213,7 +192,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                             rolling = rows.rolling[env, row]
                             spinning = rows.spinning[env, row]
                             law = in_discs(couple - rho * turning, n, rolling * pressed, spinning * pressed)
-                            worst = wp.max(worst, wp.length_sq(law - couple))
+                            worst = wp.max(worst, wp.length_sq(law - couple) / scale)
                             if steps > 0:
                                 step = couple - scratch.couple_trial[env, row]
                                 trial_turning = scratch.turned_trial[env, row]
@@ -234,7 +213,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                         scratch.best[env, row] = rows.impulse[env, row]
                         if wp.static(rolls):
                             scratch.couple_best[env, row] = rows.couple[env, row]
-                if steps >= iterations or (waited >= PATIENCE and least < ROUNDING * ROUNDING * most):
+                if steps >= iterations or (waited >= PATIENCE and least < ROUNDING * ROUNDING):
                     break
 
                 if bent * length > gone:
@@ -321,7 +300,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
             for body in range(change.linear.shape[1]):
                 moving.linear[env, body] = moving.linear[env, body] + change.linear[env, body]
                 moving.angular[env, body] = moving.angular[env, body] + change.angular[env, body]
-            outcome.residual[env] = wp.sqrt(worst / scale)
+            outcome.residual[env] = wp.sqrt(worst)
             outcome.iterations[env] = done + steps
             outcome.converged[env] = wp.where(worst <= goal, 1, 0)
 

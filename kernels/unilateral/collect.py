@@ -19,8 +19,8 @@ def add_row(real: type) -> wp.Function:
     """Returns the device function that adds a contact to the rows of its environment.
 
     Its arguments are ``(state, rows, outcome, memory, account, env, contact, material, body_1, body_2, arm_1,
-    arm_2, normal, radius, torsion_radius)``; the state has the velocities before the step, of which restitution
-    takes that of approach.
+    arm_2, normal, gap, recovery, radius, torsion_radius)``; the state has the velocities before the step, of which
+    restitution takes that of approach; ``recovery`` is the share of an overlap that is taken back in a second.
     """
     t = structs(real)
     vec3, State = t.vec3, t.State
@@ -43,6 +43,8 @@ def add_row(real: type) -> wp.Function:
         arm_1: vec3,
         arm_2: vec3,
         normal: vec3,
+        gap: real,
+        recovery: real,
         radius: real,
         torsion_radius: real,
     ):
@@ -72,6 +74,7 @@ def add_row(real: type) -> wp.Function:
             approach = velocity_at(state, env, body_2, arm_2) - velocity_at(state, env, body_1, arm_1)
             bounce = material.restitution * wp.max(wp.dot(approach, normal), real(0.0))
         rows.bounce[env, row] = bounce
+        rows.recovery[env, row] = recovery * wp.max(-gap, real(0.0))
 
     return add_row
 
@@ -96,6 +99,7 @@ def mesh(real: type) -> wp.Kernel:
         near: Near,
         blocks: wp.array(dtype=wp.int32),  # those of hard contacts
         block_count: wp.int32,
+        recovery: real,  # [1/s]
         material: wp.array2d(dtype=Material),
         memory: Memory,
         account: Account,
@@ -131,7 +135,7 @@ def mesh(real: type) -> wp.Kernel:
                     add(
                         state, rows, outcome, memory, account, env, contact, material[env, contact],
                         body_1, body_2, arm_W, apart_W + arm_W, contacts.normal[env, contact],
-                        geometry.radius, torsion_radius,
+                        contacts.gap[env, contact], recovery, geometry.radius, torsion_radius,
                     )  # fmt: skip
 
     return collect_mesh_contacts
@@ -159,6 +163,7 @@ def smooth(real: type, rolls: bool) -> wp.Kernel:
         members: Members,
         settings: wp.array2d(dtype=Settings),
         smooth: Smooth,
+        recovery: real,  # [1/s]
         material: wp.array2d(dtype=Material),
         memory: Memory,
         account: Account,
@@ -184,7 +189,7 @@ def smooth(real: type, rolls: bool) -> wp.Kernel:
                 add(
                     state, rows, outcome, memory, account, env, contact, material[env, contact],
                     members.body_a[item], members.body_b[item], smooth.arm_a[env, item], smooth.arm_b[env, item],
-                    smooth.normal[env, item], radius, torsion_radius,
+                    smooth.normal[env, item], smooth.gap[env, item], recovery, radius, torsion_radius,
                 )  # fmt: skip
 
     return collect_smooth_contacts
@@ -211,6 +216,7 @@ def pile(real: type) -> wp.Kernel:
         touches: Touches,
         first: wp.int32,  # number of the contact of the first record
         substance: wp.int32,  # number of the material of all pairs
+        recovery: real,  # [1/s]
         material: wp.array2d(dtype=Material),
         memory: Memory,
         account: Account,
@@ -244,8 +250,8 @@ def pile(real: type) -> wp.Kernel:
                     radius_2 = shapes.radius[env, partner]
                     add(
                         state, rows, outcome, memory, account, env, first + slot + k, own, body_1, body_2, arm,
-                        apart + arm, touches.normal[env, slot + k], radius_1 * radius_2 / (radius_1 + radius_2),
-                        torsion_radius,
+                        apart + arm, touches.normal[env, slot + k], touches.gap[env, slot + k], recovery,
+                        radius_1 * radius_2 / (radius_1 + radius_2), torsion_radius,
                     )  # fmt: skip
 
     return collect_pile

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import warp as wp
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
-from warpcontact.kernels.unilateral import cone, impulses
+from warpcontact.kernels.unilateral import begin, cone, impulses
 from warpcontact.kernels.unilateral.rows import row_structs
 
 # Stages of a solve: the block of a row is made where it is first needed, and made anew, softer, after some sweeps.
@@ -28,6 +28,7 @@ def scratch(real: type, rolls: bool) -> type:
     class Scratch:
         stage: wp.array2d(dtype=wp.int32)  # of the solve that the block is of
         rho: wp.array2d(dtype=real)  # [kg]
+        scale: wp.array2d(dtype=real)  # (ρ V)², see ``begin`` [N²·s²]
         free: wp.array2d(dtype=vec3)  # q, W [m/s]
         inverse: wp.array2d(dtype=mat33)  # of the block, W [kg]
         block: wp.array2d(dtype=mat33)  # w over an impulse, (normal, two tangents) [1/kg]
@@ -61,16 +62,18 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     c = cone.functions(real)
     basis, one_contact = c.basis, c.one_contact
     f = impulses.functions(real, moves)
-    relative, spin, changed_at, push = f.relative, f.spin, f.changed_at, f.push
-    ease, turning_ease, in_discs = f.ease, f.turning_ease, f.in_discs
+    spin, changed_at, push, turning_ease, in_discs = f.spin, f.changed_at, f.push, f.turning_ease, f.in_discs
     block_of, inverse_of, in_cone, off_squared = f.block, f.inverse_of, f.in_cone, f.off_squared
+    first = begin.functions(real, moves, rolls)
+    begin_row, spread, scale_of = first.begin, first.spread, first.scale
     zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
     raw, softened = wp.constant(RAW), wp.constant(SOFTENED)
     soft, softer = wp.constant(real(SOFT)), wp.constant(real(SOFTER))
     patience = wp.constant(PATIENCE)
-    rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
-    # Of the largest impulse: what rounding may leave of a residual.
-    ROUNDING = wp.constant(real(4.0 * rounding))
+    rounding = np.finfo(wp.dtype_to_numpy(real))
+    # What rounding may leave of a residual.
+    ROUNDING = wp.constant(real(4.0 * float(rounding.eps)))
+    LARGEST = wp.constant(real(float(rounding.max)))
     # Residual over the tolerance, squared, from which the next sweep does not look first.
     ROUGH = wp.constant(real(4.0))
     # Part of the tolerance below which a row is left as it is.
@@ -102,54 +105,32 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             for body in range(change.linear.shape[1]):
                 change.linear[env, body] = vec3()
                 change.angular[env, body] = vec3()
-            scale = zero
+                change.speed_squared[env, body] = zero
             finite = zero  # only if all terms are
             for row in range(count):
-                one_body = rows.body_1[env, row]
-                other = rows.body_2[env, row]
-                arm_1 = rows.arm_1[env, row]
-                arm_2 = rows.arm_2[env, row]
-                free = relative(moving, env, one_body, other, arm_1, arm_2)
-                free -= rows.bounce[env, row] * rows.normal[env, row]
-                trace = ease(moving, env, one_body, arm_1) + ease(moving, env, other, arm_2)
-                rho = zero
-                impulse = vec3()
-                if trace > zero:
-                    rho = three / trace
-                    impulse = rows.impulse[env, row]
-                size = rho * rho * wp.length_sq(free)
-                scale = wp.max(scale, size)
-                finite += size + wp.length_sq(impulse)
+                free, rho, _trace, size = begin_row(rows, moving, change, env, row, tolerance)
+                finite += size
+                impulse = rows.impulse[env, row]
                 scratch.stage[env, row] = raw
                 scratch.rho[env, row] = rho
                 scratch.free[env, row] = free
                 scratch.before[env, row] = impulse
                 scratch.swept[env, row] = impulse
-                rows.impulse[env, row] = impulse
-                turn_1 = wp.cross(arm_1, impulse)
-                turn_2 = wp.cross(arm_2, impulse)
                 if wp.static(rolls):
-                    turning = spin(moving.angular, env, one_body, other)
+                    turning = spin(moving.angular, env, rows.body_1[env, row], rows.body_2[env, row])
                     scratch.turning[env, row] = turning
-                    trace = turning_ease(moving, env, one_body) + turning_ease(moving, env, other)
-                    if trace > zero and rows.rolling[env, row] + rows.spinning[env, row] > zero:
-                        scale = wp.max(scale, rho * three / trace * wp.length_sq(turning))
-                    couple = rows.couple[env, row]
-                    turn_1 += couple
-                    turn_2 += couple
-                push(moving, change, env, one_body, impulse, turn_1)
-                push(moving, change, env, other, -impulse, -turn_2)
             if not wp.isfinite(finite):
                 outcome.residual[env] = finite
                 outcome.iterations[env] = 0
                 outcome.converged[env] = 0
                 continue
-            if scale == zero:
-                scale = one
+            spread(rows, change, env, count)
+            for row in range(count):
+                scratch.scale[env, row] = scale_of(rows, change, env, row, scratch.rho[env, row])
 
-            goal = tolerance * tolerance * scale
+            goal = tolerance * tolerance
             worst = zero
-            least = scale
+            least = LARGEST
             theta = one
             waited = wp.int32(0)
             last = wp.where(iterations <= 0, 1, 0)
@@ -158,7 +139,6 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             stage = wp.int32(EXACT)
             while True:
                 worst = zero
-                most = scale
                 uphill = zero
                 changes = rough
                 for row in range(count):
@@ -170,13 +150,13 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                     mu = rows.mu[env, row]
                     rho = scratch.rho[env, row]
                     impulse = rows.impulse[env, row]
+                    scale = wp.max(scratch.scale[env, row], wp.length_sq(impulse))
                     w = scratch.free[env, row] + changed_at(change, env, one_body, arm_1)
                     w -= changed_at(change, env, other, arm_2)
                     off = zero
                     if rough == 0:
-                        off = off_squared(impulse, w, n, mu, rho)
+                        off = off_squared(impulse, w, n, mu, rho) / scale
                         worst = wp.max(worst, off)
-                    most = wp.max(most, wp.length_sq(impulse))
                     if rough == 1 or (last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal))):
                         changes += 1
                         if scratch.stage[env, row] != stage:
@@ -209,7 +189,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                             uphill += wp.dot(back, new - scratch.swept[env, row]) / rho
                         step = new - impulse
                         if rough == 1:
-                            worst = wp.max(worst, wp.length_sq(step))
+                            worst = wp.max(worst, wp.length_sq(step) / scale)
                         rows.impulse[env, row] = new
                         push(moving, change, env, one_body, step, wp.cross(arm_1, step))
                         push(moving, change, env, other, -step, -wp.cross(arm_2, step))
@@ -228,7 +208,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                             )
                             step = new - couple
                             # As an impulse: over the arm at which both move a body as easily.
-                            off = rho * trace / three * wp.length_sq(step)
+                            off = rho * trace / three * wp.length_sq(step) / scale
                             worst = wp.max(worst, off)
                             if last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal)):
                                 changes += 1
@@ -244,7 +224,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 if worst < least:
                     least = worst
                     waited = 0
-                if sweeps >= iterations or (waited >= patience and worst < ROUNDING * ROUNDING * most):
+                if sweeps >= iterations or (waited >= patience and worst < ROUNDING * ROUNDING):
                     last = 1
                     rough = 0
                     continue
@@ -274,7 +254,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             for body in range(change.linear.shape[1]):
                 moving.linear[env, body] = moving.linear[env, body] + change.linear[env, body]
                 moving.angular[env, body] = moving.angular[env, body] + change.angular[env, body]
-            outcome.residual[env] = wp.sqrt(worst / scale)
+            outcome.residual[env] = wp.sqrt(worst)
             outcome.iterations[env] = sweeps
             outcome.converged[env] = wp.where(worst <= goal, 1, 0)
 

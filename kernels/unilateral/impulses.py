@@ -25,6 +25,7 @@ def change_struct(real: type) -> type:
 
         linear: wp.array2d(dtype=vec3)  # [env, body] of the velocity of the centre of mass, W [m/s]
         angular: wp.array2d(dtype=vec3)  # [env, body] W [rad/s]
+        speed_squared: wp.array2d(dtype=real)  # [env, body] V², see ``begin`` [m²/s²]
 
     return Change
 

@@ -25,8 +25,9 @@ def kernel(real: type) -> wp.Kernel:
     Restraint = records.Restraint
     f = relative.functions(real)
     velocities_before, velocities_after = f.before, f.after
-    # Within rounding of the edge of the cone a contact slips.
-    inside = wp.constant(real(1.0 - 64.0 * t.epsilon))
+    # As near as that to the edge of the cone a contact slips: within rounding, and within what a solve leaves.
+    ROUNDING = wp.constant(real(64.0 * t.epsilon))
+    UNSOLVED = wp.constant(real(20.0))
 
     @wp.func
     def push(wrenches: Wrenches, env: int, body: int, force: vec3, torque: vec3):
@@ -39,6 +40,7 @@ def kernel(real: type) -> wp.Kernel:
         work: Work,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
+        tolerance: real,
         bodies: wp.int32,
         middle: State,
         rows: Rows,
@@ -62,6 +64,7 @@ def kernel(real: type) -> wp.Kernel:
                 reactions.force[env, body] = vec3()
                 reactions.torque[env, body] = vec3()
             per_step = real(1.0) / step[env, 0]
+            inside = real(1.0) - wp.max(ROUNDING, UNSOLVED * tolerance)
             by_friction = wp.float64(0.0)
             by_impact = wp.float64(0.0)
             for row in range(outcome.count[env]):
@@ -227,17 +230,23 @@ def forget(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def forget_steps(
-        mask: wp.array(dtype=wp.bool), bodies: wp.int32, outcome: Outcome, account: Account, reactions: Wrenches
+        mask: wp.array(dtype=wp.bool),
+        everything: wp.int32,  # 0: but for the account
+        bodies: wp.int32,
+        outcome: Outcome,
+        account: Account,
+        reactions: Wrenches,
     ):
         env = wp.tid()
         if not mask[env]:
             return
         # No contact has the stamp of a step that none has taken.
         account.step[env] = account.step[env] + 1
-        account.failures[env] = 0
-        account.restrained[env] = 0
-        account.friction_loss[env] = wp.float64(0.0)
-        account.impact_loss[env] = wp.float64(0.0)
+        if everything == 1:
+            account.failures[env] = 0
+            account.restrained[env] = 0
+            account.friction_loss[env] = wp.float64(0.0)
+            account.impact_loss[env] = wp.float64(0.0)
         outcome.count[env] = 0
         outcome.residual[env] = real(0.0)
         outcome.iterations[env] = 0

@@ -32,8 +32,9 @@ def kernel(real: type) -> wp.Kernel:
     f = relative.functions(real)
     velocities_before, velocities_after = f.before, f.after
     last = wp.constant(ROUNDS - 1)
-    # Of the work at all contacts: what rounding and the tolerance of a solve may bring.
+    # Of the work at all contacts: what rounding may bring; and what a solve may, over its tolerance.
     slight = wp.constant(real(1.0e-4) if real is wp.float32 else real(1.0e-9))
+    unsolved = wp.constant(real(10.0))
 
     @wp.func
     def bounces(rows: Rows, env: int, count: int):
@@ -43,7 +44,7 @@ def kernel(real: type) -> wp.Kernel:
         return found
 
     @wp.func
-    def gains(middle: State, rows: Rows, moving: Moving, env: int, count: int):
+    def gains(middle: State, rows: Rows, moving: Moving, env: int, count: int, tolerance: real):
         """Whether all impulses together do work."""
         work_done = real(0.0)
         size = real(0.0)
@@ -57,8 +58,11 @@ def kernel(real: type) -> wp.Kernel:
             impulse = rows.impulse[env, row]
             couple = rows.couple[env, row]
             work_done += wp.dot(impulse, u_before + u_after) + wp.dot(couple, w_before + w_after)
+            if rows.recovery[env, row] > rows.bounce[env, row]:
+                # What takes overlap back may bring energy.
+                work_done -= rows.recovery[env, row] * wp.dot(impulse, rows.normal[env, row])
             size += wp.length(impulse) * (wp.length(u_before) + wp.length(u_after))
-        return work_done > slight * size
+        return work_done > wp.max(slight, unsolved * tolerance) * size
 
     @wp.kernel(module="unique", enable_backward=False)
     def restrain_impacts(
@@ -69,15 +73,15 @@ def kernel(real: type) -> wp.Kernel:
         rows: Rows,
         moving: Moving,
         outcome: Outcome,
+        tolerance: real,
         restraint: Restraint,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task
+            restraint.status[env] = ENV_WAITING
             if status[env] != ENV_ACTIVE:
                 continue
-            restraint.status[env] = ENV_WAITING
             if number == 0:
-                restraint.part[env] = real(1.0)
                 restraint.kept[env] = real(0.0)
             elif restraint.part[env] == real(1.0):
                 continue
@@ -85,7 +89,7 @@ def kernel(real: type) -> wp.Kernel:
             part = restraint.part[env]
             if part == real(1.0) and not bounces(rows, env, count):
                 continue
-            if gains(middle, rows, moving, env, count):
+            if gains(middle, rows, moving, env, count, tolerance):
                 restraint.gains[env] = part
             elif part == real(1.0):
                 continue

@@ -30,6 +30,7 @@ def row_structs(real: type) -> SimpleNamespace:
         rolling: wp.array2d(dtype=real)  # [env, row] couple against rolling over the normal impulse [m]
         spinning: wp.array2d(dtype=real)  # [env, row] likewise against spinning about the normal [m]
         bounce: wp.array2d(dtype=real)  # [env, row] speed at which it is to part, e × that of approach, ≥ 0 [m/s]
+        recovery: wp.array2d(dtype=real)  # [env, row] speed at which overlap is taken back, ≥ 0 [m/s]
         impulse: wp.array2d(dtype=vec3)  # [env, row] on the first; before a solve the guess, W [N·s]
         couple: wp.array2d(dtype=vec3)  # [env, row] of rolling and spinning, on the first, likewise [N·m·s]
 

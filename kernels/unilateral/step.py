@@ -30,6 +30,7 @@ from warpcontact.kernels.types import (
     Work,
     structs,
 )
+from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import row_structs
 
 
@@ -38,11 +39,12 @@ def middle(real: type, moves: bool) -> wp.Kernel:
     """Returns the kernel that goes half a step with the velocities before it; items: bodies.
 
     The angular velocity there is that of the same angular momentum. With ``moves`` some bodies are not free; those
-    that follow a function of time are left to ``driven``. The first body of an environment empties its rows.
+    that follow a function of time are left to ``driven``, which changes their pose alone. The first body of an
+    environment empties its rows, and gives back the whole restitution.
     """
     t = structs(real)
     Model, State = t.Model, t.State
-    Outcome = row_structs(real).Outcome
+    Outcome, Restraint = row_structs(real).Outcome, record_structs(real).Restraint
     rotated = frames.functions(real).rotated
     f = bodies.functions(real)
     wide, wide_matrix, wide_quat = f.wide, f.wide_matrix, f.wide_quat
@@ -57,6 +59,7 @@ def middle(real: type, moves: bool) -> wp.Kernel:
         state_in: State,
         state_out: State,
         outcome: Outcome,
+        restraint: Restraint,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
@@ -65,6 +68,7 @@ def middle(real: type, moves: bool) -> wp.Kernel:
                 continue
             if body == 0:
                 outcome.count[env] = 0
+                restraint.part[env] = real(1.0)
             v_W = state_in.body_linear_velocity[env, body]
             w_W = state_in.body_angular_velocity[env, body]
             half = real(0.5) * step[env, 0]

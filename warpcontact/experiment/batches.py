@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from warpcontact.advice import ContactWarning, advice
+from warpcontact.advice import ContactWarning
 from warpcontact.checks import Array
 from warpcontact.contact_coupling_report import CouplingReport, first_of
 from warpcontact.experiment import result
@@ -113,7 +113,7 @@ class Batches:
 
     def _advise(self) -> None:
         """Warns as the first step of a simulation does, of what is not known from earlier batches."""
-        for sentence in advice(self.simulation.model, self.simulation.dt, self.simulation.integrator.acts):
+        for sentence in self.simulation.advice():
             kind = re.sub(r"[\d.,+-]+(e[+-]?\d+)?", "", sentence)
             # The simulation itself has warned about the first batch.
             if kind not in self._said and self.simulation.model.first_env:

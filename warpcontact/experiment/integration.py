@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import Section
 from warpcontact.integrators import INTEGRATORS, Integrator
-from warpcontact.integrators.moreau_jean import SOLVERS, THETA, TOLERANCE
+from warpcontact.integrators.moreau_jean import RECOVERY_TIME, SOLVERS, THETA, TOLERANCE
 
 
 class IntegratorSettings(Section):
@@ -18,6 +18,7 @@ class IntegratorSettings(Section):
     solver: Annotated[str | None, q.one_of(tuple(SOLVERS))] = None
     iterations: int | None = Field(default=None, ge=1)
     tolerance: Annotated[float | None, q.numbers((), allowed=TOLERANCE)] = None
+    recovery_time: Annotated[float | None, q.numbers((), allowed=RECOVERY_TIME)] = None
     compliant: Annotated[tuple[str, ...] | None, Field(strict=False)] = None
 
     def make(self) -> Integrator:

@@ -29,10 +29,6 @@ class Integrator(ABC):
             ValueError: If it cannot; the message names what is in the way.
         """
 
-    def acts(self, name: str) -> bool:
-        """Whether the contact ``name`` acts by the force of its law."""
-        return True
-
     def declare(self, model: "Model | PartDraft", layout: Layout) -> "HardContacts | None":
         """Declares what it takes beside the model; ``None``: contacts act by their forces alone."""
         return None

@@ -4,13 +4,14 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import warp as wp
 
 from warpcontact import checks
 from warpcontact.arrays import Layout
 from warpcontact.checks import limits
 from warpcontact.integrators.base import Integrator, formulas_of
-from warpcontact.kernels.frictions import Friction
+from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.motions import driven
 from warpcontact.kernels.unilateral import accelerated, gauss_seidel, restrain, step
 from warpcontact.schedule import Span, StepLength, force_stages
@@ -30,8 +31,11 @@ SOLVERS = {
 ITERATIONS = {gauss_seidel: 200, accelerated: 1000}
 #: Relative residual to reach, if nothing is said, by precision.
 TOLERANCES = {wp.float32: 1.0e-5, wp.float64: 1.0e-8}
+#: Share of a step within which velocities of functions of time are those of an instant.
+INSTANT = 0.005
 THETA = limits("-", at_least=0.5, at_most=1.0)
 TOLERANCE = limits("-", above=0.0, at_most=1.0)
+RECOVERY_TIME = limits("s", above=0.0)
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,8 @@ class MoreauJean(Integrator):
         iterations: Most iterations of a solver in a step; ``None``: 200 of the first, 1000 of the other.
         tolerance: Relative residual to reach; ``None``: 1e-5 in float32, 1e-8 in float64.
         compliant: Names of contacts that act by the force of their law instead.
+        recovery_time: Time in which e-fold less of an overlap is left, several steps [s]; ``None``: overlap is not
+            taken back, which may bring energy.
 
     Raises:
         ValueError: If a value is not allowed.
@@ -68,6 +74,7 @@ class MoreauJean(Integrator):
     iterations: int | None = None
     tolerance: float | None = None
     compliant: Collection[str] = ()
+    recovery_time: float | None = None
 
     order = 1
 
@@ -75,10 +82,12 @@ class MoreauJean(Integrator):
         checks.numbers("theta", self.theta, (), THETA)
         checks.choice("solver", self.solver, tuple(SOLVERS))
         most = self.iterations
-        if most is not None and (isinstance(most, bool) or not isinstance(most, int) or most < 1):
+        if most is not None and (isinstance(most, bool) or not isinstance(most, int | np.integer) or most < 1):
             raise ValueError(f"iterations must be a whole number of at least 1, got {most!r}")
         if self.tolerance is not None:
             checks.numbers("tolerance", self.tolerance, (), TOLERANCE)
+        if self.recovery_time is not None:
+            checks.numbers("recovery_time", self.recovery_time, (), RECOVERY_TIME)
         if isinstance(self.compliant, str):
             raise TypeError(f"compliant must be a list of names of contacts, got the string {self.compliant!r}")
         object.__setattr__(self, "compliant", tuple(self.compliant))
@@ -90,18 +99,20 @@ class MoreauJean(Integrator):
             ValueError: If not, or if there is no contact of a name in ``compliant``.
         """
         contacts = formulas_of(scene)
+        forces = {contact.name for contact in scene.contacts if contact.facing is not None}
         for name in self.compliant:
-            if name not in contacts:
-                known = ", ".join(map(repr, contacts)) or "none"
+            if name not in contacts or name in forces:
+                known = ", ".join(repr(own) for own in contacts if own not in forces) or "none"
                 raise ValueError(f"compliant: there is no contact {name!r}; there is {known}")
         for name, formulas in contacts.items():
             for part, formula in formulas.items():
-                if name in self.compliant:
+                if name in self.compliant or name in forces:
                     if formula.rigid:
+                        why = "compliant: " if name in self.compliant else "contact couplings are forces: "
                         raise ValueError(
-                            f"compliant: {name}.{part} is {type(formula).__name__}, which has no force of its own"
+                            f"{why}{name}.{part} is {type(formula).__name__}, which has no force of its own"
                         )
-                elif isinstance(formula, Friction) and formula.parameters() and formula.of_cone() is None:
+                elif part != "law" and not isinstance(formula, Frictionless) and formula.of_cone() is None:
                     raise ValueError(
                         f"{name}.{part} is {type(formula).__name__}, which has no coefficient of friction for "
                         "hard contact; take a model with mu, such as wc.frictions.Coulomb, or name the contact in "
@@ -114,16 +125,14 @@ class MoreauJean(Integrator):
                     "at contacts at half a step, and has no steps to divide"
                 )
 
-    def acts(self, name: str) -> bool:
-        """Whether the contact ``name`` acts by the force of its law."""
-        return name in self.compliant
-
     def declare(self, model: "Model | PartDraft", layout: Layout) -> "HardContacts":
         """Declares the hard contacts of ``model``."""
         from warpcontact.unilateral.hard_contacts import HardContacts
 
         scratch = [solver.scratch for solver in SOLVERS[self.solver]]
-        return HardContacts(model, self.compliant, scratch, layout)
+        tolerance = TOLERANCES[model.types.real] if self.tolerance is None else self.tolerance
+        recovery = 0.0 if self.recovery_time is None else 1.0 / self.recovery_time
+        return HardContacts(model, self.compliant, scratch, tolerance, recovery, layout)
 
     def step_stages(
         self, span: Span, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
@@ -135,12 +144,15 @@ class MoreauJean(Integrator):
         middle = hard.middle
         status, h = a.status, dt.dynamic
         launches = span.prepare(
-            step.middle(real, moves), bodies, [status, h, a.model, state_in, middle, hard.outcome]
+            step.middle(real, moves), bodies, [status, h, a.model, state_in, middle, hard.outcome, hard.restraint]
         )
         for drive in model.drives:
             follow = driven.follow(drive.motion, real)
-            for length, state in ((dt.half_clock, middle), (dt.clock, state_out)):
-                inputs = [status, length, a.time, a.model, *drive.inputs, a.wrenches, state]
+            # Of the instant at which what rides on them moves as they do, from step to step.
+            before, after = 2.0 * (0.5 - self.theta), 1.5 - self.theta
+            for length, at, state in ((dt.half_clock, before, middle), (dt.clock, after, state_out)):
+                share = (at - INSTANT, at + INSTANT)
+                inputs = [status, length, a.time, a.model, *drive.inputs, *share, a.wrenches, state]
                 launches += span.prepare(follow, drive.count, inputs)
         launches += force_stages(span, middle, h, status)
         launches += hard.collect_stages(span)
@@ -152,7 +164,8 @@ class MoreauJean(Integrator):
 
         launches += solve(status)
         for number in range(restrain.ROUNDS if model.bounces else 0):
-            inputs = [status, number, middle, hard.rows, hard.moving, hard.outcome, hard.restraint]
+            inputs = [status, number, middle, hard.rows, hard.moving, hard.outcome, hard.tolerance]
+            inputs += [hard.restraint]
             launches += span.prepare(restrain.kernel(real), 1, inputs)
             launches += solve(hard.restraint.status)
         inputs = [status, h, float(self.theta), a.model, state_in, middle, hard.moving, a.wrenches, state_out]
@@ -162,12 +175,11 @@ class MoreauJean(Integrator):
         """Returns the launches that solve the contact problem where ``status`` [env] is active."""
         hard, real = span.hard, span.model.types.real
         assert hard is not None
-        tolerance = TOLERANCES[real] if self.tolerance is None else self.tolerance
         launches: list[wp.Launch] = []
         for solver, scratch in zip(SOLVERS[self.solver], hard.scratch, strict=True):
             iterations = ITERATIONS[solver] if self.iterations is None else self.iterations
             after = {"after": True} if launches else {}
             kernel = solver.kernel(real, span.model.moves, hard.rolls, **after)
-            inputs = [status, hard.rows, hard.moving, hard.outcome, tolerance, iterations]
+            inputs = [status, hard.rows, hard.moving, hard.outcome, hard.tolerance, iterations]
             launches += span.prepare(kernel, 1, [*inputs, scratch, hard.change])
         return launches

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from warpcontact.arrays import Layout, fixed, per_env
+from warpcontact.footprint import Need
 from warpcontact.groups import Group, by_code
 from warpcontact.kernels.smooth.records import contact_structs
 from warpcontact.kernels.unilateral import collect, impulses, remember
@@ -55,13 +56,17 @@ class HardContacts:
 
     Args:
         model: The model, or what is drawn up of it.
-        compliant: Names of the contacts that are not hard.
+        compliant: Names of the contacts that are not hard, beside those of contact couplings.
         scratch: For each solver, what returns the struct of arrays [env, row] that it works in, by precision and
             whether anything opposes rolling or spinning.
+        tolerance: Of a solve.
+        recovery: Share of an overlap that is taken back in a second [1/s].
         layout: Where to declare arrays.
 
     Attributes:
         compliant: Names of the contacts that are not hard.
+        tolerance: Of a solve.
+        recovery: Share of an overlap that is taken back in a second [1/s].
         capacity: Most rows of an environment.
         middle: State at half a step.
         rows: The closed contacts of a step.
@@ -82,11 +87,15 @@ class HardContacts:
         model: "Model | PartDraft",
         compliant: Collection[str],
         scratch: Sequence[Callable[[type, bool], Any]],
+        tolerance: float,
+        recovery: float,
         layout: Layout,
     ) -> None:
         t = model.types
         scene: Scene = model.scene
-        self.compliant = frozenset(compliant)
+        forces = [contact.name for contact in scene.contacts if contact.facing is not None]
+        self.compliant = frozenset([*compliant, *forces])
+        self.tolerance, self.recovery = tolerance, recovery
         self._real = t.real
         self._contacts = t.Contacts
         self._device = layout.device
@@ -155,24 +164,49 @@ class HardContacts:
         layout.content(PURPOSE, made, "items", numbers if len(numbers) else [0], wp.int32)
         return made
 
+    def material_need(self, parameters: Mapping[str, Parameter], envs: int, varied: Collection[str]) -> Need:
+        """Returns what the materials of ``envs`` environments take; ``varied`` are to have a value in each."""
+        upload = self._upload or material_upload(self, self._materials, parameters, self._device, self._real)
+        fields = {id(parameters[name].field) for name in varied}
+        own = any(
+            id(source.field) in fields or not source.field.shared
+            for source in parameters_of(self._materials, parameters)
+        )
+        return Need(PURPOSE, str(self._device), *upload.size(envs, own))
+
     def begin(self, model: "Model", step: wp.array) -> None:
         """Takes what is allocated: the model, and the length of a step [env, 0] [s]."""
         self._bodies, self._step = model.body_count, step
         self._upload = material_upload(self, self._materials, model.parameters, model.device, self._real)
 
     def follow(self, model: "Model") -> None:
-        """Lets restitution and coefficients of friction follow their parameters; no contact remembers anything."""
+        """Lets restitution and coefficients of friction follow their parameters; no contact remembers anything.
+
+        Losses and counts go on.
+        """
         for parameter in parameters_of(self._materials, model.parameters):
             if self._upload not in parameter.uploads:
                 parameter.uploads.append(self._upload)
         model.send([self._upload], [self._upload.content()])
-        self.restart(wp.full(model.envs, True, dtype=wp.bool, device=model.device))
+        self._forget(wp.full(model.envs, True, dtype=wp.bool, device=model.device), everything=False)
+        self._leave_laws(model)
 
     def let_go(self, model: "Model") -> None:
         """Follows the parameters no longer."""
+        self._leave_laws(model)
         for parameter in parameters_of(self._materials, model.parameters):
             if self._upload in parameter.uploads:
                 parameter.uploads.remove(self._upload)
+
+    def _leave_laws(self, model: "Model") -> None:
+        """Lets laws and frictions of hard contacts begin anew should they act again: none has been going on."""
+        history, contacts = model.arrays.history, model.arrays.contacts
+        if self._mesh.count:
+            hard = self._mesh.items.numpy()
+            for array, nothing in ((history.entry_speed, -1.0), (contacts.approach_speed, 0.0)):
+                values = array.numpy()
+                values[:, hard] = nothing
+                array.assign(values)
 
     def acts(self, name: str) -> bool:
         """Whether the contact ``name`` acts by the force of its law."""
@@ -206,7 +240,7 @@ class HardContacts:
     def collect_stages(self, span: "Span") -> list[wp.Launch]:
         """Returns the launches that list the closed contacts of the middle of the step."""
         a, real = span.model.arrays, self._real
-        outputs = [self.material, self.memory, self.account, self.rows, self.outcome]
+        outputs = [self.recovery, self.material, self.memory, self.account, self.rows, self.outcome]
         launches = []
         if self._mesh.count:
             blocks = self._mesh_blocks
@@ -225,13 +259,17 @@ class HardContacts:
 
     def accept_stages(self, span: "Span", step: wp.array) -> list[wp.Launch]:
         """Returns the launch that remembers what an accepted step led to; ``step`` [env, 0] [s]."""
-        inputs = [span.model.arrays.status, step, span.model.body_count, self.middle, self.rows, self.moving]
+        inputs = [span.model.arrays.status, step, self.tolerance, span.model.body_count]
+        inputs += [self.middle, self.rows, self.moving]
         inputs += [self.outcome, self.restraint, self.memory, self.account, self.reactions]
         return span.prepare(remember.kernel(self._real), 1, inputs)
 
     def restart(self, chosen: wp.array) -> None:
         """Empties what the environments of the mask ``chosen`` [env] remember."""
-        inputs = [chosen, self._bodies, self.outcome, self.account, self.reactions]
+        self._forget(chosen, everything=True)
+
+    def _forget(self, chosen: wp.array, everything: bool) -> None:
+        inputs = [chosen, int(everything), self._bodies, self.outcome, self.account, self.reactions]
         wp.launch(remember.forget(self._real), dim=len(chosen), inputs=inputs, device=self._device)
 
     def show(self, model: "Model") -> None:

@@ -22,6 +22,11 @@ class Touching(Protocol):
         """Its name."""
 
 
+def of_cone(friction: Any) -> tuple[str, str] | None:
+    """Returns the names of the coefficients at rest and in motion; ``None``: there is no friction."""
+    return None if isinstance(friction, Frictionless) else friction.of_cone()
+
+
 @dataclass(frozen=True)
 class Hard:
     """A contact that is hard, and how many materials it has on the device.
@@ -41,16 +46,10 @@ class Hard:
         table: dict[str, tuple[str, str] | None] = {"restitution": None}
         if "restitution" in self.formulas["law"].parameters():
             table["restitution"] = ("law", "restitution")
-        names = {
-            "friction": ("mu_static", "mu_dynamic"),
-            "rolling": ("rolling",) * 2,
-            "torsion": ("spinning",) * 2,
-        }
-        for part, keys in names.items():
-            friction = self.formulas[part]
-            cone = None if isinstance(friction, Frictionless) else friction.of_cone()
-            for key, name in zip(keys, cone or (None, None), strict=True):
-                table[key] = None if name is None else (part, name)
+        names = {"mu_static": "friction", "mu_dynamic": "friction", "rolling": "rolling", "spinning": "torsion"}
+        for key, part in names.items():
+            cone = of_cone(self.formulas[part])
+            table[key] = (part, cone[key != "mu_static"]) if cone else None
         return table
 
     def given(self, parameters: Mapping[str, Parameter]) -> dict[str, Parameter | None]:
