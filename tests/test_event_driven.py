@@ -1,5 +1,6 @@
 """Event-driven motion against closed forms: impact times, Zeno points, stick and slip, lift-off, paradoxes."""
 
+import json
 import math
 
 import numpy as np
@@ -36,6 +37,44 @@ def test_a_ball_bounces_at_the_times_of_its_closed_form_and_comes_to_rest_at_its
     assert (body_of(run, "ball", "linear_velocity")[after] == 0.0).all()
     # Never below the ground by more than a rounding of its height.
     assert body_of(run, "ball")[:, 2].min() > 0.1 - 1e-15
+
+
+def test_worked_numbers_of_a_ball_and_of_sliding(shared):
+    oracle = json.loads((shared / "spec" / "oracle_signorini.json").read_text())
+    given = oracle["ball"]
+    run = EventDriven(ball(height=given["h"], restitution=given["e"])).run(2.7)
+    impacts = run.events_of("IMPACT")[:5]
+    np.testing.assert_allclose([one.time for one in impacts], given["impact_times"], rtol=1e-12)
+    np.testing.assert_allclose([one.approach_speed for one in impacts], given["pre_speed"], rtol=1e-12)
+    # Energy at the first state after each impact gives the height that it comes to.
+    for one, apex in zip(impacts, given["apex"][1:], strict=False):
+        after = run.states[int(np.flatnonzero(run.times == one.time)[-1])]
+        height = after.position[0, 2] - 0.1 + after.linear_velocity[0, 2] ** 2 / (2.0 * G)
+        assert height == pytest.approx(apex, rel=1e-12)
+    given = oracle["slide"]
+    run = EventDriven(block(mu=given["mu"], velocity=given["v0"])).run(0.7)
+    assert run.events_of("STICK")[0].time == pytest.approx(given["t_stop"], abs=EXACT)
+    assert body_of(run, "box")[-1, 0] == pytest.approx(given["x_stop"], abs=EXACT)
+    slope, limit = math.radians(given["incline_deg"]), given["stick_if_mu_ge"]
+    run = EventDriven(block(mu=given["mu"], slope=slope)).run(0.5)
+    speed = np.linalg.norm(body_of(run, "box", "linear_velocity")[-1])
+    assert speed == pytest.approx(0.5 * given["a_incline"], abs=EXACT)
+    assert wc.unilateral.equilibrium(block(mu=limit * (1.0 + 1e-9), slope=slope)).holds
+
+
+def test_an_impact_at_the_start_is_told():
+    for every in (None, 0.01):
+        run = EventDriven(ball(height=0.0, restitution=0.8, velocity=(0.0, 0.0, -1.0))).run(0.05, every)
+        (hit,) = run.events
+        assert (hit.kind, hit.time, hit.approach_speed) == (EventKind.IMPACT, 0.0, 1.0)
+        assert hit.separation_speed == pytest.approx(0.8, rel=1e-14)
+        np.testing.assert_array_equal(body_of(run, "ball", "linear_velocity")[0], (0.0, 0.0, -1.0))
+    # At the start of all steps there is a state on both sides of it.
+    run = EventDriven(ball(height=0.0, restitution=0.8, velocity=(0.0, 0.0, -1.0))).run(0.05)
+    assert run.times[:2].tolist() == [0.0, 0.0]
+    assert body_of(run, "ball", "linear_velocity")[1, 2] == pytest.approx(0.8, rel=1e-14)
+    # What is closed and stays so is no event.
+    assert not EventDriven(ball(height=0.0, mu=0.3)).run(0.1).events
 
 
 def test_a_run_goes_on_where_it_stopped_and_leaves_the_model_as_it_was():
@@ -242,8 +281,9 @@ def rod(mu, angle, speed):
 def test_the_paradox_of_painleve_is_told_and_not_passed():
     angle = math.radians(45.0)
     # 1/m + (cos² − μ sin cos)/I < 0 for a thin rod: μ > (1 + 3 cos²)/(3 sin cos) = 5/3 at 45°.
-    with pytest.raises(ParadoxError, match=r"t = 0 s: sliding, tip would press itself on.*Painlevé"):
+    with pytest.raises(ParadoxError, match=r"t = 0 s: sliding, tip would press itself on.*Painlevé") as told:
         EventDriven(rod(5.0 / 3.0 + 0.01, angle, 1.0)).run(0.1)
+    assert str(told.value.run) == "event-driven run from 0 s to 0 s: no events"
     run = EventDriven(rod(5.0 / 3.0 - 0.2, angle, 1.0)).run(0.02)
     assert not run.events_of("LIFT_OFF")
     # Sliding the other way friction lifts, and there is none.
@@ -338,6 +378,16 @@ def test_what_it_cannot_take_is_named():
         EventDriven(ball(), zeno=0.0)
     with pytest.raises(KeyError, match=r"no 'ball.place' in an event-driven run; there are position"):
         engine.run(0.1)["ball.place"]
+    with pytest.raises(ValueError, match="most_events must be a whole number, at least 1, got 0"):
+        EventDriven(ball(), most_events=0)
+    with pytest.raises(ValueError, match=r"method must be one of 'projection', .*, got 'enumeration'"):
+        EventDriven(ball(), method="enumeration")
+    with pytest.raises(ValueError, match=r"method must be one of 'projection', .*, got 'newton'"):
+        wc.unilateral.equilibrium(ball(), method="newton")
+    with pytest.raises(ValueError, match=r"kind must be one of 'IMPACT', .*, got 'impact'"):
+        engine.run(0.1).events_of("impact")
+    with pytest.raises(KeyError, match="no contact 'wall' in the scene; there are touch"):
+        engine.run(0.1).events_of("IMPACT", "wall")
     # Eternal bouncing is not summed up.
     with pytest.raises(RuntimeError, match="more than 5 events up to t = "):
         EventDriven(ball(restitution=1.0), most_events=5).run(20.0)

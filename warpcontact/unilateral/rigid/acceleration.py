@@ -25,8 +25,9 @@ LEFT = 1.0e-8
 SINGULAR = 1.0e-11
 # Steps of Newton's method from the answer of a solver: a few bring it to rounding.
 NEWTON = 20
-# Methods that are asked after the one that is wanted.
-METHODS = ("projection", "gauss_seidel", "prox")
+# Methods that take friction in space: the first are asked after the one that is wanted.
+METHODS = ("projection", "gauss_seidel", "prox", "energy")
+ASKED = METHODS[:3]
 # Most sliding contacts of which all sets are looked at.
 MOST_MINORS = 10
 # Turns of the friction of contacts that slide.
@@ -118,7 +119,7 @@ def _guesses(
 ) -> Iterator[Array]:
     """Iterates over forces (contacts, 3) that may be near the solution, what is likely first."""
     count = len(b)
-    for name in dict.fromkeys((method, *METHODS)):
+    for name in dict.fromkeys((method, *ASKED)):
         force = np.zeros((count, 3))
         # The friction of contacts that slide follows their normal forces, one turn behind.
         for _ in range(TURNS if rubs.any() else 1):

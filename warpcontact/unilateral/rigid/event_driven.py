@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact.kernels.types import MODE_OPEN, MODE_STICK
-from warpcontact.unilateral.rigid.acceleration import ParadoxError, find_modes
+from warpcontact.unilateral.rigid.acceleration import METHODS, ParadoxError, find_modes
 from warpcontact.unilateral.rigid.assembly import Assembler
 from warpcontact.unilateral.rigid.crossings import STILL, Step
 from warpcontact.unilateral.rigid.events import Event, EventKind, EventRun, in_order
@@ -31,7 +31,8 @@ class EventDriven:
     All contacts of the scene are rigid: they close without penetration, bounce by Newton's law with the
     ``restitution`` of their law (0 if it has none; less where that would bring energy), and slide or stick by
     Coulomb's with the ``mu`` of their friction (``mu_static`` and ``mu_dynamic`` if it has two). Couplings, and
-    contact couplings, are forces, as the model computes them; what these remember stays as it is.
+    contact couplings, are forces, as the model computes them; what these remember stays as it is. State, masses
+    and coefficients are those of the model when this is made.
 
     Flight is in closed form where accelerations are uniform, else by DOP853 to 1e-12. Times at which a gap closes,
     or a contact parts, slides or stops, are roots, to rounding. Contacts that impact together do so in one problem
@@ -45,7 +46,7 @@ class EventDriven:
         closed: Gaps up to this are zero [m].
         step: Longest time between two looks at the contacts [s].
         zeno: Impacts of a contact that follow one another within this time, ever closer, are summed up [s].
-        method: Of ``wc.unilateral.solve_delassus``.
+        method: Of ``wc.unilateral.solve_delassus``, one that takes friction in space.
         most_events: After so many events a run is given up.
 
     Attributes:
@@ -71,7 +72,11 @@ class EventDriven:
         self.closed = float(checks.numbers("closed", closed, (), checks.limits("m", above=0.0)))
         self.step = float(checks.numbers("step", step, (), seconds))
         self.zeno = float(checks.numbers("zeno", zeno, (), seconds))
-        self.method, self.most_events = method, most_events
+        self.method = checks.choice("method", method, METHODS)
+        whole = isinstance(most_events, int | np.integer) and not isinstance(most_events, bool)
+        if not whole or most_events < 1:
+            raise ValueError(f"most_events must be a whole number, at least 1, got {most_events!r}")
+        self.most_events = most_events
         self.assembler = Assembler(model, env)
         self.trajectory = Trajectory(self.assembler)
         self.state = self.assembler.bodies.settled(self.assembler.place.read())
@@ -119,9 +124,17 @@ class EventDriven:
             self.state = self.assembler.place.follow(self.state)
             self._hold = Hold.nothing()
             self._refuse_overlaps()
-            self._meet(self.state)
-            self._events = []
-        kept.first(self.state)
+            start = self.state
+            kept.first(start)
+            self._meet(start)
+            # What contacts do from the start on is nothing that happens, unless velocities jump.
+            self._events = [one for one in self._events if one.kind is EventKind.IMPACT]
+            if self._events:
+                kept.step(self.state)
+            else:
+                kept.states[0] = self.state
+        else:
+            kept.first(self.state)
         view = self.trajectory.view(self.state, self._hold)
         while self.state.time < end:
             self.trajectory.check(view, self._hold)
