@@ -95,7 +95,8 @@ class EventRun:
         """
         wanted = EventKind(checks.choice("kind", kind, tuple(map(str, EventKind))))
         scene = self.scene
-        names = [one.name for one in (*scene.contacts, *scene.smooth_contacts, *scene.mutual_contacts)]
+        elements: list[Any] = [*scene.contacts, *scene.smooth_contacts, *scene.mutual_contacts]
+        names = [one.name for one in elements]
         if contact is not None and contact not in names:
             raise KeyError(f"no contact {contact!r} in the scene; there are {', '.join(names) or 'none'}")
         return [one for one in self.events if one.kind is wanted and contact in (None, one.contact)]
