@@ -124,14 +124,10 @@ def equilibrium(model: Any, env: int = 0, closed: float = 1.0e-6, method: str = 
     most = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
     checks.choice("method", method, METHODS)
     assembler = Assembler(model, env)
-    before = assembler.place.read()
-    still = before.with_velocity(np.zeros(6 * assembler.bodies.count))
-    try:
+    still = assembler.place.read().with_velocity(np.zeros(6 * assembler.bodies.count))
+    with assembler.place.kept():
         measured = assembler.candidates.measure(still)
-        chosen = np.flatnonzero(measured.gap <= most)
-        own = assembler.assembly(still, measured, chosen)
-    finally:
-        assembler.place.write(before)
+        own = assembler.assembly(still, measured, np.flatnonzero(measured.gap <= most))
     # At rest: not what functions of time do.
     own = replace(own, free_acceleration=own.inverse_mass @ own.force)
     return _solved(own, method)

@@ -104,15 +104,13 @@ class EventDriven:
             every = float(checks.numbers("every", every, (), seconds))
         kept = _Kept(self.state.time, every)
         self._events = []
-        before = self.assembler.place.read()
         try:
-            self._go(end, kept)
+            with self.assembler.place.kept():
+                self._go(end, kept)
         except ParadoxError as error:
             told = ParadoxError(f"t = {self.state.time:.9g} s: {error}")
             told.run = self._result(kept)
             raise told from error
-        finally:
-            self.assembler.place.write(before)
         return self._result(kept)
 
     def _result(self, kept: "_Kept") -> EventRun:
