@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rigid_scenes import G, ball, block, box_inertia, rigid, turned_about_y
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import warpcontact as wc
 from warpcontact.unilateral import EventDriven, EventKind, ParadoxError
@@ -238,6 +239,26 @@ def test_a_block_leaves_a_shaken_table_when_that_falls_faster():
     # 1e-6 s and 2e-5 s: 1e-10 and 1e-6 of their size are rounding.
     leaves = math.asin(G / (amplitude * rate**2)) / rate
     assert run.events_of("LIFT_OFF")[0].time == pytest.approx(leaves, abs=1e-6)
+
+
+def test_a_brick_on_a_table_that_is_shaken_sideways_slides_to_and_fro():
+    amplitude, rate, mu = 0.1, 2.0 * math.pi, 0.2
+    scene = wc.Scene(gravity=(0.0, 0.0, -G))
+    motion = wc.motions.Harmonic(direction=(1, 0, 0), amplitude=amplitude, frequency=1.0)
+    table = scene.add_body(mass=1.0, inertia=(1, 1, 1), motion=motion, name="table")
+    top = scene.add_surface(wc.meshes.grid((4.0, 4.0), (1, 1)), table, name="top")
+    brick = scene.add_body(
+        mass=1.0, inertia=[0.1] * 3, position=(0, 0, 0.1), motion=wc.motions.Translation(), name="brick"
+    )
+    scene.add_contact(scene.add_point(brick, (0, 0, -0.1)), top, rigid(mu), name="touch")
+    run = EventDriven(scene.build(device="cpu", precision="float64")).run(0.3)
+    # The table starts with a ω; friction drives the brick with μ g until both are as fast, and then brakes it.
+    turns = brentq(lambda t: mu * G * t - amplitude * rate * math.cos(rate * t), 0.0, 0.25)
+    speed = mu * G * (2.0 * turns - 0.3)
+    way = 0.5 * mu * G * turns**2 + mu * G * turns * (0.3 - turns) - 0.5 * mu * G * (0.3 - turns) ** 2
+    # Its accelerations are differences in time, of 1e-6.
+    assert body_of(run, "brick", "linear_velocity")[-1, 0] == pytest.approx(speed, abs=1e-6)
+    assert body_of(run, "brick")[-1, 0] == pytest.approx(way, abs=1e-6)
 
 
 def test_fast_balls_that_meet_within_a_step_are_not_missed():
