@@ -388,6 +388,21 @@ def test_newton_with_friction_brings_no_energy():
     assert gained > 0
 
 
+def test_a_ball_that_runs_into_the_inner_edge_of_one_mesh_is_told_of():
+    scene = wc.Scene(gravity=(0.0, 0.0, -G))
+    corners = [(-4, -5, 0), (2, -5, 0), (2, 5, 0), (-4, 5, 0), (2, -5, 5), (2, 5, 5)]
+    faces = [(0, 1, 2), (0, 2, 3), (1, 4, 5), (1, 5, 2)]
+    room = scene.add_surface(wc.Mesh(np.array(corners, dtype=float), np.array(faces)), name="room")
+    body = scene.add_body(
+        mass=1.0, inertia=[0.004] * 3, position=(1.8, 0, 0.1), linear_velocity=(20.0, 0, 0), name="ball"
+    )
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), room, rigid(0.0, 0.5), radius=0.1, name="touch")
+    with pytest.raises(
+        RuntimeError, match=r"at t = 0.005 s touch close and part again and again: in an inner edge"
+    ):
+        EventDriven(scene.build(device="cpu", precision="float64")).run(0.1)
+
+
 def test_what_it_cannot_take_is_named():
     deep = block(lift=-1e-3)
     with pytest.raises(ValueError, match=r"feet\[0\] begins in overlap, 0.001 m deep"):

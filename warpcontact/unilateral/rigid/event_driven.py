@@ -21,6 +21,8 @@ TURN = 0.5
 BEYOND = 1.3
 # Parts of a step after an event at which it is looked what the contacts do: at the event itself it is undecided.
 AFTER = (1.0e-6, 1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2)
+# Events and steps without any time between them after which a run is given up.
+MOST_IDLE = 20
 # No pairs.
 NOTHING = np.zeros(0, dtype=int)
 
@@ -96,7 +98,8 @@ class EventDriven:
             ValueError: If a time is not positive, or a contact begins in overlap.
             ParadoxError: If at some time no accelerations agree with rigid bodies and Coulomb friction, or
                 several; ``error.run`` has what was computed up to there.
-            RuntimeError: If there are too many events, or the motion could not be integrated.
+            RuntimeError: If there are too many events, contacts close and part without any time between, or the
+                motion could not be integrated.
         """
         seconds = checks.limits("s", above=0.0)
         end = self.state.time + float(checks.numbers("duration", duration, (), seconds))
@@ -134,7 +137,9 @@ class EventDriven:
         else:
             kept.first(self.state)
         view = self.trajectory.view(self.state, self._hold)
+        idle = 0
         while self.state.time < end:
+            before = self.state.time
             self.trajectory.check(view, self._hold)
             length = min(self._safe_step(view), end - self.state.time)
             step = Step(self.trajectory, view, self.state, self._hold, length)
@@ -156,7 +161,17 @@ class EventDriven:
                     f"more than {self.most_events} events up to t = {self.state.time:.9g} s; "
                     "zeno= may be too small for them, or most_events="
                 )
+            idle = idle + 1 if self.state.time == before else 0
+            if idle > MOST_IDLE:
+                self._refuse_to_go_on()
             view = self.trajectory.view(self.state, self._hold)
+
+    def _refuse_to_go_on(self) -> None:
+        labels = ", ".join(dict.fromkeys(one.label for one in self._events[-MOST_IDLE:])) or "the contacts"
+        raise RuntimeError(
+            f"at t = {self.state.time:.9g} s {labels} close and part again and again: in an inner edge of one "
+            "mesh a point touches one face at a time; let the faces be surfaces of their own"
+        )
 
     def _to_event(self, step: Step, time: float, decided: bool, kept: "_Kept") -> None:
         """Goes to the event that is ``time`` after the start of a step, and finds what contacts do after it."""
