@@ -156,7 +156,8 @@ def test_a_block_tips_about_its_edge():
     _, qy, _, qw = body_of(run, "box", "orientation")[-1]
     assert 2.0 * math.atan2(qy, qw) == pytest.approx(expected[0], abs=EXACT)
     assert body_of(run, "box", "angular_velocity")[-1, 1] == pytest.approx(expected[1], abs=EXACT)
-    assert {one.item for one in run.events_of("LIFT_OFF")} <= {0, 1}
+    # The feet of the edge hold from the start to the end, the others part at once: nothing happens.
+    assert not run.events
 
 
 def test_a_bead_leaves_a_sphere_where_it_presses_no_more():
