@@ -389,6 +389,17 @@ def test_newton_with_friction_brings_no_energy():
     assert gained > 0
 
 
+def test_a_body_that_is_driven_into_the_world_is_told_of():
+    scene = wc.Scene(gravity=(0.0, 0.0, -G))
+    ground = scene.add_shape(None, wc.shapes.Plane(), name="ground")
+    motion = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=-0.2, frequency=1.0)
+    press = scene.add_body(mass=1.0, inertia=[0.4] * 3, position=(0, 0, 1.1), motion=motion, name="press")
+    ram = scene.add_shape(press, wc.shapes.Sphere(1.0), name="ram")
+    scene.add_smooth_contact(ram, ground, rigid(0.3), name="touch")
+    with pytest.raises(ParadoxError, match=r"touch must open, but neither body can give way: both are driven"):
+        EventDriven(scene.build(device="cpu", precision="float64")).run(0.25)
+
+
 def test_a_ball_that_runs_into_the_inner_edge_of_one_mesh_is_told_of():
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     corners = [(-4, -5, 0), (2, -5, 0), (2, 5, 0), (-4, 5, 0), (2, -5, 5), (2, 5, 5)]

@@ -210,6 +210,16 @@ def test_a_contact_that_nothing_can_close_is_open_or_unsolvable():
         assert not solve(chain(), 100.0 * np.ones(4), G, [0.1, -0.1], method=method, iterations=300).converged
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("dim", [1, 3])
+def test_contacts_of_which_nothing_gives_way_have_no_solution(method, dim):
+    q = np.array([[-1.0, 0.2, 0.0], [1.0, 0.0, 0.0]])[:, :dim]
+    W, mu = np.zeros((2 * dim, 2 * dim)), 0.3 * (dim > 1)
+    solution = solve_delassus(W, q if dim > 1 else q[:, 0], mu, method, iterations=50)
+    assert not solution.converged
+    assert np.isfinite(solution.lam).all()
+
+
 def test_no_contacts_at_all():
     solution = solve(chain(), np.ones(4), np.zeros((0, 4)), np.zeros(0))
     np.testing.assert_allclose(solution.u, np.linalg.solve(chain(), np.ones(4)))

@@ -121,7 +121,8 @@ def _solve(matrix: Array, right: Array) -> Array:
     try:
         found = np.linalg.solve(matrix, right[..., None])
     except np.linalg.LinAlgError:
-        lift = np.where(np.linalg.slogdet(matrix)[0] == 0.0, 1e-10 * np.abs(matrix).max(axis=(1, 2)), 0.0)
+        size = np.abs(matrix).max(axis=(1, 2))
+        lift = np.where(np.linalg.slogdet(matrix)[0] == 0.0, 1e-10 * np.where(size > 0.0, size, 1.0), 0.0)
         found = np.linalg.solve(matrix + lift[:, None, None] * np.eye(matrix.shape[-1]), right[..., None])
     return np.asarray(found, dtype=np.float64)[..., 0]
 

@@ -102,6 +102,11 @@ def find_modes(
             found = _exact(W, b, mu_static, mu, direction, guess, sliding, small)
             if found is not None:
                 return found
+    rigid = [labels[i] for i in np.flatnonzero((np.diag(W)[::3] == 0.0) & (b[:, 0] < 0.0))]
+    if rigid:
+        raise ParadoxError(
+            f"{', '.join(rigid)} must open, but neither body can give way: both are driven or fixed"
+        )
     raise ParadoxError(
         f"no accelerations were found of {', '.join(labels)} that agree with Coulomb friction. Where friction is "
         "strong there may be none"
