@@ -217,6 +217,7 @@ def test_contacts_of_which_nothing_gives_way_have_no_solution(method, dim):
     W, mu = np.zeros((2 * dim, 2 * dim)), 0.3 * (dim > 1)
     solution = solve_delassus(W, q if dim > 1 else q[:, 0], mu, method, iterations=50)
     assert not solution.converged
+    assert solution.iterations <= 50
     assert np.isfinite(solution.lam).all()
 
 

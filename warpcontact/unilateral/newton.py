@@ -47,7 +47,8 @@ def _lifted(
     left = np.flatnonzero(singular)
     for _ in range(_LIFTS):
         left = left[problem.part(left).residual(found[left]) > tolerance]
-        if not len(left):
+        most = iterations - int(taken[left].max(initial=0))
+        if not len(left) or most <= 0:
             break
         part = problem.part(left)
         lift = _LIFT / part.rho
@@ -57,7 +58,7 @@ def _lifted(
             part.mu,
             part.rounding,
         )
-        found[left], steps = _active_sets(near, found[left], tolerance, iterations, parameter)
+        found[left], steps = _active_sets(near, found[left], tolerance, most, parameter)
         taken[left] += steps
     return found, taken
 
