@@ -71,13 +71,14 @@ def test_a_solve_that_is_cut_short_says_so():
         assert solution.residual > 1e-12
 
 
-def test_the_residual_is_the_natural_map_over_what_q_asks_for():
+def test_the_residual_is_that_of_natural_maps_over_what_q_asks_for():
     given = frictional(3)
     solution = solve(**given, method="prox", iterations=3)
     W = given["G"].reshape(-1, 9) @ np.linalg.solve(given["K"], given["G"].reshape(-1, 9).T)
     u_free = np.linalg.solve(given["K"], given["f"])
     q = np.column_stack([given["d"], given["previous"]]) - (given["G"] @ u_free)
-    off, scale = 0.0, 0.0
+    blocks = np.einsum("iaia->i", W.reshape(3, 3, 3, 3)) / 3.0
+    off, scale = 0.0, (np.linalg.norm(q, axis=1) / blocks).max()
     for i in range(3):
         rho = 3.0 / np.trace(W[3 * i : 3 * i + 3, 3 * i : 3 * i + 3])
         mu, w = given["mu"][i], solution.w[i]
@@ -90,8 +91,53 @@ def test_the_residual_is_the_natural_map_over_what_q_asks_for():
             near = np.zeros(3)
         else:
             near = (z[0] + mu * across) / (1.0 + mu**2) * np.append(1.0, mu * z[1:] / across)
-        off, scale = max(off, np.linalg.norm(solution.lam[i] - near)), max(scale, rho * np.linalg.norm(q[i]))
-    assert solution.residual == pytest.approx(off / scale, rel=1e-9)
+        pressed = max(0.0, solution.lam[i, 0] - rho * w[0])
+        unit = min(scale, rho * np.linalg.norm(q, axis=1).max())
+        off = max(off, np.linalg.norm(solution.lam[i] - near) / unit, abs(solution.lam[i, 0] - pressed) / unit)
+    assert solution.residual == pytest.approx(off, rel=1e-9)
+
+
+@pytest.mark.parametrize("mu", [1e6, 1e12, 1e100])
+def test_no_friction_is_so_strong_that_a_gap_stays_closed_past(mu):
+    problem = Problem(np.diag([1000.0, 500.0]), [25.0, 6.0], np.eye(2)[None], [0.01], mu)
+    for method in ("projection", "gauss_seidel", "enumeration"):
+        solution = problem.solve(method)
+        np.testing.assert_allclose(solution.lam, [[15.0, 6.0]], rtol=1e-12)
+        assert solution.converged
+    for method in ("prox", "energy"):
+        # Too steep a cone for these, which they say.
+        assert not problem.solve(method, iterations=1000).converged
+
+
+def test_a_soft_contact_beside_a_stiff_one_is_judged_by_its_own_force():
+    # 5e11 N at the stiff one, 4 N at the soft one.
+    problem = Problem(np.diag([1e12, 1.0]), [1e12, 5.0], np.eye(2), [0.5, 1.0])
+    for method in ("enumeration", *METHODS):
+        solution = problem.solve(method)
+        assert solution.converged
+        np.testing.assert_allclose(solution.lam, [5e11, 4.0], rtol=1e-9)
+        np.testing.assert_allclose(solution.gap, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("dim", [1, 2])
+@pytest.mark.parametrize("seed", range(3))
+def test_where_all_contacts_graze_rounding_is_no_force(seed, dim):
+    # Loaded until all gaps are just closed: q is rounding of what it is the difference of.
+    random = np.random.default_rng(seed)
+    A, u, G = random.normal(size=(6, 6)), random.normal(size=6), random.normal(size=(3, dim, 6))
+    K = A @ A.T + np.eye(6)
+    previous = (G[:, 1:] @ u).reshape(3, dim - 1)
+    normals = G[:, 0]
+    problem = Problem(K, K @ u, normals if dim == 1 else G, normals @ u, 0.8 * (dim > 1), previous)
+    for method in ("enumeration", *METHODS):
+        solution = problem.solve(method)
+        assert solution.converged
+        assert not solution.active.any()
+        np.testing.assert_allclose(solution.u, u, atol=1e-13)
+    assert len(problem.all_solutions()) == 1
+    # So of springs that push away.
+    assert len(Problem(-3.0, -3.0 * 0.1, 1.0, 0.1).all_solutions()) == 1
+    assert Problem(-3.0, -0.3, 1.0, 0.1).diagnose().unique_lam
 
 
 def test_a_start_at_the_solution_needs_no_iterations():
@@ -164,11 +210,26 @@ def test_a_contact_that_nothing_can_close_is_open_or_unsolvable():
         assert not solve(chain(), 100.0 * np.ones(4), G, [0.1, -0.1], method=method, iterations=300).converged
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("dim", [1, 3])
+def test_contacts_of_which_nothing_gives_way_have_no_solution(method, dim):
+    q = np.array([[-1.0, 0.2, 0.0], [1.0, 0.0, 0.0]])[:, :dim]
+    W, mu = np.zeros((2 * dim, 2 * dim)), 0.3 * (dim > 1)
+    solution = solve_delassus(W, q if dim > 1 else q[:, 0], mu, method, iterations=50)
+    assert not solution.converged
+    assert solution.iterations <= 50
+    assert np.isfinite(solution.lam).all()
+
+
 def test_no_contacts_at_all():
     solution = solve(chain(), np.ones(4), np.zeros((0, 4)), np.zeros(0))
     np.testing.assert_allclose(solution.u, np.linalg.solve(chain(), np.ones(4)))
     assert solution.converged
     assert solution.lam.shape == (0,)
+    for method in METHODS:
+        empty = solve_delassus(np.zeros((0, 0)), np.zeros((0, 3)), 0.5, method)
+        assert empty.converged
+        assert empty.lam.shape == (0, 3)
 
 
 # Bad input
@@ -187,13 +248,21 @@ BAD = [
     ({"f": [1.0, np.inf, 0.0, 0.0]}, "f[1] must be finite, got inf"),
     ({"d": np.ones(3)}, "G must be of shape (m, n)"),
     ({"G": np.eye(4)[:2, :3]}, "with m = 2 (from d) and n = 4 (from K), got shape (2, 3)"),
+    ({"G": sparse.eye_array(4).tocsc()[:2], "mu": 0.3}, "for friction acts along tangents, got shape (2, 4)"),
+    ({"dim": 2}, "with m = 2 (from d) and n = 4 (from K) and dim = 2, got shape (2, 4)"),
+    ({"dim": True}, "dim must be 1, 2 or 3, or 0 for as G says, got True"),
+    ({"K": np.zeros((0, 0))}, "K must be of at least one displacement, got shape (0, 0)"),
+    ({"K": sparse.csc_array(1j * chain())}, "K must be numbers, got a sparse matrix of complex128"),
+    ({"f": np.ones((0, 4))}, "f must be of at least one problem, got 0"),
     ({"mu": 0.3}, "G must be of shape (m, dim, n) with dim 2 or 3 if mu is not 0"),
     ({"mu": -0.1}, "mu must be finite and at least 0, got -0.1"),
     ({"mu": [0.0, 0.0, 0.0]}, "mu must be a number, or of shape (m,) or (problems, m) with m = 2"),
     ({"f": np.ones((2, 4)), "d": np.ones((3, 2))}, "must have equally many, got f 2, d 3"),
     ({"method": "newton"}, "method must be one of 'enumeration', 'energy', 'projection', 'prox', 'gauss_seidel'"),
     ({"tolerance": 0.0}, "tolerance must be a number between 0 and 1, got 0.0"),
-    ({"iterations": 0}, "iterations must be a whole number, at least 1, got 0"),
+    ({"iterations": 0}, "iterations must be a whole number, at least 1 and at most 2147483647, got 0"),
+    ({"iterations": 2**31, "method": "prox"}, "at least 1 and at most 2147483647, got 2147483648"),
+    ({"device": "abacus"}, "device must be 'auto' or one of"),
     ({"iterations": 5, "method": "enumeration"}, "iterations: method 'enumeration' has none to limit"),
     ({"initial": [0.0, 0.0], "method": "enumeration"}, "initial: method 'enumeration' has no start"),
     ({"parameter": 1.0, "method": "energy"}, "parameter: method 'energy' has none"),
@@ -392,6 +461,15 @@ def test_stiffness_that_is_not_positive_is_looked_at_by_states(k):
     np.testing.assert_allclose(k * best.u + best.lam, 5.0, atol=1e-12)
     assert not Problem(0.0, -5.0, 1.0, 0.01).diagnose().exists
     assert not Problem(0.0, -5.0, 1.0, 0.01).solve("enumeration").converged
+
+
+def test_a_load_that_nothing_holds_is_no_solution():
+    # The contact has no hold on u, or there is none.
+    for G, d in ((0.0, 1.0), (np.zeros((0, 1)), [])):
+        solution = Problem(0.0, 5.0, G, d).solve("enumeration")
+        assert not solution.converged
+        assert solution.residual == np.inf
+        assert Problem(0.0, 5.0, G, d).all_solutions() == []
 
 
 def test_one_contact_with_tangents_and_no_friction_is_one_contact():

@@ -35,7 +35,7 @@ class Dense:
     q: wp.array2d(dtype=wp.float64)  # [problem, row]
     mu: wp.array2d(dtype=wp.float64)  # [problem or 0, contact]
     rho: wp.array2d(dtype=wp.float64)  # [problem or 0, contact] of the residual
-    scale: wp.array(dtype=wp.float64)  # [problem] of the residual
+    unit: wp.array2d(dtype=wp.float64)  # [problem, contact] of the residual, a force
     step: wp.array2d(dtype=wp.float64)  # [problem, contact] r of prox and of projected gradients
     lam: wp.array2d(dtype=wp.float64)  # [problem, row] l; before, the guess
     w: wp.array2d(dtype=wp.float64)  # [problem, row] scratch
@@ -48,7 +48,15 @@ class Dense:
 @functools.cache
 def _functions(dim: int) -> SimpleNamespace:
     f = cone.functions(wp.float64)
-    residual = f.residual
+    from_law = f.residual
+
+    @wp.func
+    def residual(lam: wp.vec3d, w: wp.vec3d, mu: wp.float64, rho: wp.float64, unit: wp.float64):
+        """How far a contact is from its law, over its unit: as Coulomb's, and as Signorini's alone."""
+        off = from_law(lam, w, mu, rho)
+        if wp.static(dim > 1):
+            off = wp.max(off, wp.abs(lam[0] - wp.max(lam[0] - rho * w[0], zero)))
+        return off / unit
 
     @wp.func
     def load(x: wp.array2d(dtype=wp.float64), e: int, i: int):
@@ -73,13 +81,14 @@ def _functions(dim: int) -> SimpleNamespace:
 
     @wp.func
     def velocities(p: Dense, x: wp.array2d(dtype=wp.float64), e: int, k: int):
-        """Writes W x + q into ``w``; returns the residual of ``x``, over the scale."""
+        """Writes W x + q into ``w``; returns the residual of ``x``."""
         most = zero
         for i in range(p.step.shape[1]):
             v = velocity(p, x, e, k, i)
             store(p.w, e, i, v)
-            most = wp.max(most, residual(load(x, e, i), v, p.mu[e % p.mu.shape[0], i], p.rho[k, i]))
-        return most / p.scale[e]
+            mu = p.mu[e % p.mu.shape[0], i]
+            most = wp.max(most, residual(load(x, e, i), v, mu, p.rho[k, i], p.unit[e, i]))
+        return most
 
     return SimpleNamespace(load=load, store=store, velocity=velocity, velocities=velocities,
                            project=f.project, residual=residual, one_contact=f.one_contact)  # fmt: skip
@@ -144,7 +153,7 @@ def gauss_seidel(dim: int) -> wp.Kernel:
                 mu = p.mu[e % p.mu.shape[0], i]
                 v = velocity(p, p.lam, e, k, i)
                 old = load(p.lam, e, i)
-                most = wp.max(most, residual(old, v, mu, p.rho[k, i]))
+                most = wp.max(most, residual(old, v, mu, p.rho[k, i], p.unit[e, i]))
                 W = wp.identity(n=3, dtype=wp.float64)
                 for a in range(dim):
                     for b in range(dim):
@@ -159,7 +168,7 @@ def gauss_seidel(dim: int) -> wp.Kernel:
                     share = wp.max(SMALLER * share, LEAST_SHARE)
                 last = most
             # What a sweep finds along the way is almost what it leaves.
-            if most <= four * tolerance * p.scale[e] or taken == iterations:
+            if most <= four * tolerance or taken == iterations:
                 reached = velocities(p, p.lam, e, k)
         p.residual[e] = reached
         p.iterations[e] = taken
@@ -227,8 +236,8 @@ def energy(dim: int) -> wp.Kernel:
                 v[0] += p.shift[e, i]
                 mu = p.mu[e % p.mu.shape[0], i]
                 y = load(p.ahead, e, i)
-                inner = wp.max(inner, wp.length(y - project(y - p.rho[k, i] * v, mu)))
-            if inner <= INNER * reached * p.scale[e]:
+                inner = wp.max(inner, wp.length(y - project(y - p.rho[k, i] * v, mu)) / p.unit[e, i])
+            if inner <= INNER * reached:
                 # Of what the shift is to change by, less where that does not lead closer.
                 if reached > last:
                     share = wp.max(half * share, wp.float64(0.05))

@@ -14,6 +14,7 @@ from warpcontact.unilateral.delassus import Delassus
 from warpcontact.unilateral.elimination import SINGULAR, SingularError, eliminate
 from warpcontact.unilateral.enumeration import MOST
 from warpcontact.unilateral.solution import Solution
+from warpcontact.unilateral.states import sizes
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
@@ -108,8 +109,9 @@ def diagnose(problem: Problem) -> Diagnosis:
     if solutions is not None:
         exists = bool(solutions) if exists is None else exists
         if len(solutions) > 1:
-            unique_u = not _differ([one.u for one in solutions])  # type: ignore[misc]
-            unique_lam = not _differ([one.lam for one in solutions])
+            usual = sizes(problem)
+            unique_u = all(usual.same_u(one, solutions[0]) for one in solutions)
+            unique_lam = all(usual.same_lam(one, solutions[0]) for one in solutions)
         elif solutions and rank == rows:
             unique_u = unique_lam = True
     text = _sentences(stiffness, friction, rows, rank, bound, largest, exists, unique_u, unique_lam, solutions)
@@ -177,11 +179,6 @@ def _look(problem: Problem, friction: bool) -> list[Solution] | None:
     if problem.K.shape[-1] > 200:
         return None
     return problem.all_solutions()
-
-
-def _differ(values: list[Array]) -> bool:
-    size = max(np.abs(one).max(initial=0.0) for one in values)
-    return any(np.abs(one - values[0]).max(initial=0.0) > 1e-7 * size for one in values[1:])
 
 
 def _sentences(

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 #: A matrix whose smallest eigenvalue is less than this of its largest is singular to rounding.
 SINGULAR = 1e-14
+#: Roundings of d, G u and their difference.
+ROUNDINGS = 16.0 * float(np.finfo(np.float64).eps)
 
 
 class SingularError(ValueError):
@@ -44,8 +46,10 @@ def eliminate(problem: "Problem") -> tuple[Delassus, Array, Array]:
     W = G @ by_contact
     W = 0.5 * (W + np.swapaxes(W, -1, -2))
     u_free = np.broadcast_to(u_free, (count, n))
-    q = problem.targets() - (G @ u_free[..., None])[..., 0].reshape(count, contacts, problem.dim)
-    return Delassus(W, q, np.atleast_2d(problem.mu)), u_free, by_contact
+    targets, shape = problem.targets(), (count, contacts, problem.dim)
+    q = targets - (G @ u_free[..., None])[..., 0].reshape(shape)
+    parts = np.abs(targets) + (np.abs(G) @ np.abs(u_free)[..., None])[..., 0].reshape(shape)
+    return Delassus(W, q, np.atleast_2d(problem.mu), ROUNDINGS * parts.max(axis=2)), u_free, by_contact
 
 
 def _check_regular(K: Array, many: bool) -> None:

@@ -48,17 +48,6 @@ def enumerate_states(problem: Delassus, tolerance: float) -> tuple[Array, Array]
     return found, taken
 
 
-def all_of(problem: Delassus, tolerance: float) -> list[Array]:
-    """Returns the different solutions of a single problem, (contacts, dim) each."""
-    found: list[Array] = []
-    for lam in candidates(problem):
-        for one in lam[_residuals(problem, lam) <= tolerance]:
-            near = 1e-8 * problem.scale[0]
-            if all(np.abs(one - other).max(initial=0.0) > near for other in found):
-                found.append(one)
-    return found
-
-
 def states(contacts: int, dim: int) -> Iterator[NDArray[np.int64]]:
     """Yields the states of all contacts in chunks, (chunk, contacts); all open is the first."""
     base, total = 2 * dim, (2 * dim) ** contacts
@@ -111,6 +100,6 @@ def solve_all(matrix: Array, right: Array) -> Array:
 
 
 def _residuals(problem: Delassus, lam: Array) -> Array:
-    many = Delassus(problem.W, np.broadcast_to(problem.q, lam.shape), problem.mu)
+    many = Delassus(problem.W, np.broadcast_to(problem.q, lam.shape), problem.mu, problem.rounding)
     residual = many.residual(lam)
     return np.where(np.isfinite(residual), residual, np.inf)

@@ -50,6 +50,8 @@ def fit(name: str, array: Array, sizes: Mapping[str, int], spread: bool = False)
 def stiffness(given: Any) -> Any:
     """Returns K: (n, n) or (problems, n, n), symmetric, or a sparse matrix of SciPy in CSC."""
     if hasattr(given, "tocsc"):
+        if given.dtype.kind not in "iuf":
+            raise ValueError(f"K must be numbers, got a sparse matrix of {given.dtype}")
         K = given.tocsc().astype(np.float64)
         if K.ndim != 2 or K.shape[0] != K.shape[1] or not K.shape[0]:
             raise ValueError(f"K must be square, got a sparse matrix of shape {K.shape}")
@@ -60,12 +62,15 @@ def stiffness(given: Any) -> Any:
             raise ValueError(f"K must be symmetric, got a sparse matrix with K − Kᵀ of up to {skew.max():g}")
         return K
     K = values("K", given)
-    return symmetric("K", K.reshape(1, 1) if K.ndim == 0 else K, "n")
+    K = K.reshape(1, 1) if K.ndim == 0 else K
+    if not K.shape[-1]:
+        raise ValueError(f"K must be of at least one displacement, got {_shape(K)}")
+    return symmetric("K", K, "n")
 
 
 def symmetric(name: str, array: Array, size: str) -> Array:
     """Returns square matrices (…, size, size) if they are symmetric, exactly so."""
-    if array.ndim not in (2, 3) or array.shape[-1] != array.shape[-2] or not array.shape[-1]:
+    if array.ndim not in (2, 3) or array.shape[-1] != array.shape[-2]:
         raise ValueError(
             f"{name} must be of shape ({size}, {size}) or (problems, {size}, {size}), got {_shape(array)}"
         )
@@ -85,25 +90,27 @@ def symmetric(name: str, array: Array, size: str) -> Array:
 
 def gap_rows(given: Any, n: int, d: Array, friction: bool, dim: int) -> tuple[Array, int]:
     """Returns G as (m, dim, n) or (problems, m, dim, n), and dim."""
-    if dim not in (0, 1, 2, 3):
+    if isinstance(dim, bool) or not isinstance(dim, int | np.integer) or dim not in (0, 1, 2, 3):
         raise ValueError(f"dim must be 1, 2 or 3, or 0 for as G says, got {dim!r}")
-    G = values("G", given.toarray() if hasattr(given, "tocsc") else given)
+    given = given.toarray() if hasattr(given, "tocsc") else given
+    G = values("G", given)
     if G.ndim == 0:
         G = G.reshape(1, 1)
     if d.ndim not in (1, 2):
         raise ValueError(f"d must be of shape (m,) or (problems, m), got {_shape(d)}")
     m = d.shape[-1]
-    if G.ndim == 3 and dim == 0:
-        # (problems, m, n) or (m, dim, n)
-        dim = 1 if not friction and G.shape[1] == m else 2
-    if G.ndim == 2 or (G.ndim == 3 and dim == 1):
+    # Of three axes it is (problems, m, n) or (m, dim, n).
+    flat = dim == 1 or (dim == 0 and not friction and G.shape[-2] == m)
+    if G.ndim == 2 or (G.ndim == 3 and flat):
         G = G[..., None, :]
     found = G.shape[-2] if G.ndim in (3, 4) else 0
     fits = G.ndim in (3, 4) and G.shape[-3] == m and G.shape[-1] == n and found in (1, 2, 3)
-    if not fits or (dim == 1 and found != 1):
+    if not fits or dim not in (0, found):
+        wanted = f" and dim = {dim}" if dim else ""
         raise ValueError(
-            f"G must be of shape (m, n), or with friction (m, dim, n) with dim 2 or 3, or have one more axis of "
-            f"problems before these, with m = {m} (from d) and n = {n} (from K), got {_shape(np.asarray(given))}"
+            "G must be of shape (m, n), or with friction (m, dim, n) with dim 2 or 3, or have one more axis of "
+            f"problems before these, with m = {m} (from d) and n = {n} (from K){wanted}, got "
+            f"{_shape(np.asarray(given))}"
         )
     if found == 1 and friction:
         raise ValueError(
@@ -116,6 +123,9 @@ def gap_rows(given: Any, n: int, d: Array, friction: bool, dim: int) -> tuple[Ar
 def count_of(counts: Mapping[str, int | None]) -> int | None:
     """Returns how many problems there are, or raises ``ValueError`` if arguments disagree."""
     many = {name: count for name, count in counts.items() if count is not None}
+    for name, count in many.items():
+        if not count:
+            raise ValueError(f"{name} must be of at least one problem, got 0")
     if len(set(many.values())) > 1:
         raise ValueError(
             "arguments with an axis of problems must have equally many, got "

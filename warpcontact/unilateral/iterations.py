@@ -50,7 +50,7 @@ def _launch(
     upload = functools.partial(wp.array, dtype=wp.float64, device=device)
     p = dense.Dense()
     p.W, p.mu, p.rho = upload(problem.W), upload(problem.mu), upload(problem.rho)
-    p.q, p.scale = upload(problem.q.reshape(count, -1)), upload(problem.scale)
+    p.q, p.unit = upload(problem.q.reshape(count, -1)), upload(problem.unit)
     p.lam = upload(lam.reshape(count, -1))
     p.w, p.ahead = wp.empty_like(p.q), wp.empty_like(p.q)
     p.step, p.shift = (wp.empty((count, contacts), dtype=wp.float64, device=device) for _ in range(2))

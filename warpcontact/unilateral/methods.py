@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array, choice
+from warpcontact.devices import find_device
 from warpcontact.unilateral.delassus import Delassus
 from warpcontact.unilateral.enumeration import check_size, enumerate_states
 from warpcontact.unilateral.iterations import iterate
@@ -13,6 +14,8 @@ from warpcontact.unilateral.newton import newton
 
 #: Most iterations by default.
 ITERATIONS = {"enumeration": 0, "energy": 50_000, "projection": 600, "prox": 100_000, "gauss_seidel": 20_000}
+# They are counted in 32 bits.
+_MOST = 2**31 - 1
 #: Methods with a parameter of one's own, and its name.
 PARAMETERS = {"projection": "c", "prox": "r"}
 
@@ -28,6 +31,8 @@ def run(
 ) -> tuple[Array, Array]:
     """Returns l, shape (problems, contacts, dim), and the iterations taken, (problems,)."""
     check_options(method, tolerance, iterations, parameter)
+    if device != "cpu":
+        device = str(find_device(device))
     if system.dim > 1 and not system.mu.any():
         normals = None if initial is None else initial[..., :1]
         lam, taken = run(system.normals(), method, tolerance, iterations, normals, parameter, device)
@@ -56,8 +61,11 @@ def check_options(method: Any, tolerance: Any, iterations: Any, parameter: Any) 
     if iterations is not None:
         if method == "enumeration":
             raise ValueError(f"iterations: method 'enumeration' has none to limit, got {iterations!r}")
-        if isinstance(iterations, bool) or not isinstance(iterations, int | np.integer) or iterations < 1:
-            raise ValueError(f"iterations must be a whole number, at least 1, got {iterations!r}")
+        whole = isinstance(iterations, int | np.integer) and not isinstance(iterations, bool)
+        if not whole or not 1 <= iterations <= _MOST:
+            raise ValueError(
+                f"iterations must be a whole number, at least 1 and at most {_MOST}, got {iterations!r}"
+            )
     if parameter is not None:
         if method not in PARAMETERS:
             raise ValueError(f"parameter: method {method!r} has none, got {parameter!r}")

@@ -17,9 +17,9 @@ _ROUNDING = 1e-15
 _LARGE = 90
 # Forces over those that q asks for, beyond which a step is taken to have failed.
 _FARTHEST = 1e10
-# A pivot of W this small, over the largest entry, says that W is singular.
+# A pivot of W this small, over the contact's own flexibility, says that W is singular.
 _SINGULAR = 1e-12
-# How much of its mean diagonal such a W is lifted by, and how often the lift is taken back.
+# How much of its diagonal such a W is lifted by, and how often the lift is taken back.
 _LIFT = 1e-7
 _LIFTS = 30
 
@@ -37,7 +37,7 @@ def _lifted(
     problem: Delassus, lam: Array, tolerance: float, iterations: int, parameter: float | None
 ) -> tuple[Array, Array]:
     """Solves without friction; a singular W is lifted, and each solution is where the next one is lifted from."""
-    singular = np.broadcast_to(_is_singular(problem.W), problem.count)
+    singular = np.broadcast_to(_is_singular(problem), problem.count)
     regular = np.flatnonzero(~singular)
     found, taken = lam.copy(), np.zeros(problem.count, dtype=int)
     if len(regular):
@@ -47,30 +47,32 @@ def _lifted(
     left = np.flatnonzero(singular)
     for _ in range(_LIFTS):
         left = left[problem.part(left).residual(found[left]) > tolerance]
-        if not len(left):
+        most = iterations - int(taken[left].max(initial=0))
+        if not len(left) or most <= 0:
             break
         part = problem.part(left)
-        lift = _LIFT * np.abs(np.einsum("bii->bi", part.W)).mean(axis=1)
-        lift = np.where(lift > 0.0, lift, 1.0)
+        lift = _LIFT / part.rho
         near = Delassus(
-            part.W + lift[:, None, None] * np.eye(part.W.shape[-1]),
-            part.q - np.broadcast_to(lift, part.count)[:, None, None] * found[left],
+            part.W + lift[:, :, None] * np.eye(part.contacts),
+            part.q - lift[..., None] * found[left],
             part.mu,
+            part.rounding,
         )
-        found[left], steps = _active_sets(near, found[left], tolerance, iterations, parameter)
+        found[left], steps = _active_sets(near, found[left], tolerance, most, parameter)
         taken[left] += steps
     return found, taken
 
 
-def _is_singular(W: Array) -> NDArray[np.bool_]:
-    """Returns whether each of the matrices is not positive definite to rounding."""
-    out = np.ones(len(W), dtype=bool)
-    for k, one in enumerate(W):
+def _is_singular(problem: Delassus) -> NDArray[np.bool_]:
+    """Returns whether each W is not positive definite to rounding, in the metric of the contacts."""
+    out = np.ones(len(problem.W), dtype=bool)
+    size = np.sqrt(problem.rho)
+    for k, one in enumerate(size[:, :, None] * problem.W * size[:, None, :]):
         try:
             pivots = np.diagonal(np.linalg.cholesky(one)) ** 2
         except np.linalg.LinAlgError:
             continue
-        out[k] = pivots.min(initial=np.inf) <= _SINGULAR * np.abs(one).max(initial=0.0)
+        out[k] = pivots.min(initial=np.inf) <= _SINGULAR
     return out
 
 
@@ -97,7 +99,7 @@ def _active_sets(
         taken[left] += 1
         w = part.velocity(lam[left][..., None])[..., 0]
         # Rounding is not what makes a contact open or close.
-        slack = 1e-14 * part.scale[:, None]
+        slack = 1e-14 * part.unit
         wrong = np.where(closed, lam[left] < -slack, rho * w < -slack)
         number = wrong.sum(axis=1)
         better = number < fewest
@@ -120,7 +122,8 @@ def _solve(matrix: Array, right: Array) -> Array:
     try:
         found = np.linalg.solve(matrix, right[..., None])
     except np.linalg.LinAlgError:
-        lift = np.where(np.linalg.slogdet(matrix)[0] == 0.0, 1e-10 * np.abs(matrix).max(axis=(1, 2)), 0.0)
+        size = np.abs(matrix).max(axis=(1, 2))
+        lift = np.where(np.linalg.slogdet(matrix)[0] == 0.0, 1e-10 * np.where(size > 0.0, size, 1.0), 0.0)
         found = np.linalg.solve(matrix + lift[:, None, None] * np.eye(matrix.shape[-1]), right[..., None])
     return np.asarray(found, dtype=np.float64)[..., 0]
 

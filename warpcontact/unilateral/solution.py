@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.status import ContactMode
-from warpcontact.unilateral.delassus import Delassus
+from warpcontact.unilateral.delassus import Delassus, length
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
@@ -30,7 +30,7 @@ class Solution:
         slip: Tangential part, (contacts, dim − 1), or ``None``. Of a problem in u the displacement since the
             contact was at rest, G_t u − previous, which λ_t has the direction of; of one in W and q it is w_t, and
             λ_t opposes it.
-        residual: max |λ − P(λ − ρ ŵ)| / max ρ |q|, without unit; see ``docs/unilateral.md``.
+        residual: How far λ and w are from the law of contact, without unit; see ``docs/unilateral.md``.
         iterations: Steps, sweeps or states that the method took.
         converged: Whether ``residual`` is within the tolerance.
         status: ``ContactMode`` of each contact, (contacts,). A closed one without friction slips.
@@ -58,10 +58,10 @@ class Solution:
 
 
 def modes(system: Delassus, lam: Array, w: Array, residual: Array, tolerance: float) -> NDArray[np.int64]:
-    """Returns the ``ContactMode`` of each contact; what is less than the residual leaves open is none."""
-    small = (np.maximum(residual, tolerance) * system.scale)[:, None]
+    """Returns the ``ContactMode`` of each contact; what the residual leaves open, or is rounding, is none."""
+    small = np.maximum(np.maximum(residual, tolerance)[:, None] * system.unit, system.rho * system.rounding)
     status = np.full(lam.shape[:2], int(ContactMode.STICK))
-    slides = system.rho * np.linalg.norm(w[..., 1:], axis=-1) > 2.0 * small
+    slides = system.rho * length(w[..., 1:]) > 2.0 * small
     status[slides | (system.mu == 0.0)] = ContactMode.SLIP
     status[lam[..., 0] <= small] = ContactMode.OPEN
     return status

@@ -53,7 +53,7 @@ def solve(
         initial: λ to start from, of the shape of ``Solution.lam``; zero by default.
         parameter: c of "projection" or r of "prox", one for all contacts, a stiffness; by default one for each
             contact from its own flexibility.
-        device: Of the methods that go step by step, "cpu" or "cuda:0".
+        device: Of the methods that go step by step: "cpu", "cuda:0", or "auto".
         dim: Rows of a contact, where G does not say.
 
     Raises:
@@ -155,9 +155,9 @@ def solve_delassus(
     )
     problems = 1 if count is None else count
     system = Delassus(
-        matrix.reshape(-1, rows, rows),
+        matrix if matrix.ndim == 3 else matrix[None],
         np.broadcast_to(right, (problems, *right.shape[-2:])),
-        coefficients.reshape(-1, m),
+        np.atleast_2d(coefficients),
     )
     guess = None if initial is None else _guess(initial, system, count is None, flat)
     lam, taken = run(system, method, tolerance, iterations, guess, parameter, device)

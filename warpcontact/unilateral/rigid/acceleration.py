@@ -25,8 +25,9 @@ LEFT = 1.0e-8
 SINGULAR = 1.0e-11
 # Steps of Newton's method from the answer of a solver: a few bring it to rounding.
 NEWTON = 20
-# Methods that are asked after the one that is wanted.
-METHODS = ("projection", "gauss_seidel", "prox")
+# Methods that take friction in space: the first are asked after the one that is wanted.
+METHODS = ("projection", "gauss_seidel", "prox", "energy")
+ASKED = METHODS[:3]
 # Most sliding contacts of which all sets are looked at.
 MOST_MINORS = 10
 # Turns of the friction of contacts that slide.
@@ -101,6 +102,11 @@ def find_modes(
             found = _exact(W, b, mu_static, mu, direction, guess, sliding, small)
             if found is not None:
                 return found
+    rigid = [labels[i] for i in np.flatnonzero((np.diag(W)[::3] == 0.0) & (b[:, 0] < 0.0))]
+    if rigid:
+        raise ParadoxError(
+            f"{', '.join(rigid)} must open, but neither body can give way: both are driven or fixed"
+        )
     raise ParadoxError(
         f"no accelerations were found of {', '.join(labels)} that agree with Coulomb friction. Where friction is "
         "strong there may be none"
@@ -118,7 +124,7 @@ def _guesses(
 ) -> Iterator[Array]:
     """Iterates over forces (contacts, 3) that may be near the solution, what is likely first."""
     count = len(b)
-    for name in dict.fromkeys((method, *METHODS)):
+    for name in dict.fromkeys((method, *ASKED)):
         force = np.zeros((count, 3))
         # The friction of contacts that slide follows their normal forces, one turn behind.
         for _ in range(TURNS if rubs.any() else 1):

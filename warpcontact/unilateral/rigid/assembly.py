@@ -176,5 +176,6 @@ def assemble(model: Any, env: int = 0, closed: float = 1.0e-6) -> Assembly:
     most = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
     assembler = Assembler(model, env)
     snapshot = assembler.place.read()
-    measured = assembler.candidates.measure(snapshot)
-    return assembler.assembly(snapshot, measured, np.flatnonzero(measured.gap <= most))
+    with assembler.place.kept():
+        measured = assembler.candidates.measure(snapshot)
+        return assembler.assembly(snapshot, measured, np.flatnonzero(measured.gap <= most))

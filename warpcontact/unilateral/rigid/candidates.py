@@ -128,8 +128,8 @@ class Candidates:
             item=int(self.items[pair]),
             label=self.labels[pair],
             impulse=np.zeros(3) if impulse is None else impulse,
-            approach_speed=float(approach),
-            separation_speed=float(separation),
+            approach_speed=float(approach) + 0.0,  # not −0
+            separation_speed=float(separation) + 0.0,
         )
 
     def measure(self, snapshot: Snapshot) -> Measured:

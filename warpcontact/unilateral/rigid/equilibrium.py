@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.status import ContactMode
-from warpcontact.unilateral.rigid.acceleration import SINGULAR, columns, find_modes
+from warpcontact.unilateral.rigid.acceleration import METHODS, SINGULAR, columns, find_modes
 from warpcontact.unilateral.rigid.assembly import Assembler, Assembly
 
 # Accelerations below this share of the largest without contact are those of bodies at rest.
@@ -110,7 +110,7 @@ def equilibrium(model: Any, env: int = 0, closed: float = 1.0e-6, method: str = 
         model: From ``Scene.build``; its state stays as it is. ``precision="float64"`` is recommended.
         env: Number of the environment.
         closed: A contact with a gap of at most this is closed [m].
-        method: Of ``wc.unilateral.solve_delassus``.
+        method: Of ``wc.unilateral.solve_delassus``, one that takes friction in space.
 
     Returns:
         Whether it holds, the contact forces, and the accelerations of all bodies.
@@ -122,15 +122,12 @@ def equilibrium(model: Any, env: int = 0, closed: float = 1.0e-6, method: str = 
         ParadoxError: If no accelerations were found.
     """
     most = float(checks.numbers("closed", closed, (), checks.limits("m", at_least=0.0)))
+    checks.choice("method", method, METHODS)
     assembler = Assembler(model, env)
-    before = assembler.place.read()
-    still = before.with_velocity(np.zeros(6 * assembler.bodies.count))
-    try:
+    still = assembler.place.read().with_velocity(np.zeros(6 * assembler.bodies.count))
+    with assembler.place.kept():
         measured = assembler.candidates.measure(still)
-        chosen = np.flatnonzero(measured.gap <= most)
-        own = assembler.assembly(still, measured, chosen)
-    finally:
-        assembler.place.write(before)
+        own = assembler.assembly(still, measured, np.flatnonzero(measured.gap <= most))
     # At rest: not what functions of time do.
     own = replace(own, free_acceleration=own.inverse_mass @ own.force)
     return _solved(own, method)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact.kernels.types import MODE_OPEN, MODE_STICK
-from warpcontact.unilateral.rigid.acceleration import ParadoxError, find_modes
+from warpcontact.unilateral.rigid.acceleration import METHODS, ParadoxError, find_modes
 from warpcontact.unilateral.rigid.assembly import Assembler
 from warpcontact.unilateral.rigid.crossings import STILL, Step
 from warpcontact.unilateral.rigid.events import Event, EventKind, EventRun, in_order
@@ -21,6 +21,8 @@ TURN = 0.5
 BEYOND = 1.3
 # Parts of a step after an event at which it is looked what the contacts do: at the event itself it is undecided.
 AFTER = (1.0e-6, 1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2)
+# Events and steps without any time between them after which a run is given up.
+MOST_IDLE = 20
 # No pairs.
 NOTHING = np.zeros(0, dtype=int)
 
@@ -31,7 +33,8 @@ class EventDriven:
     All contacts of the scene are rigid: they close without penetration, bounce by Newton's law with the
     ``restitution`` of their law (0 if it has none; less where that would bring energy), and slide or stick by
     Coulomb's with the ``mu`` of their friction (``mu_static`` and ``mu_dynamic`` if it has two). Couplings, and
-    contact couplings, are forces, as the model computes them; what these remember stays as it is.
+    contact couplings, are forces, as the model computes them; what these remember stays as it is. State, masses
+    and coefficients are those of the model when this is made.
 
     Flight is in closed form where accelerations are uniform, else by DOP853 to 1e-12. Times at which a gap closes,
     or a contact parts, slides or stops, are roots, to rounding. Contacts that impact together do so in one problem
@@ -45,7 +48,7 @@ class EventDriven:
         closed: Gaps up to this are zero [m].
         step: Longest time between two looks at the contacts [s].
         zeno: Impacts of a contact that follow one another within this time, ever closer, are summed up [s].
-        method: Of ``wc.unilateral.solve_delassus``.
+        method: Of ``wc.unilateral.solve_delassus``, one that takes friction in space.
         most_events: After so many events a run is given up.
 
     Attributes:
@@ -71,7 +74,11 @@ class EventDriven:
         self.closed = float(checks.numbers("closed", closed, (), checks.limits("m", above=0.0)))
         self.step = float(checks.numbers("step", step, (), seconds))
         self.zeno = float(checks.numbers("zeno", zeno, (), seconds))
-        self.method, self.most_events = method, most_events
+        self.method = checks.choice("method", method, METHODS)
+        whole = isinstance(most_events, int | np.integer) and not isinstance(most_events, bool)
+        if not whole or most_events < 1:
+            raise ValueError(f"most_events must be a whole number, at least 1, got {most_events!r}")
+        self.most_events = most_events
         self.assembler = Assembler(model, env)
         self.trajectory = Trajectory(self.assembler)
         self.state = self.assembler.bodies.settled(self.assembler.place.read())
@@ -91,7 +98,8 @@ class EventDriven:
             ValueError: If a time is not positive, or a contact begins in overlap.
             ParadoxError: If at some time no accelerations agree with rigid bodies and Coulomb friction, or
                 several; ``error.run`` has what was computed up to there.
-            RuntimeError: If there are too many events, or the motion could not be integrated.
+            RuntimeError: If there are too many events, contacts close and part without any time between, or the
+                motion could not be integrated.
         """
         seconds = checks.limits("s", above=0.0)
         end = self.state.time + float(checks.numbers("duration", duration, (), seconds))
@@ -99,15 +107,13 @@ class EventDriven:
             every = float(checks.numbers("every", every, (), seconds))
         kept = _Kept(self.state.time, every)
         self._events = []
-        before = self.assembler.place.read()
         try:
-            self._go(end, kept)
+            with self.assembler.place.kept():
+                self._go(end, kept)
         except ParadoxError as error:
             told = ParadoxError(f"t = {self.state.time:.9g} s: {error}")
             told.run = self._result(kept)
             raise told from error
-        finally:
-            self.assembler.place.write(before)
         return self._result(kept)
 
     def _result(self, kept: "_Kept") -> EventRun:
@@ -119,11 +125,21 @@ class EventDriven:
             self.state = self.assembler.place.follow(self.state)
             self._hold = Hold.nothing()
             self._refuse_overlaps()
-            self._meet(self.state)
-            self._events = []
-        kept.first(self.state)
+            start = self.state
+            kept.first(start)
+            self._meet(start)
+            # What contacts do from the start on is nothing that happens, unless velocities jump.
+            self._events = [one for one in self._events if one.kind is EventKind.IMPACT]
+            if self._events:
+                kept.step(self.state)
+            else:
+                kept.states[0] = self.state
+        else:
+            kept.first(self.state)
         view = self.trajectory.view(self.state, self._hold)
+        idle = 0
         while self.state.time < end:
+            before = self.state.time
             self.trajectory.check(view, self._hold)
             length = min(self._safe_step(view), end - self.state.time)
             step = Step(self.trajectory, view, self.state, self._hold, length)
@@ -145,7 +161,17 @@ class EventDriven:
                     f"more than {self.most_events} events up to t = {self.state.time:.9g} s; "
                     "zeno= may be too small for them, or most_events="
                 )
+            idle = idle + 1 if self.state.time == before else 0
+            if idle > MOST_IDLE:
+                self._refuse_to_go_on()
             view = self.trajectory.view(self.state, self._hold)
+
+    def _refuse_to_go_on(self) -> None:
+        labels = ", ".join(dict.fromkeys(one.label for one in self._events[-MOST_IDLE:])) or "the contacts"
+        raise RuntimeError(
+            f"at t = {self.state.time:.9g} s {labels} close and part again and again: in an inner edge of one "
+            "mesh a point touches one face at a time; let the faces be surfaces of their own"
+        )
 
     def _to_event(self, step: Step, time: float, decided: bool, kept: "_Kept") -> None:
         """Goes to the event that is ``time`` after the start of a step, and finds what contacts do after it."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.unilateral.rigid.snapshot import Snapshot
 
@@ -86,8 +87,18 @@ class EventRun:
     scene: "Scene"
 
     def events_of(self, kind: EventKind | str, contact: str | None = None) -> list[Event]:
-        """Returns the events of one kind, of one contact if it is named."""
-        wanted = EventKind(kind)
+        """Returns the events of one kind, of one contact if it is named.
+
+        Raises:
+            ValueError: If there is no such kind.
+            KeyError: If the scene has no such contact.
+        """
+        wanted = EventKind(checks.choice("kind", kind, tuple(map(str, EventKind))))
+        scene = self.scene
+        elements: list[Any] = [*scene.contacts, *scene.smooth_contacts, *scene.mutual_contacts]
+        names = [one.name for one in elements]
+        if contact is not None and contact not in names:
+            raise KeyError(f"no contact {contact!r} in the scene; there are {', '.join(names) or 'none'}")
         return [one for one in self.events if one.kind is wanted and contact in (None, one.contact)]
 
     def __getitem__(self, name: str) -> "xr.DataArray":

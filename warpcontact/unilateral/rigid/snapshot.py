@@ -1,5 +1,7 @@
 """The state of one environment on the host, in float64: read from a model, and written into it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -116,6 +118,18 @@ class Place:
             position, remainder = split("position", snapshot.position, self._real)
         values: dict[str, Any] = {name: getattr(snapshot, name) for name in _STATE}
         values |= {"position": position, "position_remainder": remainder, "time": snapshot.time}
+        self._assign(values)
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Puts the state back afterwards as it was, to the bit."""
+        before = {name: array.numpy()[self.env].copy() for name, array in self._arrays.items()}
+        try:
+            yield
+        finally:
+            self._assign(before)
+
+    def _assign(self, values: dict[str, Any]) -> None:
         for name, array in self._arrays.items():
             whole = self._views[name] if self._views else array.numpy()
             whole[self.env] = values[name]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.kernels.types import DRIVEN, MODE_SLIP, MODE_STICK
+from warpcontact.kernels.types import DRIVEN, MODE_SLIP, MODE_STICK, WORLD
 from warpcontact.unilateral.rigid.acceleration import bent, check_slides, equations, forces_of_modes
 from warpcontact.unilateral.rigid.assembly import Assembler, Assembly, contact_rows
 from warpcontact.unilateral.rigid.candidates import Measured
@@ -14,6 +14,9 @@ from warpcontact.unilateral.rigid.snapshot import Snapshot, cross
 
 # Relative and absolute tolerance of a step of DOP853, some roundings of float64.
 RELATIVE, ABSOLUTE = 1.0e-12, 1.0e-13
+# Both, in contact with a body that follows a function of time: its accelerations are differences in time, good to
+# 1e-6, and steps that ask for more shrink for ever.
+DRIVEN_ERROR = 1.0e-8
 # Way over which the rows of H are differentiated [rad, m]: the error of the formula, of its fourth power, and that
 # of rounding are both below 1e-12.
 DIFFERENCE = 3.0e-4
@@ -83,7 +86,7 @@ class Trajectory:
         self.assembler = assembler
         scene, bodies = assembler.model.scene, assembler.bodies
         self.pairs = assembler.candidates.bodies
-        self.driven = np.repeat(bodies.kinds == DRIVEN, 6)
+        self.driven = bodies.kinds == DRIVEN
         # Whether accelerations in flight do not depend on where bodies are, but for gyroscopic ones.
         self.uniform = not (
             scene.couplings or scene.contact_couplings or bodies.anchored.any() or assembler.model.drives
@@ -186,10 +189,15 @@ class Trajectory:
             turn = np.hstack(
                 [q[:, 3:] * spin + cross(spin, q[:, :3]), -(spin * q[:, :3]).sum(axis=1, keepdims=True)]
             )
-            return np.concatenate([now.linear_velocity.reshape(-1), 0.5 * turn.reshape(-1), acceleration])
+            # Bodies that follow functions of time are put where these say.
+            parts = (now.linear_velocity, 0.5 * turn, acceleration.reshape(count, 6))
+            return np.concatenate([np.where(self.driven[:, None], 0.0, part).reshape(-1) for part in parts])
 
+        bodies = self.pairs[hold.pairs]
+        shaken = bool(self.driven[bodies[bodies != WORLD]].any())
+        relative, absolute = (DRIVEN_ERROR, DRIVEN_ERROR) if shaken else (RELATIVE, ABSOLUTE)
         result = solve_ivp(
-            slopes, (0.0, duration), start, "DOP853", rtol=RELATIVE, atol=ABSOLUTE, first_step=duration
+            slopes, (0.0, duration), start, "DOP853", rtol=relative, atol=absolute, first_step=duration
         )
         if not result.success:
             raise RuntimeError(
