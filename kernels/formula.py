@@ -185,6 +185,8 @@ class Formula:
     validity: ClassVar[str] = ""
     #: "S": read in a public source, "D": derived and confirmed by integration, "R": recalled; "": not said.
     provenance: ClassVar[str] = ""
+    #: Whether it has no force, and is for integrators that solve for impulses.
+    rigid: ClassVar[bool] = False
     #: Groups of parameters of which exactly one is given.
     exactly_one_of: ClassVar[tuple[str, ...]] = ()
     #: Names of the device coefficients; the parameters themselves if empty.

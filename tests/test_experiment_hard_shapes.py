@@ -55,3 +55,33 @@ def test_a_compliant_contact_needs_a_force(tmp_path):
     study = {**STUDY, "integrator": {"type": "MoreauJean", "compliant": ["touch"]}}
     with pytest.raises(ValueError, match=r"touch\.law is Rigid, which has no force of its own"):
         wc.Experiment.from_dict(study, tmp_path).run(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("integrator", "problems"),
+    [
+        ({"type": "MoreauJean", "theta": 0.3}, ["integrator.theta must be at least 0.5"]),
+        ({"type": "MoreauJaen"}, ["integrator.type must be one of"]),
+        ({"type": "MoreauJean", "tol": 1e-5}, ["integrator.tol"]),
+        (
+            {"type": "MoreauJean", "recovery_time": 0.0},
+            ["integrator.recovery_time must be greater than 0, got 0 s"],
+        ),
+        ({}, ["which has no force of its own; it needs the integrator MoreauJean"]),
+        (
+            {"type": "MoreauJean", "compliant": ["tuoch", "plie"]},
+            [
+                "integrator.compliant[0] must be the name of a contact, got 'tuoch'; did you mean 'touch'?",
+                "integrator.compliant[1] must be the name of a contact, got 'plie'; did you mean 'pile'?",
+            ],
+        ),
+        ({"theta": 0.5}, ["theta needs type = 'MoreauJean'"]),
+    ],
+)
+def test_a_mistake_in_the_integrator_is_one_problem(tmp_path, integrator, problems):
+    with pytest.raises(wc.ExperimentError) as caught:
+        wc.Experiment.from_dict({**STUDY, "integrator": integrator}, tmp_path)
+    told = caught.value.problems
+    assert len(told) == len(problems)
+    for message, line in zip(problems, told, strict=True):
+        assert message in line

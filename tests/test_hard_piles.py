@@ -196,7 +196,7 @@ def start(skin, device, **options):
 
 WALLS = ["floor", "left", "right", "front", "back"]
 STEP = 1e-3
-FALL = 1200
+FALL = 1800
 # Heaps are solved to less than single contacts, in more sweeps.
 INTEGRATOR = wc.integrators.MoreauJean(iterations=1000, tolerance=1e-6)
 

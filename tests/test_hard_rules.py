@@ -1,13 +1,23 @@
 """What hard contact promises beside its mechanics: schedules, resets, mixtures, readings, errors and warnings."""
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 from hard_scenes import HARD, G, add_box, ball, rigid
 from scenes import square
 
 import warpcontact as wc
+
+
+class Own(wc.Friction):
+    """A friction that says nothing of a coefficient."""
+
+    @wp.func
+    def force(p: Any, s: Any):
+        return -s.velocity
 
 
 def thrown(envs=9, device="cpu", precision="float32"):
@@ -192,15 +202,20 @@ def test_what_hard_contact_cannot_do_is_said(device):
     with pytest.raises(TypeError, match="compliant must be a list of names"):
         wc.integrators.MoreauJean(compliant="touch")
     model = ball(0.5, 0.2, device=device)
-    with pytest.raises(ValueError, match=r"touch\.law is Rigid, which has no force of its own; step the scene"):
+    with pytest.raises(
+        ValueError, match=r"touch\.law is Rigid, which has no force of its own; it needs the integrator MoreauJean"
+    ):
         wc.Simulation(model, 1e-3)
     with pytest.raises(ValueError, match="compliant: there is no contact 'tuoch'; there is 'touch'"):
         wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["tuoch"]))
     with pytest.raises(ValueError, match=r"compliant: touch\.law is Rigid"):
         wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["touch"]))
     viscous = wc.Template(law=wc.laws.Hooke(stiffness=1e4), friction=wc.frictions.Viscous(drag=1.0))
-    with pytest.raises(ValueError, match=r"touch\.friction is Viscous, which has no coefficient of friction"):
-        wc.Simulation(ball(template=viscous, device=device), 1e-3, HARD)
+    for own in (viscous, wc.Template(law=wc.laws.Rigid(), friction=Own())):
+        with pytest.raises(ValueError, match=r"touch\.friction is \w+, which has no coefficient of friction"):
+            wc.Simulation(ball(template=own, device=device), 1e-3, HARD)
+    with pytest.raises(ValueError, match=r"Rigid is for hard contact, and has no force to compare"):
+        wc.compare.plot_laws(wc.laws.Rigid)
     scene = wc.Scene()
     body = scene.add_body(1.0, (0.1,) * 3, position=(0, 0, 1))
     plate = scene.add_surface(square())

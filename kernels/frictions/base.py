@@ -25,8 +25,6 @@ class Friction(Formula):
 
     #: Whether it tells tangential directions apart, and needs ``s.axis``.
     directional: ClassVar[bool] = False
-    #: Whether it has no force, and is for integrators that solve for impulses.
-    rigid: ClassVar[bool] = False
     #: Whether it works for spheres only, by ``s.patch_radius``.
     needs_radius: ClassVar[bool] = False
 

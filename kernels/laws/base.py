@@ -40,8 +40,6 @@ class Law(Formula):
     needs_curvature: ClassVar[bool] = False
     #: Whether the law may pull; the force of all others is cut at zero.
     pulls: ClassVar[bool] = False
-    #: Whether it has no force, and is for integrators that solve for impulses.
-    rigid: ClassVar[bool] = False
     #: Exponent of the elastic part if it is fixed; laws with a parameter ``exponent`` leave it out.
     power: ClassVar[float | None] = None
 

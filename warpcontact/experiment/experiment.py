@@ -22,10 +22,12 @@ from warpcontact.experiment.result import Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
 from warpcontact.experiment.variation import Draw, truncated
+from warpcontact.integrators.base import formulas_of
 from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import Simulation, whole_steps
 from warpcontact.split_model import SplitModel
+from warpcontact.unilateral.hard_contacts import is_of_hard_contact
 
 # Readings that tell most of a coupling.
 _TOLD: dict[type, tuple[str, str]] = {
@@ -269,12 +271,10 @@ class Experiment:
         self._values = Draw(parts.variation, model, parts.envs, seed, problems, unsound).values
         if settings is None:
             return
-        try:
-            # What can be read depends on how contacts are stepped.
-            Simulation(model, settings.dt, settings.integrator.make())
-        except ValueError as error:
-            problems.add("integrator", f": {error}")
+        steps = self._can_step(model, settings, problems, unsound)
         for i, name in enumerate(settings.record.readings or ()):
+            if not steps and is_of_hard_contact(name):
+                continue
             if name not in model.reading_names and not unsound(name):
                 hint = suggestion(name, model.reading_names)
                 problems.add(f"record.readings[{i}]", f"must be the name of a reading, got {name!r}{hint}")
@@ -285,6 +285,26 @@ class Experiment:
         self.settings: Settings = settings.model_copy(update={"record": record})
         if not problems:
             self._size = recording_size(model, readings, self._values, settings.envs)
+
+    @staticmethod
+    def _can_step(
+        model: Environments, settings: Settings, problems: Problems, unsound: Callable[[str], bool]
+    ) -> bool:
+        """Checks the integrator, and lets what can be read be that of its contacts."""
+        before = len(problems.lines)
+        if any(line.startswith("integrator") for line in problems.lines):
+            return False
+        known = list(formulas_of(model.scene))
+        for i, name in enumerate(settings.integrator.compliant or ()):
+            if name not in known and not unsound(name):
+                problems.refer(f"integrator.compliant[{i}]", name, "contact", known)
+        if len(problems.lines) > before:
+            return False
+        try:
+            Simulation(model, settings.dt, settings.integrator.make())
+        except ValueError as error:
+            problems.add("integrator", f": {error}")
+        return len(problems.lines) == before
 
     @staticmethod
     def _interval(model: Environments, settings: Settings, problems: Problems) -> float:

@@ -33,8 +33,8 @@ class SemiImplicitEuler(Integrator):
             for part, formula in formulas.items():
                 if formula.rigid:
                     raise ValueError(
-                        f"{name}.{part} is {type(formula).__name__}, which has no force of its own; step the "
-                        "scene with integrator=wc.integrators.MoreauJean()"
+                        f"{name}.{part} is {type(formula).__name__}, which has no force of its own; it needs the "
+                        "integrator MoreauJean"
                     )
 
     def step_stages(

@@ -329,6 +329,12 @@ OF_SCENE = {
 }
 
 
+def is_of_hard_contact(name: str) -> bool:
+    """Whether a reading is one of hard contacts alone, by its name."""
+    element, _, quantity = name.rpartition(".")
+    return quantity in OF_SCENE if element == "scene" else quantity in ("impulse", "mode")
+
+
 def _shown(attribute: str, own: int | slice) -> Any:
     return lambda arrays: getattr(arrays.hard.shown, attribute)[:, own]
 
