@@ -104,5 +104,7 @@ def residual(W: Array, w: Array, impulses: Array, mu: float) -> float:
     inside = across <= mu * normal
     projected = np.where(inside[:, None], z, np.where((mu * across <= -normal)[:, None], 0.0, on_cone))
     free = w - (W @ impulses.ravel()).reshape(-1, 3)
-    scale = (rho * np.linalg.norm(free, axis=1)).max()
-    return float(np.linalg.norm(impulses - projected, axis=1).max() / (scale or 1.0))
+    # Bodies connect all contacts here.
+    fastest = np.linalg.norm(free, axis=1).max()
+    scale = np.maximum(np.linalg.norm(impulses, axis=1), rho * fastest)
+    return float((np.linalg.norm(impulses - projected, axis=1) / np.where(scale > 0.0, scale, 1.0)).max())
