@@ -142,7 +142,7 @@ class Step:
         arrays = self.arrays(wp.float64, len(status))
         change = None
         for solver, most in zip(solvers, iterations, strict=True):
-            options = {} if change is None else {"after": True}
+            options = {"before": True} if change is None else {"after": True}
             change = launch(
                 solver, arrays, wp.float64, self.moves, self.rolls, tolerance, most, status, change, **options
             )

@@ -285,9 +285,10 @@ def test_a_stack_of_ten_boxes_stays_for_a_hundred_seconds(device):
     early = np.array([model.reading(name)[0] for name in names])
     simulation.step(18000)
     late = np.array([model.reading(name)[0] for name in names])
-    # It settles by what feet sink in within the first steps, g h² each, and then does not creep.
+    # It settles by what feet sink in within the first steps, g h² each, and does not creep. Solves leave 1e-8 of
+    # the impulse of ten boxes for 90 s; what tilts a foot moves a top ten times as high.
     assert np.abs(early - start).max() < 10 * 10 * G * 5e-3**2
-    assert np.abs(late - early).max() < 1e-6
+    assert np.abs(late - early).max() < 1e-8 * (10 * G * 5e-3) * 90.0 * 10
     assert model.reading("scene.kinetic_energy")[0] < 1e-9
     assert model.reading("scene.closed_contacts")[0] == 40
     weight = 10 * 125.0 * G

@@ -406,7 +406,7 @@ def test_a_second_solver_goes_on_where_the_first_goes_in_circles():
     alone = step.solve("gauss_seidel", tolerance=1e-10, iterations=3000)
     assert not alone.converged
     assert alone.residual > 1e-3
-    # From the impulses of the first and the velocities without contact.
+    # From the same guess and velocities without contact.
     result = step.solve_in_turn(["gauss_seidel", "accelerated"], 1e-10, (100, 1000))
     assert_solved(step, result, 1e-10)
     assert 100 < result.iterations < 1100
@@ -436,6 +436,18 @@ def test_a_heavy_body_on_a_light_one(solver):
     """A thousand to one, pushed so that contacts slip: thousands of iterations, and solved by both."""
     step = tower([1.0, 1000.0], push=0.1)
     assert_solved(step, step.solve(solver, tolerance=1e-9, iterations=20000), 1e-9)
+
+
+def test_a_good_guess_is_left_to_the_second_solver():
+    step = tower([1.0, 10.0, 100.0, 1000.0], push=0.1)
+    solved = step.solve("accelerated", tolerance=1e-9, iterations=20000)
+    for row, impulse in zip(step.rows, solved.impulse, strict=True):
+        row.impulse = impulse
+    step.velocity[1, 0] += 1e-9
+    result = step.solve_in_turn(["gauss_seidel", "accelerated"], 1e-10, (5, 400))
+    alone = step.solve("accelerated", tolerance=1e-10, iterations=400)
+    assert result.iterations == 5 + alone.iterations
+    np.testing.assert_array_equal(result.impulse, alone.impulse)
 
 
 @pytest.mark.slow

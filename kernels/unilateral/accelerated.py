@@ -60,8 +60,8 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
         real: Precision.
         moves: Whether not all bodies are free.
         rolls: Whether any contact opposes rolling or spinning.
-        after: Whether it takes up what another solver left, in the environments where that did not converge: from
-            its impulses, with its ``change`` taken back, and counting on from its iterations.
+        after: Whether it comes after another solver, in the environments where that did not converge: with its
+            ``change`` taken back, and counting on from its iterations.
 
     It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no more,
     or after some iterations; then the best of them is what it leaves.

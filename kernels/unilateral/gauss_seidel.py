@@ -34,20 +34,24 @@ def scratch(real: type, rolls: bool) -> type:
         block: wp.array2d(dtype=mat33)  # w over an impulse, (normal, two tangents) [1/kg]
         before: wp.array2d(dtype=vec3)  # impulse before the sweep, W [N·s]
         swept: wp.array2d(dtype=vec3)  # impulse after the sweep before, W [N·s]
+        guess: wp.array2d(dtype=vec3)  # impulse before the solve, W [N·s]
         if rolls:
+            couple_guess: wp.array2d(dtype=vec3)  # likewise [N·m·s]
             turning: wp.array2d(dtype=vec3)  # relative angular velocity without contact, W [rad/s]
 
     return Scratch
 
 
 @functools.cache
-def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
+def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Kernel:
     """Returns the solver of a step; items: one per environment.
 
     Args:
         real: Precision.
         moves: Whether not all bodies are free.
         rolls: Whether any contact opposes rolling or spinning.
+        before: Whether another solver comes after it where it does not converge: from the same guess, since what
+            sweeps leave, of heavy bodies on light ones, is slow to go.
 
     It starts from the guess in ``rows`` and stops at the tolerance, where rounding lets the residual fall no
     more, or after some sweeps. Near the end a sweep looks first: where every row keeps its law nothing is
@@ -116,6 +120,10 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
                 scratch.free[env, row] = free
                 scratch.before[env, row] = impulse
                 scratch.swept[env, row] = impulse
+                if wp.static(before):
+                    scratch.guess[env, row] = impulse
+                    if wp.static(rolls):
+                        scratch.couple_guess[env, row] = rows.couple[env, row]
                 if wp.static(rolls):
                     turning = spin(moving.angular, env, rows.body_1[env, row], rows.body_2[env, row])
                     scratch.turning[env, row] = turning
@@ -254,6 +262,12 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             for body in range(change.linear.shape[1]):
                 moving.linear[env, body] = moving.linear[env, body] + change.linear[env, body]
                 moving.angular[env, body] = moving.angular[env, body] + change.angular[env, body]
+            if wp.static(before):  # noqa: SIM102  Warp would evaluate both sides
+                if worst > goal:
+                    for row in range(count):
+                        rows.impulse[env, row] = scratch.guess[env, row]
+                        if wp.static(rolls):
+                            rows.couple[env, row] = scratch.couple_guess[env, row]
             outcome.residual[env] = wp.sqrt(worst)
             outcome.iterations[env] = sweeps
             outcome.converged[env] = wp.where(worst <= goal, 1, 0)

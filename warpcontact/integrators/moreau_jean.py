@@ -28,7 +28,7 @@ SOLVERS = {
     "accelerated": (accelerated,),
 }
 #: Most iterations of each in a step, if nothing is said.
-ITERATIONS = {gauss_seidel: 200, accelerated: 1000}
+ITERATIONS = {gauss_seidel: 200, accelerated: 2000}
 #: Relative residual to reach, if nothing is said, by precision.
 TOLERANCES = {wp.float32: 1.0e-5, wp.float64: 1.0e-8}
 #: Share of a step within which velocities of functions of time are those of an instant.
@@ -58,8 +58,8 @@ class MoreauJean(Integrator):
         theta: θ, from ½, which keeps the energy, to 1.
         solver: ``"gauss_seidel"``, one contact after the other; ``"accelerated"``, all at once by projected
             gradients with momentum, for heavy bodies on light ones and feet that share a load; ``"auto"``, the
-            first, and the other from there on in the environments where that was not enough.
-        iterations: Most iterations of a solver in a step; ``None``: 200 of the first, 1000 of the other.
+            first, and the other instead in the environments where that was not enough.
+        iterations: Most iterations of a solver in a step; ``None``: 200 of the first, 2000 of the other.
         tolerance: Relative residual to reach; ``None``: 1e-5 in float32, 1e-8 in float64.
         compliant: Names of contacts that act by the force of their law instead.
         recovery_time: Time in which e-fold less of an overlap is left, several steps [s]; ``None``: overlap is not
@@ -176,10 +176,10 @@ class MoreauJean(Integrator):
         hard, real = span.hard, span.model.types.real
         assert hard is not None
         launches: list[wp.Launch] = []
-        for solver, scratch in zip(SOLVERS[self.solver], hard.scratch, strict=True):
+        places: list[dict[str, bool]] = [{}] if len(hard.scratch) == 1 else [{"before": True}, {"after": True}]
+        for solver, scratch, place in zip(SOLVERS[self.solver], hard.scratch, places, strict=True):
             iterations = ITERATIONS[solver] if self.iterations is None else self.iterations
-            after = {"after": True} if launches else {}
-            kernel = solver.kernel(real, span.model.moves, hard.rolls, **after)
+            kernel = solver.kernel(real, span.model.moves, hard.rolls, **place)
             inputs = [status, hard.rows, hard.moving, hard.outcome, hard.tolerance, iterations]
             launches += span.prepare(kernel, 1, [*inputs, scratch, hard.change])
         return launches
