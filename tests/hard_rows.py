@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.types import WORLD, Work
+from warpcontact.kernels.types import WORLD, Work, structs
 from warpcontact.kernels.unilateral import accelerated, gauss_seidel
 from warpcontact.kernels.unilateral.impulses import change_struct
 from warpcontact.kernels.unilateral.rows import row_structs
@@ -149,7 +149,7 @@ class Step:
         return Result(arrays, len(self.rows))
 
     def arrays(self, real, envs):
-        r = row_structs(real)
+        r, t = row_structs(real), structs(real)
         kind = wp.dtype_to_numpy(real)
         rows, moving, outcome = r.Rows(), r.Moving(), r.Outcome()
 
@@ -165,16 +165,16 @@ class Step:
         put(rows, "body_1", [row.first for row in every], wp.int32)
         put(rows, "body_2", [row.second for row in every], wp.int32)
         for name in ("arm_1", "arm_2", "normal", "impulse", "couple"):
-            put(rows, name, [getattr(row, name) for row in every], r.vec3)
+            put(rows, name, [getattr(row, name) for row in every], t.vec3)
         for name in ("mu", "rolling", "spinning", "bounce"):
             put(rows, name, [getattr(row, name) for row in every], real)
         put(rows, "recovery", [0.0] * len(every), real)
-        put(moving, "linear", self.velocity[:, :3], r.vec3)
-        put(moving, "angular", self.velocity[:, 3:], r.vec3)
+        put(moving, "linear", self.velocity[:, :3], t.vec3)
+        put(moving, "angular", self.velocity[:, 3:], t.vec3)
         put(moving, "inverse_mass", self.inverse[:, 0, 0], real)
-        put(moving, "by_force", self.inverse[:, :3, :3], r.mat33)
-        put(moving, "across", self.inverse[:, :3, 3:], r.mat33)
-        put(moving, "by_torque", self.inverse[:, 3:, 3:], r.mat33)
+        put(moving, "by_force", self.inverse[:, :3, :3], t.mat33)
+        put(moving, "across", self.inverse[:, :3, 3:], t.mat33)
+        put(moving, "by_torque", self.inverse[:, 3:, 3:], t.mat33)
         outcome.count = wp.full(envs, len(self.rows), dtype=wp.int32, device=DEVICE)
         outcome.residual = wp.full(envs, -1.0, dtype=real, device=DEVICE)
         outcome.iterations = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)

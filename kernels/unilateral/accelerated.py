@@ -12,7 +12,7 @@ import functools
 import numpy as np
 import warp as wp
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
-from warpcontact.kernels.unilateral import begin, impulses
+from warpcontact.kernels.unilateral import begin, impulses, relative
 from warpcontact.kernels.unilateral.rows import row_structs
 
 # Iterations that may pass without a smaller residual where that is of the size of rounding.
@@ -72,7 +72,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
     Rows, Moving, Outcome = r.Rows, r.Moving, r.Outcome
     Change, Scratch = impulses.change_struct(real), scratch(real, rolls)
     f = impulses.functions(real, moves)
-    spin, changed_at, push = f.spin, f.changed_at, f.push
+    spin, changed_at, push = relative.functions(real).spin, f.changed_at, f.push
     turning_ease, in_cone, in_discs = f.turning_ease, f.in_cone, f.in_discs
     off_squared, pressing = f.off_squared, f.pressing
     first = begin.functions(real, moves, rolls)

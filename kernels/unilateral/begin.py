@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import warp as wp
 from warpcontact.kernels.types import structs
-from warpcontact.kernels.unilateral import impulses
+from warpcontact.kernels.unilateral import impulses, relative
 from warpcontact.kernels.unilateral.rows import row_structs
 
 
@@ -27,7 +27,9 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
     Rows, Moving = r.Rows, r.Moving
     Change = impulses.change_struct(real)
     f = impulses.functions(real, moves)
-    relative, spin, push, ease, turning_ease = f.relative, f.spin, f.push, f.ease, f.turning_ease
+    push, ease, turning_ease = f.push, f.ease, f.turning_ease
+    between = relative.functions(real)
+    velocity, spin = between.after, between.spin
     zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
     # Of a velocity over that of the guess: what rounding of the guess may leave.
     ROUNDING = wp.constant(real(4.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
@@ -48,7 +50,7 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
         other = rows.body_2[env, row]
         arm_1 = rows.arm_1[env, row]
         arm_2 = rows.arm_2[env, row]
-        free = relative(moving, env, one_body, other, arm_1, arm_2)
+        free = velocity(moving, env, one_body, other, arm_1, arm_2)
         free -= wp.max(rows.bounce[env, row], rows.recovery[env, row]) * rows.normal[env, row]
         trace = ease(moving, env, one_body, arm_1) + ease(moving, env, other, arm_2)
         rho = zero

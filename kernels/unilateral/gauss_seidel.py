@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import warp as wp
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
-from warpcontact.kernels.unilateral import begin, cone, impulses
+from warpcontact.kernels.unilateral import begin, cone, impulses, relative
 from warpcontact.kernels.unilateral.rows import row_structs
 
 # Stages of a solve: the block of a row is made where it is first needed, and made anew, softer, after some sweeps.
@@ -66,7 +66,8 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
     c = cone.functions(real)
     basis, one_contact = c.basis, c.one_contact
     f = impulses.functions(real, moves)
-    spin, changed_at, push, turning_ease, in_discs = f.spin, f.changed_at, f.push, f.turning_ease, f.in_discs
+    spin = relative.functions(real).spin
+    changed_at, push, turning_ease, in_discs = f.changed_at, f.push, f.turning_ease, f.in_discs
     block_of, inverse_of, in_cone, off_squared = f.block, f.inverse_of, f.in_cone, f.off_squared
     first = begin.functions(real, moves, rolls)
     begin_row, spread, scale_of = first.begin, first.spread, first.scale

@@ -43,11 +43,6 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
     FLAT = wp.constant(real(100.0 * rounding))
 
     @wp.func
-    def at(linear: vec3, angular: vec3, arm: vec3):
-        """Velocity at ``arm`` from the centre of mass."""
-        return linear + wp.cross(angular, arm)
-
-    @wp.func
     def changed_at(change: Change, env: int, body: int, arm: vec3):
         """Change of the velocity at ``arm`` from the centre of mass; 0 for the world."""
         if body < 0:
@@ -150,26 +145,6 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return a * n + share * l_t
 
     @wp.func
-    def relative(moving: Moving, env: int, one_body: int, other: int, arm_1: vec3, arm_2: vec3):
-        """Relative velocity without contact."""
-        velocity = vec3()
-        if one_body >= 0:
-            velocity = at(moving.linear[env, one_body], moving.angular[env, one_body], arm_1)
-        if other >= 0:
-            velocity -= at(moving.linear[env, other], moving.angular[env, other], arm_2)
-        return velocity
-
-    @wp.func
-    def spin(angular: wp.array2d(dtype=vec3), env: int, one_body: int, other: int):
-        """Relative angular velocity."""
-        difference = vec3()
-        if one_body >= 0:
-            difference = angular[env, one_body]
-        if other >= 0:
-            difference -= angular[env, other]
-        return difference
-
-    @wp.func
     def in_discs(couple: vec3, n: vec3, rolling: real, spinning: real):
         """The couple nearest to ``couple`` that is no larger than the limits, across the normal and along it."""
         along = wp.dot(couple, n)
@@ -237,8 +212,6 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return rest * rest + wp.length_sq(l_t - share * z_t)
 
     return SimpleNamespace(
-        relative=relative,
-        spin=spin,
         in_discs=in_discs,
         pressing=pressing,
         changed_at=changed_at,

@@ -60,6 +60,4 @@ def record_structs(real: type) -> SimpleNamespace:
         impulse: wp.array2d(dtype=vec3)  # [env, contact] on the first body, W [N·s]
         mode: wp.array2d(dtype=wp.int32)  # [env, contact] MODE_*
 
-    return SimpleNamespace(
-        vec3=vec3, Material=Material, Memory=Memory, Account=Account, Restraint=Restraint, Shown=Shown
-    )
+    return SimpleNamespace(Material=Material, Memory=Memory, Account=Account, Restraint=Restraint, Shown=Shown)

@@ -24,7 +24,7 @@ def kernel(real: type) -> wp.Kernel:
     Rows, Moving, Outcome, Memory, Account = r.Rows, r.Moving, r.Outcome, records.Memory, records.Account
     Restraint = records.Restraint
     f = relative.functions(real)
-    velocities_before, velocities_after = f.before, f.after
+    velocity_before, velocity_after, spin = f.before, f.after, f.spin
     # As near as that to the edge of the cone a contact slips: within rounding, and within what a solve leaves.
     ROUNDING = wp.constant(real(64.0 * t.epsilon))
     UNSOLVED = wp.constant(real(20.0))
@@ -77,14 +77,16 @@ def kernel(real: type) -> wp.Kernel:
                 couple = rows.couple[env, row]
                 along = wp.dot(impulse, normal)
                 across = impulse - along * normal
-                u_before, w_before = velocities_before(middle, env, body_1, body_2, arm_1, arm_2)
-                u_after, w_after = velocities_after(moving, env, body_1, body_2, arm_1, arm_2)
+                u_before = velocity_before(middle, env, body_1, body_2, arm_1, arm_2)
+                u_after = velocity_after(moving, env, body_1, body_2, arm_1, arm_2)
+                turned = spin(middle.body_angular_velocity, env, body_1, body_2)
+                turned += spin(moving.angular, env, body_1, body_2)
                 parting = wp.dot(u_after, normal)
                 slip = u_after - parting * normal
                 mean = real(0.5) * (u_after + u_before)
                 by_impact -= wp.float64(along * wp.dot(mean, normal))
                 by_friction -= wp.float64(wp.dot(across, mean))
-                by_friction -= wp.float64(real(0.5) * wp.dot(couple, w_after + w_before))
+                by_friction -= wp.float64(real(0.5) * wp.dot(couple, turned))
                 mode = wp.int32(MODE_SLIP)
                 if along <= real(0.0):
                     mode = wp.int32(MODE_OPEN)

@@ -30,7 +30,7 @@ def kernel(real: type) -> wp.Kernel:
     r, records = row_structs(real), record_structs(real)
     Rows, Moving, Outcome, Restraint = r.Rows, r.Moving, r.Outcome, records.Restraint
     f = relative.functions(real)
-    velocities_before, velocities_after = f.before, f.after
+    velocity_before, velocity_after, spin = f.before, f.after, f.spin
     last = wp.constant(ROUNDS - 1)
     # Of the work at all contacts: what rounding may bring; and what a solve may, over its tolerance.
     slight = wp.constant(real(1.0e-4) if real is wp.float32 else real(1.0e-9))
@@ -53,11 +53,13 @@ def kernel(real: type) -> wp.Kernel:
             body_2 = rows.body_2[env, row]
             arm_1 = rows.arm_1[env, row]
             arm_2 = rows.arm_2[env, row]
-            u_before, w_before = velocities_before(middle, env, body_1, body_2, arm_1, arm_2)
-            u_after, w_after = velocities_after(moving, env, body_1, body_2, arm_1, arm_2)
+            u_before = velocity_before(middle, env, body_1, body_2, arm_1, arm_2)
+            u_after = velocity_after(moving, env, body_1, body_2, arm_1, arm_2)
+            turned = spin(middle.body_angular_velocity, env, body_1, body_2)
+            turned += spin(moving.angular, env, body_1, body_2)
             impulse = rows.impulse[env, row]
             couple = rows.couple[env, row]
-            work_done += wp.dot(impulse, u_before + u_after) + wp.dot(couple, w_before + w_after)
+            work_done += wp.dot(impulse, u_before + u_after) + wp.dot(couple, turned)
             if rows.recovery[env, row] > rows.bounce[env, row]:
                 # What takes overlap back may bring energy.
                 work_done -= rows.recovery[env, row] * wp.dot(impulse, rows.normal[env, row])

@@ -57,4 +57,4 @@ def row_structs(real: type) -> SimpleNamespace:
         iterations: wp.array(dtype=wp.int32)  # [env]
         converged: wp.array(dtype=wp.int32)  # [env] 1: to the tolerance
 
-    return SimpleNamespace(real=real, vec3=vec3, mat33=mat33, Rows=Rows, Moving=Moving, Outcome=Outcome)
+    return SimpleNamespace(Rows=Rows, Moving=Moving, Outcome=Outcome)

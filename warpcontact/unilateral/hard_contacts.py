@@ -292,28 +292,23 @@ class HardContacts:
 
     def readings(self) -> Iterator[Reading]:
         """Iterates over what can be measured of hard contacts."""
-        yield from hard_readings(self._shown, self.compliant)
-
-
-def hard_readings(items: Mapping[Contact | SmoothContact, slice], compliant: Collection[str]) -> Iterator[Reading]:
-    """Iterates over what can be measured of hard contacts, given their numbers."""
-    for contact, numbers in items.items():
-        if contact.name in compliant:
-            continue
-        if isinstance(contact, SmoothContact):
-            single, on = contact.single, "the body of its first shape"
-        else:
-            single, on = contact.points.single, "the point's body"
-        own: int | slice = numbers.start if single else numbers
-        several = 0 if single else contact.count
-        name, array = f"{contact.name}.impulse", _shown("impulse", own)
-        text = f"impulse of the last step on {on}, world"
-        yield Reading(name, "N·s", text, array, needs=("contacts",), items=several)
-        name, array = f"{contact.name}.mode", _shown("mode", own)
-        text = "whether it stuck or slipped in the last step"
-        yield Reading(name, "-", text, array, needs=("contacts",), items=several, codes=ContactMode)
-    for key, (part, attribute, unit, meaning) in OF_SCENE.items():
-        yield Reading(f"scene.{key}", unit, meaning, _of_scene(part, attribute))
+        for contact, numbers in self._shown.items():
+            if self.acts(contact.name):
+                continue
+            if isinstance(contact, SmoothContact):
+                single, on = contact.single, "the body of its first shape"
+            else:
+                single, on = contact.points.single, "the point's body"
+            own: int | slice = numbers.start if single else numbers
+            several = 0 if single else contact.count
+            name, array = f"{contact.name}.impulse", _shown("impulse", own)
+            text = f"impulse of the last step on {on}, world"
+            yield Reading(name, "N·s", text, array, needs=("contacts",), items=several)
+            name, array = f"{contact.name}.mode", _shown("mode", own)
+            text = "whether it stuck or slipped in the last step"
+            yield Reading(name, "-", text, array, needs=("contacts",), items=several, codes=ContactMode)
+        for key, (part, attribute, unit, meaning) in OF_SCENE.items():
+            yield Reading(f"scene.{key}", unit, meaning, _of_scene(part, attribute))
 
 
 # name: (struct, array, unit, what it is)
