@@ -176,6 +176,7 @@ class Step:
         put(moving, "across", self.inverse[:, :3, 3:], t.mat33)
         put(moving, "by_torque", self.inverse[:, 3:, 3:], t.mat33)
         outcome.count = wp.full(envs, len(self.rows), dtype=wp.int32, device=DEVICE)
+        outcome.slack = wp.zeros(envs, dtype=real, device=DEVICE)
         outcome.residual = wp.full(envs, -1.0, dtype=real, device=DEVICE)
         outcome.iterations = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)
         outcome.converged = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)

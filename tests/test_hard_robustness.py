@@ -101,3 +101,57 @@ def test_what_slips_says_so_and_has_its_dynamic_friction(device):
     # The first step is one of a new contact, with the static coefficient.
     first = G * 0.25 * np.cos(0.35) * 2e-3
     assert data["block.linear_velocity"].values[-1, 0, 0] == pytest.approx(speed - first, abs=first)
+
+
+def test_a_turning_body_keeps_its_angular_momentum_in_float32(device):
+    scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
+    body = scene.add_body(1.0, (1.0, 2.0, 2.5), angular_velocity=(0.1, 0.2, 1.0))
+    ground = scene.add_surface(square(), position=(0, 0, -9.0))
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, rigid())
+    model = scene.build(device=device)
+    before = model.reading("scene.angular_momentum")
+    wc.Simulation(model, 1e-3, HARD).step(10_000)
+    # Rounding of single steps, 1e-7, adds up at random.
+    np.testing.assert_allclose(model.reading("scene.angular_momentum"), before, atol=3e-4)
+
+
+def test_boxes_rest_on_each_other_with_recovery_as_without(device):
+    scene = wc.Scene(gravity=(0.0, 0.0, -G))
+    below = scene.add_surface(square(20.0), name="ground")
+    feet = [(x, y, -0.25) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+    for number in range(3):
+        place = (0.0, 0.0, 0.25 + 0.5 * number)
+        body = add_box(scene, (0.5,) * 3, below, rigid(0.5, 0.5), name=f"box{number}", feet=feet, position=place)
+        below = scene.add_surface(wc.meshes.box((0.5,) * 3), body, name=f"top{number}")
+    model = scene.build(device=device, precision="float64")
+    simulation = wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(recovery_time=0.02))
+    simulation.step(500)
+    failures, restrained = (model.reading(f"scene.{name}")[0] for name in ("solve_failures", "restrained"))
+    simulation.step(1000)
+    assert model.reading("scene.kinetic_energy")[0] < 1e-9
+    assert model.reading("scene.closed_contacts")[0] == 12
+    assert model.reading("scene.solve_failures")[0] == failures
+    assert model.reading("scene.restrained")[0] == restrained
+    # What is left is what bodies fall in a step, for each contact.
+    assert -4.0 * G * 1e-6 < model.reading("box0_feet.gap").min() < 0.0
+
+
+def test_recovery_within_a_step_is_refused(device):
+    with pytest.raises(ValueError, match=r"recovery_time must be at least the step, 0\.001 s, got 0\.0005 s"):
+        wc.Simulation(ball(device=device), 1e-3, wc.integrators.MoreauJean(recovery_time=5e-4))
+
+
+@pytest.mark.parametrize("solver", ["auto", "accelerated"])
+def test_what_does_not_move_connects_nothing(device, solver):
+    scene = wc.Scene(gravity=(0.0, 0.0, -G))
+    table = scene.add_body(1.0, (1.0,) * 3, motion=wc.motions.Fixed(), name="table")
+    top = scene.add_surface(square(5000.0), table, name="top")
+    for name, place, mu in (("slow", 0.0, 0.3), ("fast", 50.0, 0.0)):
+        body = scene.add_body(1e-3, (1e-6,) * 3, position=(0, place, 0.05 - 1e-6), name=name)
+        scene.add_contact(scene.add_point(body, (0, 0, 0)), top, rigid(mu=mu), radius=0.05, name=f"{name}_touch")
+    model = scene.build(device=device)
+    model["fast.linear_velocity"] = (1000.0, 0.0, 0.0)
+    wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(solver=solver)).step(200)
+    # To what its own solves leave; as large as what those of the other leave it would be a thousand times that.
+    assert model.reading("slow_touch.normal_force")[0] == pytest.approx(1e-3 * G, rel=2e-4)
+    assert model.reading("slow_touch.gap")[0] > -2e-5

@@ -69,6 +69,7 @@ class Simulation:
         self.model = model
         self.integrator = integrator
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
+        integrator.check_step(self.dt)
         rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.parts[0].types.real))
         self.crossing_steps = _at_least_one("crossing_steps", crossing_steps)
         if self.crossing_steps > 1 and not model.parts[0].sweeps:

@@ -36,9 +36,14 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
     LEAST = wp.constant(real(float(np.finfo(wp.dtype_to_numpy(real)).tiny)))
 
     @wp.func
-    def hasten(change: Change, env: int, body: int, squared: real):
+    def hasten(change: Change, env: int, body: int, squared: real, ease_of_it: real):
         if body >= 0:
-            change.speed_squared[env, body] = wp.max(change.speed_squared[env, body], squared)
+            before = change.speed_squared[env, body]
+            if ease_of_it > zero:
+                change.speed_squared[env, body] = wp.max(before, squared)
+            elif before == zero:
+                # What does not move connects nothing.
+                change.speed_squared[env, body] = -one
 
     @wp.func
     def begin(rows: Rows, moving: Moving, change: Change, env: int, row: int, tolerance: real):
@@ -52,7 +57,9 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
         arm_2 = rows.arm_2[env, row]
         free = velocity(moving, env, one_body, other, arm_1, arm_2)
         free -= wp.max(rows.bounce[env, row], rows.recovery[env, row]) * rows.normal[env, row]
-        trace = ease(moving, env, one_body, arm_1) + ease(moving, env, other, arm_2)
+        one_ease = ease(moving, env, one_body, arm_1)
+        other_ease = ease(moving, env, other, arm_2)
+        trace = one_ease + other_ease
         rho = zero
         impulse = vec3()
         squared = wp.length_sq(free)
@@ -77,8 +84,8 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
             turn_2 += couple
         push(moving, change, env, one_body, impulse, turn_1)
         push(moving, change, env, other, -impulse, -turn_2)
-        hasten(change, env, one_body, squared)
-        hasten(change, env, other, squared)
+        hasten(change, env, one_body, squared, one_ease)
+        hasten(change, env, other, squared, other_ease)
         return free, rho, trace, wp.length_sq(free) + wp.length_sq(impulse)
 
     @wp.func
@@ -96,7 +103,7 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
                 if one_body >= 0 and other >= 0:
                     squared = change.speed_squared[env, one_body]
                     other_squared = change.speed_squared[env, other]
-                    if squared != other_squared:
+                    if squared >= zero and other_squared >= zero and squared != other_squared:
                         changed = 1
                         squared = wp.max(squared, other_squared)
                         change.speed_squared[env, one_body] = squared
@@ -106,11 +113,13 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
     @wp.func
     def scale(rows: Rows, change: Change, env: int, row: int, rho: real):
         """(ρ V)² of a row."""
-        body = rows.body_1[env, row]
-        if body < 0:
-            body = rows.body_2[env, row]
-        if body < 0:
-            return one
-        return wp.max(rho * rho * change.speed_squared[env, body], LEAST)
+        squared = zero
+        one_body = rows.body_1[env, row]
+        other = rows.body_2[env, row]
+        if one_body >= 0:
+            squared = change.speed_squared[env, one_body]
+        if other >= 0:
+            squared = wp.max(squared, change.speed_squared[env, other])
+        return wp.max(rho * rho * squared, LEAST)
 
     return SimpleNamespace(begin=begin, spread=spread, scale=scale)

@@ -74,7 +74,8 @@ def add_row(real: type) -> wp.Function:
             approach = velocity_at(state, env, body_2, arm_2) - velocity_at(state, env, body_1, arm_1)
             bounce = material.restitution * wp.max(wp.dot(approach, normal), real(0.0))
         rows.bounce[env, row] = bounce
-        rows.recovery[env, row] = recovery * wp.max(-gap, real(0.0))
+        # What bodies fall in a step stays: a contact must be closed to be held.
+        rows.recovery[env, row] = recovery * wp.max(-gap - outcome.slack[env], real(0.0))
 
     return add_row
 

@@ -9,7 +9,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_WAITING, Work, structs
-from warpcontact.kernels.unilateral import relative
+from warpcontact.kernels.unilateral import impulses, relative
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import row_structs
 
@@ -29,6 +29,7 @@ def kernel(real: type) -> wp.Kernel:
     State = t.State
     r, records = row_structs(real), record_structs(real)
     Rows, Moving, Outcome, Restraint = r.Rows, r.Moving, r.Outcome, records.Restraint
+    Change = impulses.change_struct(real)
     f = relative.functions(real)
     velocity_before, velocity_after, spin = f.before, f.after, f.spin
     last = wp.constant(ROUNDS - 1)
@@ -44,7 +45,7 @@ def kernel(real: type) -> wp.Kernel:
         return found
 
     @wp.func
-    def gains(middle: State, rows: Rows, moving: Moving, env: int, count: int, tolerance: real):
+    def gains(middle: State, rows: Rows, moving: Moving, change: Change, env: int, count: int, tolerance: real):
         """Whether all impulses together do work."""
         work_done = real(0.0)
         size = real(0.0)
@@ -63,7 +64,10 @@ def kernel(real: type) -> wp.Kernel:
             if rows.recovery[env, row] > rows.bounce[env, row]:
                 # What takes overlap back may bring energy.
                 work_done -= rows.recovery[env, row] * wp.dot(impulse, rows.normal[env, row])
-            size += wp.length(impulse) * (wp.length(u_before) + wp.length(u_after))
+            # At rest there is less than what a step without contact would bring.
+            body = wp.where(body_1 < 0, body_2, body_1)
+            free = wp.sqrt(wp.max(change.speed_squared[env, body], real(0.0)))
+            size += wp.length(impulse) * (wp.length(u_before) + wp.length(u_after) + free)
         return work_done > wp.max(slight, unsolved * tolerance) * size
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -75,6 +79,7 @@ def kernel(real: type) -> wp.Kernel:
         rows: Rows,
         moving: Moving,
         outcome: Outcome,
+        change: Change,
         tolerance: real,
         restraint: Restraint,
     ):
@@ -91,7 +96,7 @@ def kernel(real: type) -> wp.Kernel:
             part = restraint.part[env]
             if part == real(1.0) and not bounces(rows, env, count):
                 continue
-            if gains(middle, rows, moving, env, count, tolerance):
+            if gains(middle, rows, moving, change, env, count, tolerance):
                 restraint.gains[env] = part
             elif part == real(1.0):
                 continue

@@ -53,6 +53,7 @@ def row_structs(real: type) -> SimpleNamespace:
         """How a solve went."""
 
         count: wp.array(dtype=wp.int32)  # [env] rows
+        slack: wp.array(dtype=real)  # [env] overlap that is left as it is [m]
         residual: wp.array(dtype=real)  # [env] of ``cone.residual``, over the largest impulse that b asks for
         iterations: wp.array(dtype=wp.int32)  # [env]
         converged: wp.array(dtype=wp.int32)  # [env] 1: to the tolerance

@@ -68,6 +68,8 @@ def middle(real: type, moves: bool) -> wp.Kernel:
                 continue
             if body == 0:
                 outcome.count[env] = 0
+                h = step[env, 0]
+                outcome.slack[env] = h * h * wp.length(model.gravity[env, 0])
                 restraint.part[env] = real(1.0)
             v_W = state_in.body_linear_velocity[env, body]
             w_W = state_in.body_angular_velocity[env, body]
@@ -244,10 +246,9 @@ def free(real: type, moves: bool) -> wp.Kernel:
             else:
                 R = wp.quat_to_matrix(middle.body_orientation[env, body])
                 by_torque = R * inverse_B * wp.transpose(R)
-                q_WB = state_in.body_orientation[env, body]
-                inertia_B = model.body_inertia[env, body]
-                momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
-                moving.angular[env, body] = by_torque * (momentum + dt * wrenches.torque[env, body])
+                # There the body has the angular momentum of the start.
+                w_middle = middle.body_angular_velocity[env, body]
+                moving.angular[env, body] = w_middle + by_torque * (dt * wrenches.torque[env, body])
             moving.by_torque[env, body] = by_torque
             if wp.static(moves):
                 moving.by_force[env, body] = inverse_mass * wp.identity(n=3, dtype=real)
@@ -357,14 +358,16 @@ def advance(real: type, moves: bool) -> wp.Kernel:
                 inverse_B = model.body_inverse_inertia[env, body]
                 inertia_B = model.body_inertia[env, body]
                 q_middle = middle.body_orientation[env, body]
-                last_B = inertia_B * wp.quat_rotate_inv(q_WB, w_W)
-                momentum = wp.quat_rotate(q_middle, inertia_B * wp.quat_rotate_inv(q_middle, turning))
                 w_before = middle.body_angular_velocity[env, body]
+                gained_B = inertia_B * wp.quat_rotate_inv(q_middle, turning - w_before)
+                momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
                 orientation = rotated(q_WB, dt * (theta * turning + rest * w_before))
-                after = wp.quat_rotate(orientation, inverse_B * wp.quat_rotate_inv(orientation, momentum))
                 # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and
                 # scales what it rotates, which in a difference from step to step cancels instead of adding up.
-                turning = w_W + (after - wp.quat_rotate(q_WB, inverse_B * last_B))
+                last = wp.quat_rotate(q_WB, inverse_B * wp.quat_rotate_inv(q_WB, momentum))
+                momentum += wp.quat_rotate(q_middle, gained_B)
+                after = wp.quat_rotate(orientation, inverse_B * wp.quat_rotate_inv(orientation, momentum))
+                turning = w_W + (after - last)
             state_out.body_position[env, body] = position
             state_out.body_position_remainder[env, body] = (before - (position - gone)) + (way - gone)
             state_out.body_orientation[env, body] = orientation

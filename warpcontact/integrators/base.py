@@ -29,6 +29,13 @@ class Integrator(ABC):
             ValueError: If it cannot; the message names what is in the way.
         """
 
+    def check_step(self, dt: float) -> None:  # noqa: B027  most schemes take any
+        """Checks the length of a step [s].
+
+        Raises:
+            ValueError: If it does not go with the settings.
+        """
+
     def declare(self, model: "Model | PartDraft", layout: Layout) -> "HardContacts | None":
         """Declares what it takes beside the model; ``None``: contacts act by their forces alone."""
         return None

@@ -62,8 +62,8 @@ class MoreauJean(Integrator):
         iterations: Most iterations of a solver in a step; ``None``: 200 of the first, 2000 of the other.
         tolerance: Relative residual to reach; ``None``: 1e-5 in float32, 1e-8 in float64.
         compliant: Names of contacts that act by the force of their law instead.
-        recovery_time: Time in which e-fold less of an overlap is left, several steps [s]; ``None``: overlap is not
-            taken back, which may bring energy.
+        recovery_time: An overlap d, beyond the g h² of a step, is taken back at d over this time, of ten steps or
+            more [s]; ``None``: it is not. That lifts bodies, which brings energy.
 
     Raises:
         ValueError: If a value is not allowed.
@@ -125,6 +125,18 @@ class MoreauJean(Integrator):
                     "at contacts at half a step, and has no steps to divide"
                 )
 
+    def check_step(self, dt: float) -> None:
+        """Checks that overlap is not to be taken back within a step.
+
+        Raises:
+            ValueError: If it is.
+        """
+        if self.recovery_time is not None and self.recovery_time < dt:
+            raise ValueError(
+                f"recovery_time must be at least the step, {dt:g} s, got {self.recovery_time:g} s; take ten steps "
+                "or more"
+            )
+
     def declare(self, model: "Model | PartDraft", layout: Layout) -> "HardContacts":
         """Declares the hard contacts of ``model``."""
         from warpcontact.unilateral.hard_contacts import HardContacts
@@ -164,8 +176,8 @@ class MoreauJean(Integrator):
 
         launches += solve(status)
         for number in range(restrain.ROUNDS if model.bounces else 0):
-            inputs = [status, number, middle, hard.rows, hard.moving, hard.outcome, hard.tolerance]
-            inputs += [hard.restraint]
+            inputs = [status, number, middle, hard.rows, hard.moving, hard.outcome, hard.change]
+            inputs += [hard.tolerance, hard.restraint]
             launches += span.prepare(restrain.kernel(real), 1, inputs)
             launches += solve(hard.restraint.status)
         inputs = [status, h, float(self.theta), a.model, state_in, middle, hard.moving, a.wrenches, state_out]
