@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes, unilateral
     from warpcontact.advice import ContactWarning
     from warpcontact.benchmark import BenchReport, bench
+    from warpcontact.checkpoint import CheckpointError
     from warpcontact.contact_coupling import ContactCoupling
     from warpcontact.contact_range import ContactRange
     from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
@@ -44,6 +45,7 @@ _HOME = {
     "Body": "warpcontact.elements",
     "Bushing": "warpcontact.couplings.elements",
     "Catenary": "warpcontact.couplings.elements",
+    "CheckpointError": "warpcontact.checkpoint",
     "Contact": "warpcontact.elements",
     "ContactCoupling": "warpcontact.contact_coupling",
     "ContactMode": "warpcontact.status",
@@ -99,6 +101,7 @@ __all__ = [
     "Body",
     "Bushing",
     "Catenary",
+    "CheckpointError",
     "Contact",
     "ContactCoupling",
     "ContactMode",

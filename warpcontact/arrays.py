@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from warpcontact.footprint import Need
 
+#: Purpose of what readings are measured into.
+MEASURES = "measures"
+
 # A record takes a multiple of this [bytes], as much as a GPU fetches at once.
 RECORD = 32
 
@@ -40,6 +43,8 @@ class Layout:
         self.device = device
         self._sizes: list[tuple[str, Callable[[int], int]]] = []  # what for, bytes for a number of environments
         self._missing: list[Callable[[int], None]] = []
+        # What steps write: purpose, name, and how to find it once it is made.
+        self._written: list[tuple[str, str, Callable[[], wp.array]]] = []
 
     def array(self, purpose: str, owner: Any, name: str, dtype: Any, shape: Shape) -> None:
         """Declares ``owner.name``, an array of zeros."""
@@ -49,6 +54,7 @@ class Layout:
             setattr(owner, name, wp.zeros(shape(envs), dtype=dtype, device=self.device))
 
         self._declare(purpose, lambda envs: size * prod(shape(envs)), make)
+        self._written.append((purpose, name, lambda: getattr(owner, name)))
 
     def struct(self, purpose: str, struct: Any, shape: Shape, *, records: bool = False, **others: Shape) -> Any:
         """Returns an instance of a Warp struct of arrays, to be zero.
@@ -65,7 +71,7 @@ class Layout:
         side_by_side = {name: dtype for name, dtype in dtypes.items() if records and name not in others}
         if side_by_side:
             self._records(purpose, instance, side_by_side, shape)
-        for name in dtypes.keys() - side_by_side.keys():
+        for name in (one for one in dtypes if one not in side_by_side):
             self.array(purpose, instance, name, dtypes[name], others.get(name, shape))
         return instance
 
@@ -82,8 +88,11 @@ class Layout:
         def size(envs: int) -> int:
             return max(1, prod(shape(envs))) * record
 
+        made: list[wp.array] = []
+
         def make(envs: int) -> None:
             memory = wp.zeros(size(envs), dtype=wp.uint8, device=self.device)
+            made[:] = [memory]
             own = shape(envs)
             for name, dtype in dtypes.items():
                 array = wp.array(
@@ -98,6 +107,18 @@ class Layout:
                 setattr(owner, name, array)
 
         self._declare(purpose, size, make)
+        self._written.append((purpose, "+".join(dtypes), lambda: made[0]))
+
+    def written(self) -> dict[str, wp.array]:
+        """Returns the bytes of every array that was declared as zeros, by a name that says which it is.
+
+        That is all that steps write; measures, which are made anew whenever they are asked for, are left out.
+        """
+        return {
+            f"{number}:{purpose}:{name}": _bytes_of(find())
+            for number, (purpose, name, find) in enumerate(self._written)
+            if purpose != MEASURES
+        }
 
     def content(self, purpose: str, owner: Any, name: str, values: Any, dtype: Any) -> None:
         """Declares ``owner.name``, an array that holds ``values``, the same for all environments."""
@@ -125,6 +146,14 @@ class Layout:
     def _declare(self, purpose: str, size: Callable[[int], int], make: Callable[[int], None]) -> None:
         self._sizes.append((purpose, size))
         self._missing.append(make)
+
+
+def _bytes_of(array: wp.array) -> wp.array:
+    """Returns a contiguous array as bytes, in the same memory."""
+    size = prod(array.shape) * wp.types.type_size_in_bytes(array.dtype)
+    view = wp.array(ptr=array.ptr, dtype=wp.uint8, shape=(size,), device=array.device, copy=False)
+    view.memory = array  # which lives as long
+    return view
 
 
 def row_bytes(values: NDArray[Any]) -> int:

@@ -131,7 +131,8 @@ class Model(Environments, OfScene):
         self.hard: HardContacts | None = None
         # Whether any of them has a restitution.
         self.bounces = False
-        self._handed_out = False
+        # Whether forces from outside are written where they lie.
+        self.handed_out = False
         self._uploads = uploads  # kept alive: broadcast arrays do not own their memory
         self.send(uploads, (upload.content() for upload in uploads))
         self._state = State(**{name: getattr(arrays.state, name) for name in types.State.vars})
@@ -154,8 +155,8 @@ class Model(Environments, OfScene):
         From the first look at them each environment has its own. To set ``<body>.external_force`` or
         ``<body>.external_torque`` afterwards writes all of its array anew.
         """
-        if not self._handed_out:
-            self._handed_out = True
+        if not self.handed_out:
+            self.handed_out = True
             for quantity in ("external_force", "external_torque"):
                 name = f"{self.scene.bodies[0].name}.{quantity}"
                 values = self[name]
@@ -201,7 +202,7 @@ class Model(Environments, OfScene):
 
     def _is_pushed(self) -> bool:
         names = [f"{self.scene.bodies[0].name}.{quantity}" for quantity in ("external_force", "external_torque")]
-        return self._handed_out or any(bool(self.parameters[name].field.values.any()) for name in names)
+        return self.handed_out or any(bool(self.parameters[name].field.values.any()) for name in names)
 
     def starts_from(self, parameter: Parameter) -> bool:
         """Whether ``parameter`` says where the state begins."""

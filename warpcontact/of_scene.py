@@ -6,6 +6,7 @@ from typing import Any
 
 import warp as wp
 
+from warpcontact.arrays import MEASURES as PURPOSE
 from warpcontact.arrays import Layout, per_env
 from warpcontact.footprint import Need
 from warpcontact.kernels import contact_coupling, measures
@@ -70,36 +71,36 @@ class OfScene:
 
 
 def _bodies(layout: Layout, model: OfScene) -> Any:
-    return layout.struct("measures", measures.Bodies, per_env(model.body_count))
+    return layout.struct(PURPOSE, measures.Bodies, per_env(model.body_count))
 
 
 def _points(layout: Layout, model: OfScene) -> Any:
-    return layout.struct("measures", measures.Points, per_env(model.contact_count))
+    return layout.struct(PURPOSE, measures.Points, per_env(model.contact_count))
 
 
 def _reactions(layout: Layout, model: OfScene) -> Any:
-    return layout.struct("measures", Reactions, per_env(model.body_count))
+    return layout.struct(PURPOSE, Reactions, per_env(model.body_count))
 
 
 def _coordinates(layout: Layout, model: OfScene) -> Any:
-    return layout.struct("measures", Coordinates, per_env(model.body_count))
+    return layout.struct(PURPOSE, Coordinates, per_env(model.body_count))
 
 
 def _contact_couplings(layout: Layout, model: OfScene) -> Any:
     shape = per_env(len(model.scene.contact_couplings))
-    return layout.struct("measures", contact_coupling.ContactCouplings, shape)
+    return layout.struct(PURPOSE, contact_coupling.ContactCouplings, shape)
 
 
 def _smooth_points(layout: Layout, model: OfScene) -> Any:
-    return layout.struct("measures", smooth_measures.Points, per_env(model.smooth_count))
+    return layout.struct(PURPOSE, smooth_measures.Points, per_env(model.smooth_count))
 
 
 def _smooth_curvatures(layout: Layout, model: OfScene) -> Any:
-    return layout.struct("measures", smooth_measures.Curvatures, per_env(model.smooth_count))
+    return layout.struct(PURPOSE, smooth_measures.Curvatures, per_env(model.smooth_count))
 
 
 def _smooth_gradients(layout: Layout, model: OfScene) -> Any:
-    return layout.struct("measures", smooth_measures.Gradients, per_env(model.smooth_count))
+    return layout.struct(PURPOSE, smooth_measures.Gradients, per_env(model.smooth_count))
 
 
 #: How to declare what readings are measured into, by what they need.

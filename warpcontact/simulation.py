@@ -1,6 +1,7 @@
 """Time stepping: takes a model forward and records what is asked for."""
 
 import contextlib
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,8 +10,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from warpcontact import checks
+from warpcontact import checkpoint, checks
 from warpcontact.advice import ContactWarning, advice
+from warpcontact.arrays import Layout
 from warpcontact.captures import beside_captures
 from warpcontact.crew import Crew, available_threads
 from warpcontact.environments import Environments
@@ -124,6 +126,35 @@ class Simulation:
         The first step from the start of the model warns of it.
         """
         return advice(self.model, self.dt, self._buffers[0].hard)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes state, history, clocks and parameters into a file, from which ``load`` goes on to the bit.
+
+        Args:
+            path: The file, an ``.npz`` of plain arrays; one that is there is replaced as a whole.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
+        self._attach()
+        checkpoint.save(self, path)
+
+    def load(self, path: str | os.PathLike[str]) -> None:
+        """Takes over everything from a file that ``save`` wrote, in this process or another.
+
+        The simulation must be of the same scene, number of environments, kind of device, precision, step and
+        integrator. Its parameters become those of the file.
+
+        Raises:
+            CheckpointError: If the file is damaged, of a later version, or of another simulation; says in what.
+            FileNotFoundError: If there is none.
+        """
+        self._attach()
+        checkpoint.load(self, path)
+
+    def stepping_layouts(self) -> list[Layout]:
+        """Returns what steps of each part of the model take on its device, beside the model."""
+        return [buffers.layout for buffers in self._buffers]
 
     def memory(self) -> Footprint:
         """Returns what the model and this simulation take of memory; recordings come on top."""
