@@ -122,6 +122,11 @@ class _Channel:
         for ring in self.rings:
             ring.drain()
 
+    def go_on_from(self, count: int) -> None:
+        """Takes the first ``count`` frames of the result for taken, and what waits for lost."""
+        for ring in self.rings:
+            ring.taken = ring.drained = count
+
 
 class _Ring:
     """The frames of one reading of a part: a buffer on its device, and where they go on the host.
@@ -175,12 +180,12 @@ def moved_elements(model: Environments) -> list[str]:
 
 
 class Recorder:
-    """Takes frames of readings from a model, once it is started.
+    """Takes frames of readings from a model, once it is started, all of them or block after block.
 
     Args:
         model: The model.
         names: Readings to take.
-        frames: Number of frames to come.
+        frames: Number of frames that it holds.
         poses: Whether to take the pose of every body as well, and keep the parameters that differ.
         parameters: Names of further parameters to keep.
     """
@@ -277,40 +282,77 @@ class Recorder:
         notes = {"units": parameter.limits["unit"], "long_name": f"parameter {name}"}
         return {label: (dims, self.model[name].copy(), notes)}
 
-    def finish(self, attributes: Mapping[str, Any]) -> Recording:
-        """Returns the frames taken as one data set."""
-        model = self.model
-        variables = {}
+    def frames(self) -> dict[str, NDArray[Any]]:
+        """Returns the frames taken since the last ``rewind``, (frame, env, …) by reading; views."""
         for channel in self.channels:
             channel.drain()
+        return {channel.frame.name: channel.result[: self.taken] for channel in self.channels}
+
+    def go_on_from(self, frames: Mapping[str, NDArray[Any]], times: NDArray[Any]) -> None:
+        """Takes over what ``frames`` returned of another recorder, and ``times`` [s] of these."""
+        self.taken = len(times)
+        self.times[: self.taken] = times
+        for channel in self.channels:
+            channel.result[: self.taken] = frames[channel.frame.name]
+            channel.go_on_from(self.taken)
+
+    def rewind(self) -> None:
+        """Begins a new block of frames, in place of those taken so far."""
+        self.taken = 0
+        for channel in self.channels:
+            channel.go_on_from(0)
+
+    def series(self) -> xr.Dataset:
+        """Returns the frames taken since the last ``rewind`` as a data set, (time, env, …); views."""
+        variables = {}
+        frames = self.frames()
+        for channel in self.channels:
             reading = channel.reading
             element = reading.name.rpartition(".")[0]
             dims = ["time", "env"] + ([self._item_dimension(element)] if reading.items else [])
-            values = channel.result[: self.taken]
+            values = frames[reading.name]
             if values.ndim == len(dims) + 2:
                 dims += ["row", "column"]
             elif values.ndim > len(dims):
                 dims.append(AXES[values.shape[-1]][0])
             notes = {"units": reading.unit, "long_name": reading.meaning, **reading.flags}
             variables[reading.name] = (dims, values, notes)
+        time = ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"})
+        return self._labelled(variables, {"time": time})
+
+    def parameters(self) -> xr.Dataset:
+        """Returns the parameters that are kept, (env, …)."""
+        variables: dict[str, Any] = {}
         for parameter in self.kept:
             variables |= self._parameter_variable(parameter)
+        return self._labelled(variables, {})
+
+    def _labelled(self, variables: Mapping[str, Any], coordinates: Mapping[str, Any]) -> xr.Dataset:
+        """Returns ``variables`` with the labels of all axes that they have."""
+        model = self.model
         used = {dim for dims, _, _ in variables.values() for dim in dims}
-        coordinates: dict[str, Any] = {
-            "time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"}),
-            "env": ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"}),
-        }
+        numbers = ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"})
         # As objects: texts of fixed length have no place in some files, the Zarr v3 specification among them.
-        coordinates |= {dim: (dim, np.array(labels, object)) for dim, labels in AXES.values() if dim in used}
+        labels = {dim: (dim, np.array(names, object)) for dim, names in AXES.values() if dim in used}
+        return xr.Dataset(variables, coords={**coordinates, "env": numbers, **labels})
+
+    def finish(self, attributes: Mapping[str, Any]) -> Recording:
+        """Returns the frames taken and the parameters kept as one data set."""
+        model = self.model
+        series, parameters = self.series(), self.parameters()
         recording = Recording(
-            variables,
-            coords=coordinates,
-            attrs={
-                "source": f"warpcontact {__version__}",
-                "device": ", ".join(map(str, model.devices)),
-                "precision": model.precision,
-                **attributes,
-            },
+            {**series.data_vars, **parameters.data_vars},
+            coords={**series.coords, **parameters.coords},
+            attrs={**sources(model), **attributes},
         )
         recording.scene = model.scene
         return recording
+
+
+def sources(model: Environments) -> dict[str, str]:
+    """Returns what is said of where readings of ``model`` come from."""
+    return {
+        "source": f"warpcontact {__version__}",
+        "device": ", ".join(map(str, model.devices)),
+        "precision": model.precision,
+    }

@@ -2,13 +2,14 @@
 
 import contextlib
 import os
+import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from warpcontact import checkpoint, checks
 from warpcontact.advice import ContactWarning, advice
@@ -21,12 +22,15 @@ from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.model import Model, State
 from warpcontact.parameters import rounded
 from warpcontact.recorder import Recorder, Recording
+from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
 from warpcontact.slices import Buffers, Slice, Times
 from warpcontact.stepping import on_cpu, slice_size, stepping_footprint
 
-# Steps between two looks at the progress bar, whole graphs; a step of a large model takes milliseconds.
-STEPS_PER_UPDATE = 64
+# Steps between two looks at the progress bar, whole graphs, and how long they may take before fewer do [s].
+SHORTEST_PIECE = 8
+LONGEST_PIECE = 64
+PIECE = 0.1
 
 
 class Simulation:
@@ -279,13 +283,7 @@ class Simulation:
             self.model, record, frames=frame_count(steps, stride), poses=poses, parameters=parameters
         )
         recorder.start()
-        start = self.time
-        recorder.take(start)
-        frozen = len(self.model.health().frozen)
-        failed = self.model.failed_lines()
-        unsolved = self.model.unsolved_contacts()
-        unfinished = self.model.unfinished_solves()
-        done = 0
+        remarks = Remarks(self.model)
         bar_of_run = (
             contextlib.nullcontext(progress)
             if isinstance(progress, tqdm)
@@ -297,27 +295,15 @@ class Simulation:
                 disable=None if progress is None else not progress,
             )
         )
+        start = self.time
         with bar_of_run as bar:
-            while done < steps:
-                ahead = min(stride - done % stride, STEPS_PER_UPDATE, steps - done)
-                self.step(ahead)
-                done += ahead
-                bar.update(ahead)
-                if done % stride == 0:
-                    recorder.take(start + done * self.dt)
-        health = self.model.health()
-        if len(health.frozen) > frozen:
-            warnings.warn(str(health), RuntimeWarning, stacklevel=2)
-        for line, count in self.model.failed_lines().items():
-            if count > failed.get(line, 0):
-                warnings.warn(
-                    f"catenary {line!r} was without a solution in some steps of {count} of {self.model.envs} "
-                    f"environments; {line}.failures has their number",
-                    RuntimeWarning,
-                    stacklevel=2,
-                )
-        for sentence in (*self._about_unsolved(unsolved), *self._about_unfinished(unfinished)):
+            before = 0
+            for done in self.advance(recorder, steps, stride, start=start):
+                bar.update(done - before)
+                before = done
+        for sentence in remarks.new():
             warnings.warn(sentence, RuntimeWarning, stacklevel=2)
+        health = self.model.health()
         return recorder.finish(
             {
                 "dt": self.dt,
@@ -326,34 +312,35 @@ class Simulation:
             }
         )
 
-    def _about_unsolved(self, before: Mapping[str, NDArray[np.int32]]) -> list[str]:
-        """Returns what to say about smooth contacts for which more steps failed than ``before``."""
-        sentences = []
-        now = self.model.unsolved_contacts()
-        for contact in self.model.scene.smooth_contacts:
-            failed = np.flatnonzero(now[contact.name] > before[contact.name])
-            if len(failed):
-                sentences.append(
-                    f"{contact.name}: where {contact.shape.name!r} and {contact.other_shape.name!r} meet was not "
-                    f"found in some steps of {len(failed)} of {self.model.envs} environments, the first of them "
-                    f"{self.model.first_env + failed[0]}, and no force acted then; {contact.name}.failures has "
-                    "their number"
-                )
-        return sentences
+    def advance(
+        self, recorder: Recorder, steps: int, stride: int, *, start: float, done: int = 0, taken: int = 0
+    ) -> Iterator[int]:
+        """Steps and takes frames; yields how many steps are done, at the begin and after each piece of them.
 
-    def _about_unfinished(self, before: NDArray[np.int32]) -> list[str]:
-        """Returns what to say about contact problems, of which more were not solved than ``before``."""
-        more = self.model.unfinished_solves() - before
-        failed = np.flatnonzero(more > 0)
-        if not len(failed):
-            return []
-        worst = int(more.argmax())
-        return [
-            f"the contact problem was not solved to the tolerance in some steps of {len(failed)} of "
-            f"{self.model.envs} environments, most in {self.model.first_env + worst}, in {more[worst]} steps; "
-            "scene.solve_failures has their number, scene.solve_residual what was left: give the integrator more "
-            "iterations, solver='accelerated', or a larger tolerance"
-        ]
+        Args:
+            recorder: Takes the frames, the first before the first step.
+            steps: How many steps there are.
+            stride: How many of them from frame to frame.
+            start: Time at the begin [s].
+            done: How many of the steps are taken already.
+            taken: How many of the frames are.
+        """
+        ahead = SHORTEST_PIECE
+        while True:
+            if done == taken * stride:
+                recorder.take(start + done * self.dt)
+                taken += 1
+            yield done
+            if done >= steps:
+                return
+            count = min(ahead, taken * stride - done, steps - done)
+            begin = time.perf_counter()
+            self.step(count)
+            took = time.perf_counter() - begin
+            done += count
+            # On a GPU steps are queued, and no time tells how many do.
+            if count == ahead and ahead < LONGEST_PIECE and took < PIECE:
+                ahead *= 2
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"
