@@ -1,4 +1,4 @@
-"""An experiment that does not fit at once runs in batches, and leaves the same results."""
+"""An experiment that does not fit at once runs in shards, and leaves the same results."""
 
 import json
 import subprocess
@@ -15,7 +15,7 @@ from test_memory_plan import MIB, with_room
 import warpcontact as wc
 from warpcontact import available
 from warpcontact.draft import Draft
-from warpcontact.experiment.plan import batch_size
+from warpcontact.experiment.plan import shard_size
 from warpcontact.footprint import Need
 
 VARIED = {
@@ -45,32 +45,32 @@ def at_once(device, tmp_path_factory):
     return varied().run(tmp_path_factory.mktemp("once") / "out", device=device)
 
 
-@pytest.mark.parametrize(("batch", "batches"), [(1, 11), (2, 6), (4, 3), (10, 2), (11, 1), (1000, 1)])
-def test_batches_leave_the_same_results(batch, batches, at_once, device, tmp_path):
-    run = varied().run(tmp_path / "out", device=device, batch=batch)
+@pytest.mark.parametrize(("shard", "shards"), [(1, 11), (2, 6), (4, 3), (10, 2), (11, 1), (1000, 1)])
+def test_shards_leave_the_same_results(shard, shards, at_once, device, tmp_path):
+    run = varied().run(tmp_path / "out", device=device, shard=shard)
     assert stored(run).identical(stored(at_once))
     assert list(stored(run)) == list(stored(at_once))
-    assert run.recording.identical(stored(run)) or batches == 1
+    assert run.recording.identical(stored(run)) or shards == 1
     assert run.recording["env"].values.tolist() == list(range(11))
     assert run.recording.scene is not None
-    assert (run.summary["batches"], run.summary["envs"]) == (batches, 11)
-    assert run.summary["batch"] <= batch
+    assert (run.summary["shards"], run.summary["envs"]) == (shards, 11)
+    assert run.summary["shard"] <= shard
     assert run.summary["steps"] == at_once.summary["steps"]
     assert set(run.files) == set(at_once.files)
-    # Pictures of the same values, whatever has to be read for them; animations of environments of many batches.
+    # Pictures of the same values, whatever has to be read for them; animations of environments of many shards.
     assert run.files["picture"].read_bytes() == at_once.files["picture"].read_bytes()
     assert animation(run) == animation(at_once)
 
 
-@pytest.mark.parametrize("batch", [1, 3, 4, 10])
-def test_batches_are_split_over_devices(batch, at_once, device, tmp_path):
-    plan = varied().plan(device=[device] * 3, batch=batch)
-    run = varied().run(tmp_path / "out", device=[device] * 3, batch=batch)
+@pytest.mark.parametrize("shard", [1, 3, 4, 10])
+def test_shards_are_split_over_devices(shard, at_once, device, tmp_path):
+    plan = varied().plan(device=[device] * 3, shard=shard)
+    run = varied().run(tmp_path / "out", device=[device] * 3, shard=shard)
     whole, split = stored(at_once), stored(run)
-    assert split.attrs.pop("device") == ", ".join([device] * min(3, plan.batch))
+    assert split.attrs.pop("device") == ", ".join([device] * min(3, plan.shard))
     whole.attrs.pop("device")
     assert split.identical(whole)
-    assert run.summary["batches"] == plan.batches == -(-11 // plan.batch)
+    assert run.summary["shards"] == plan.shards == -(-11 // plan.shard)
 
 
 def animation(run):
@@ -80,25 +80,25 @@ def animation(run):
     return layer.ExportToString()
 
 
-def test_the_plan_decides_on_batches(at_once, device, tmp_path, monkeypatch):
+def test_the_plan_decides_on_shards(at_once, device, tmp_path, monkeypatch):
     from warpcontact import footprint
 
     plan = varied().plan(device=device)
-    assert (plan.envs, plan.batch, plan.batches) == (11, 11, 1)
+    assert (plan.envs, plan.shard, plan.shards) == (11, 11, 1)
     assert "11 environments: all at once" in str(plan)
     # Room for some of them, in steps in which one environment counts.
     monkeypatch.setattr(footprint, "COMFORTABLE", 0.85)
     monkeypatch.setattr("warpcontact.experiment.plan.COMFORTABLE", 0.85)
     place = plan.footprint.places[-1]
-    with_room(monkeypatch, int(varied().plan(device=device, batch=5).footprint.on(place) / 0.85) + 64)
+    with_room(monkeypatch, int(varied().plan(device=device, shard=5).footprint.on(place) / 0.85) + 64)
     plan = varied().plan(device=device)
-    assert 1 <= plan.batch <= 5
-    assert f"11 environments: {plan.batches} batches of {plan.batch}, one after another" in str(plan)
+    assert 1 <= plan.shard <= 5
+    assert f"11 environments: {plan.shards} shards of {plan.shard}, one after another" in str(plan)
     run = varied().run(tmp_path / "out", device=device)
-    assert run.summary["batches"] == plan.batches > 1
+    assert run.summary["shards"] == plan.shards > 1
     assert stored(run).identical(stored(at_once))
-    with pytest.raises(MemoryError, match=r"batch 11: 11 environments need .*; at most \d+ at once fits on"):
-        varied().run(tmp_path / "more", device=device, batch=11)
+    with pytest.raises(MemoryError, match=r"shard 11: 11 environments need .*; at most \d+ at once fits on"):
+        varied().run(tmp_path / "more", device=device, shard=11)
     assert not (tmp_path / "more").exists()
 
 
@@ -116,22 +116,22 @@ def test_a_plan_looks_at_all_devices(monkeypatch):
     monkeypatch.setattr(available, "_host", lambda: None)
     monkeypatch.setattr(available, "_device", {"cuda:0": 100 * MIB, "cuda:1": 4 * MIB}.get)
     plan = varied().plan(device=["cpu", "cpu"])
-    # Of 5, 3 would be on the first and 2, up to 70 % of what there is, on the second; 3 batches of 4 do as well.
-    assert (plan.batch, plan.batches) == (4, 3)
+    # Of 5, 3 would be on the first and 2, up to 70 % of what there is, on the second; 3 shards of 4 do as well.
+    assert (plan.shard, plan.shards) == (4, 3)
     assert "available: 4 MiB of the memory of cuda:1" in str(plan)
     with pytest.raises(
-        MemoryError, match=r"batch 11: 11 environments need 5 MiB of the memory of cuda:1, .* 7 at"
+        MemoryError, match=r"shard 11: 11 environments need 5 MiB of the memory of cuda:1, .* 7 at"
     ):
-        varied().plan(device=["cpu", "cpu"], batch=11)
+        varied().plan(device=["cpu", "cpu"], shard=11)
 
 
 def test_frozen_environments_keep_their_numbers(device, tmp_path):
-    # A force beyond float32 in some environments, of several batches.
+    # A force beyond float32 in some environments, of several shards.
     stiffness = {"values": [1e4, 1e4, 1e38, 1e4, 1e38, 1e4, 1e38]}
     body = content()["body"][0] | {"position": [0, 0, 0.05]}
     experiment = wc.Experiment(content(envs=7, body=[body], variation={"touch.law.stiffness": stiffness}))
     with pytest.warns(RuntimeWarning, match="3 of 7 environments turned non-finite") as warned:
-        run = experiment.run(tmp_path / "out", device=device, batch=3)
+        run = experiment.run(tmp_path / "out", device=device, shard=3)
     assert sum("non-finite" in str(warning.message) for warning in warned) == 1
     assert run.health.frozen.tolist() == [2, 4, 6]
     assert (run.health.envs, run.health.good) == (7, False)
@@ -145,7 +145,7 @@ def test_an_environment_that_fills_up_the_last_batch_is_not_reported(device, tmp
     stiffness = {"values": [1e4, 1e4, 1e4, 1e4, 1e38]}
     experiment = wc.Experiment(content(envs=5, body=[body], variation={"touch.law.stiffness": stiffness}))
     with pytest.warns(RuntimeWarning, match="1 of 5 environments turned non-finite"):
-        run = experiment.run(tmp_path / "out", device=device, batch=3)
+        run = experiment.run(tmp_path / "out", device=device, shard=3)
     assert run.health.frozen.tolist() == [4]
     assert run.recording.sizes["env"] == 5
 
@@ -156,8 +156,8 @@ def test_sets_of_as_many_points_as_a_batch_has_environments(device, tmp_path):
     values = {"touch.law.stiffness": {"linspace": [1e4, 2e4]}, "centre.position": {"uniform": [[0] * 3, [1] * 3]}}
     raw = content(envs=6, point=[], points=points, variation=values)
     once = wc.Experiment(raw).run(tmp_path / "once", device=device)
-    batches = wc.Experiment(raw).run(tmp_path / "batches", device=device, batch=3)
-    assert stored(batches).identical(stored(once))
+    shards = wc.Experiment(raw).run(tmp_path / "shards", device=device, shard=3)
+    assert stored(shards).identical(stored(once))
     assert stored(once)["touch.law.stiffness"].dims == ("env", "item")
 
 
@@ -165,17 +165,17 @@ def test_warnings_name_environments_by_their_numbers_among_all(device, tmp_path)
     stiffness = {"values": [1e3, 1e3, 1e3, 1e3, 1e7, 1e3]}
     experiment = wc.Experiment(content(envs=6, variation={"touch.law.stiffness": stiffness}))
     with pytest.warns(wc.ContactWarning, match="in environment 4, "):
-        run = experiment.run(tmp_path / "out", device=device, batch=2)
+        run = experiment.run(tmp_path / "out", device=device, shard=2)
     assert sum("is too long" in line for line in run.summary["warnings"]) == 1
-    # Of a kind that the first batch has warned of, one is enough.
+    # Of a kind that the first shard has warned of, one is enough.
     stiffness = {"values": [1e3, 1e7, 1e3, 1e3, 2e7, 1e3]}
     experiment = wc.Experiment(content(envs=6, variation={"touch.law.stiffness": stiffness}))
     with pytest.warns(wc.ContactWarning, match="in environment 1, "):
-        run = experiment.run(tmp_path / "again", device=device, batch=2)
+        run = experiment.run(tmp_path / "again", device=device, shard=2)
     assert sum("is too long" in line for line in run.summary["warnings"]) == 1
 
 
-def test_the_bar_counts_the_steps_of_all_batches(device, tmp_path, monkeypatch):
+def test_the_bar_counts_the_steps_of_all_shards(device, tmp_path, monkeypatch):
     import tqdm
 
     bars = []
@@ -186,9 +186,9 @@ def test_the_bar_counts_the_steps_of_all_batches(device, tmp_path, monkeypatch):
             bars.append(self)
 
     monkeypatch.setattr(tqdm, "tqdm", Bar)
-    wc.Experiment(content(envs=5)).run(tmp_path / "out", device=device, batch=2, progress=True)
+    wc.Experiment(content(envs=5)).run(tmp_path / "out", device=device, shard=2, progress=True)
     assert [(bar.total, bar.n) for bar in bars] == [(3 * 20, 3 * 20)]
-    assert bars[0].desc.startswith("5 environments in 3 batches")
+    assert bars[0].desc.startswith("5 environments in 3 shards")
 
 
 def test_an_interrupted_batch_leaves_nothing_behind(device, tmp_path, monkeypatch):
@@ -198,18 +198,18 @@ def test_an_interrupted_batch_leaves_nothing_behind(device, tmp_path, monkeypatc
     def interrupted(self, *args, **options):
         taken.append(self.model.first_env)
         if len(taken) == 2:
-            assert (tmp_path / "recording.zarr").exists()  # of the first batch
+            assert (tmp_path / "recording.zarr").exists()  # of the first shard
             raise KeyboardInterrupt
         return run(self, *args, **options)
 
     monkeypatch.setattr(wc.Simulation, "run", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        wc.Experiment(content(envs=6)).run(tmp_path, device=device, batch=2)
+        wc.Experiment(content(envs=6)).run(tmp_path, device=device, shard=2)
     assert taken == [0, 2]
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
     assert json.loads((tmp_path / "run.json").read_text())["state"] == "interrupted"
     monkeypatch.undo()
-    assert wc.Experiment(content(envs=6)).run(tmp_path, device=device, batch=2).health.good
+    assert wc.Experiment(content(envs=6)).run(tmp_path, device=device, shard=2).health.good
 
 
 def test_values_that_do_not_fit_are_found_before_anything_is_removed(device, tmp_path):
@@ -217,40 +217,40 @@ def test_values_that_do_not_fit_are_found_before_anything_is_removed(device, tmp
     scale = {"values": [1.0, 1.0, 1.0, 1e-60]}  # positive, and zero in float32
     experiment = wc.Experiment(content(variation={"touch.radius": {"value": 0.1}, "ground.scale": scale}))
     with pytest.raises(ValueError, match="does not fit into float32"):
-        experiment.run(tmp_path, device=device, overwrite=True, batch=2)
+        experiment.run(tmp_path, device=device, overwrite=True, shard=2)
     assert (tmp_path / "recording.zarr").exists()
 
 
-@pytest.mark.parametrize("batch", [0, -3, 1.5, "many", True])
-def test_wrong_batches_are_refused_by_name(batch, tmp_path):
-    with pytest.raises(wc.ExperimentError, match=r"batch must be a whole number of at least 1, got"):
-        wc.Experiment(content()).run(tmp_path / "out", batch=batch)
-    with pytest.raises(wc.ExperimentError, match=r"batch must be a whole number of at least 1, got"):
-        wc.Experiment(content()).plan(batch=batch)
+@pytest.mark.parametrize("shard", [0, -3, 1.5, "many", True])
+def test_wrong_shards_are_refused_by_name(shard, tmp_path):
+    with pytest.raises(wc.ExperimentError, match=r"shard must be a whole number of at least 1, got"):
+        wc.Experiment(content()).run(tmp_path / "out", shard=shard)
+    with pytest.raises(wc.ExperimentError, match=r"shard must be a whole number of at least 1, got"):
+        wc.Experiment(content()).plan(shard=shard)
     assert not (tmp_path / "out").exists()
 
 
-def test_batches_are_even_and_of_round_size():
+def test_shards_are_even_and_of_round_size():
     rng = np.random.default_rng(0)
     for _ in range(2000):
         envs = int(np.exp(rng.uniform(0, 16)))
         most = int(np.exp(rng.uniform(0, 16)))
-        size = batch_size(most, envs)
+        size = shard_size(most, envs)
         assert 1 <= size <= max(1, min(most, envs))
         if size < envs:
-            batches = -(-envs // size)
-            # Rounding costs a thirtieth, and hardly a batch.
-            assert size * batches < envs * 33 / 32 + size
-            assert batches <= -(-envs // most) * 33 / 32 + 1
+            shards = -(-envs // size)
+            # Rounding costs a thirtieth, and hardly a shard.
+            assert size * shards < envs * 33 / 32 + size
+            assert shards <= -(-envs // most) * 33 / 32 + 1
             assert size % (1 << max(0, most.bit_length() - 6)) == 0
-    assert batch_size(4, 10) == 4
-    assert batch_size(7, 10) == 5
+    assert shard_size(4, 10) == 4
+    assert shard_size(7, 10) == 5
 
 
-def test_pieces_on_disk_are_parts_of_a_batch(device, tmp_path, monkeypatch):
+def test_pieces_on_disk_are_parts_of_a_shard(device, tmp_path, monkeypatch):
     monkeypatch.setattr("warpcontact.experiment.result.CHUNK", 700)  # a few environments of 21 frames
-    run = wc.Experiment(content(envs=20)).run(tmp_path / "out", device=device, batch=8)
-    size = run.summary["batch"]
+    run = wc.Experiment(content(envs=20)).run(tmp_path / "out", device=device, shard=8)
+    size = run.summary["shard"]
     chunks = {name: array.chunks for name, array in zarr.open_group(run.files["recording"], mode="r").arrays()}
     # 21 frames of 24 bytes: one environment; of 4 bytes: eight.
     assert size == 7
@@ -260,8 +260,8 @@ def test_pieces_on_disk_are_parts_of_a_batch(device, tmp_path, monkeypatch):
     assert stored(run).identical(stored(once))
 
 
-def test_a_recording_of_batches_is_read_where_it_is_asked_for(device, tmp_path):
-    run = wc.Experiment(content(envs=6)).run(tmp_path / "out", device=device, batch=2)
+def test_a_recording_of_shards_is_read_where_it_is_asked_for(device, tmp_path):
+    run = wc.Experiment(content(envs=6)).run(tmp_path / "out", device=device, shard=2)
     assert not run.recording["ball.position"].variable._in_memory
     assert run.recording["touch.gap"].sel(env=5).values.shape == (21,)
     assert isinstance(run.recording, wc.Recording)
@@ -269,7 +269,7 @@ def test_a_recording_of_batches_is_read_where_it_is_asked_for(device, tmp_path):
     assert "env_5" in (tmp_path / "two.usda").read_text()
 
 
-def test_command_runs_in_batches(device, tmp_path, capsys):
+def test_command_runs_in_shards(device, tmp_path, capsys):
     from warpcontact.cli import main
 
     (tmp_path / "study.toml").write_text(
@@ -278,14 +278,14 @@ def test_command_runs_in_batches(device, tmp_path, capsys):
         '[variation]\n"b.mass" = { linspace = [1, 2] }\n'
     )
     words = ["run", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"), "--device", device]
-    assert main([*words, "--batch", "2"]) == 0
+    assert main([*words, "--shard", "2"]) == 0
     out, err = capsys.readouterr()
-    assert "3 batches of 2" in err
+    assert "3 shards of 2" in err
     assert "5 environments × 0.01 s in 10 steps of 0.001 s" in out
-    assert "in 3 batches, " in out
+    assert "in 3 shards, " in out
     assert "all 5 environments are active" in out
-    assert main([*words, "--batch", "0"]) == 2
-    assert "--batch 0: batch must be" in capsys.readouterr().err
+    assert main([*words, "--shard", "0"]) == 2
+    assert "--shard 0: shard must be" in capsys.readouterr().err
 
 
 PEAK = """
@@ -297,7 +297,7 @@ import warpcontact as wc
 def told(key):
     return 1024 * int(next(line for line in open("/proc/self/status") if line.startswith(key)).split()[1])
 
-file, folder, envs, batch = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+file, folder, envs, shard = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
 experiment = wc.Experiment.from_toml(file).changed(envs=envs, duration=0.5)
 # Everything is loaded then, and the picture drawn once.
 experiment.run(folder + "/first", envs=4, device="cpu", progress=False)
@@ -305,18 +305,18 @@ gc.collect()
 if hasattr(ctypes.CDLL(None), "malloc_trim"):
     ctypes.CDLL(None).malloc_trim(0)  # what is free would be used again
 before = told("VmRSS")
-plan = experiment.plan(device="cpu", batch=batch)
-experiment.run(folder + "/second", device="cpu", batch=batch, progress=False)
+plan = experiment.plan(device="cpu", shard=shard)
+experiment.run(folder + "/second", device="cpu", shard=shard, progress=False)
 print(told("VmHWM") - before, plan.footprint.host_bytes)
 """
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="asks Linux how much memory a process has")
-@pytest.mark.parametrize("batch", [6144, 12288], ids=["batches", "at once"])
-def test_the_plan_of_an_experiment_is_what_its_run_takes(batch, tmp_path):
-    """Within 15 %, from the start to the picture, of two batches as of one."""
-    words = [sys.executable, "-c", PEAK, str(EXAMPLE), str(tmp_path), "12288", str(batch)]
+@pytest.mark.parametrize("shard", [6144, 12288], ids=["shards", "at once"])
+def test_the_plan_of_an_experiment_is_what_its_run_takes(shard, tmp_path):
+    """Within 15 %, from the start to the picture, of two shards as of one."""
+    words = [sys.executable, "-c", PEAK, str(EXAMPLE), str(tmp_path), "12288", str(shard)]
     result = subprocess.run(words, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     took, planned = map(int, result.stdout.split()[-2:])

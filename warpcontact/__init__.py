@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from warpcontact.contact_range import ContactRange
     from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
     from warpcontact.elements import Body, Contact, Points, Surface, Template
-    from warpcontact.experiment import Experiment, ExperimentError
+    from warpcontact.experiment import Experiment, ExperimentError, Run, StoreError, open_run
     from warpcontact.health import Health
     from warpcontact.kernels import frictions, laws, motions, springs
     from warpcontact.kernels.formula import memory, parameter, table
@@ -67,6 +67,7 @@ _HOME = {
     "Patch": "warpcontact.kernels.smooth.patch",
     "Points": "warpcontact.elements",
     "Recording": "warpcontact.recorder",
+    "Run": "warpcontact.experiment",
     "Scene": "warpcontact.scene",
     "Simulation": "warpcontact.simulation",
     "SplitModel": "warpcontact.split_model",
@@ -75,6 +76,7 @@ _HOME = {
     "SmoothContact": "warpcontact.smooth.elements",
     "SpringDamper": "warpcontact.couplings.elements",
     "Status": "warpcontact.status",
+    "StoreError": "warpcontact.experiment",
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
     "Template": "warpcontact.elements",
@@ -88,6 +90,7 @@ _HOME = {
     "memory": "warpcontact.kernels.formula",
     "meshes": "warpcontact.meshes",
     "motions": "warpcontact.kernels.motions",
+    "open_run": "warpcontact.experiment",
     "parameter": "warpcontact.kernels.formula",
     "sample_surface": "warpcontact.meshes",
     "shapes": "warpcontact.kernels.smooth.shapes",
@@ -123,6 +126,7 @@ __all__ = [
     "Patch",
     "Points",
     "Recording",
+    "Run",
     "Scene",
     "Shape",
     "Simulation",
@@ -131,6 +135,7 @@ __all__ = [
     "Spring",
     "SpringDamper",
     "Status",
+    "StoreError",
     "Surface",
     "SurfaceSamples",
     "Template",
@@ -145,6 +150,7 @@ __all__ = [
     "memory",
     "meshes",
     "motions",
+    "open_run",
     "parameter",
     "sample_surface",
     "shapes",

@@ -3,6 +3,7 @@
 import argparse
 import os
 import re
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 FAILED = 1  # the answer is no: an unusable mesh, a plan that does not fit
 WRONG_USE = 2  # the command could not be carried out, as argparse has it
+SHARDS_FAILED = 3  # some shards of a run; the others are finished
 INTERRUPTED = 130  # the shell's number for Ctrl-C
 
 
@@ -26,8 +28,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Its words; ``None``: those of the process.
 
     Returns:
-        The exit code: 0, or 1 for an unusable mesh or a plan that does not fit, 2 for an error, 130 if
-        interrupted.
+        The exit code: 0, or 1 for an unusable mesh or a plan that does not fit, 2 for an error, 3 if shards of a
+        run failed, 130 if interrupted.
     """
     arguments = _parser().parse_args(argv)
     try:
@@ -63,18 +65,40 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--out", metavar="DIR", help="folder for the results (default: results/<name of the experiment>)"
     )
-    run.add_argument("--overwrite", action="store_true", help="replace an earlier run in the folder")
+    going = run.add_mutually_exclusive_group()
+    going.add_argument("--overwrite", action="store_true", help="replace an earlier run in the folder")
+    going.add_argument(
+        "--resume", action="store_true", help="go on with the run in the folder; FILE may be left out"
+    )
+    run.add_argument(
+        "--ray",
+        nargs="?",
+        const=True,
+        default=False,
+        metavar="ADDRESS",
+        help="run shards as tasks of Ray: on this machine, or on the cluster with this address",
+    )
+    run.add_argument(
+        "--checkpoint",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="seconds between checkpoints of a shard (default: 60)",
+    )
+    run.add_argument("--threads", type=int, metavar="N", help="threads on the CPU (default: one per core)")
     run.set_defaults(command=_run)
 
     plan = commands.add_parser(
         "plan",
-        help="memory and disk that an experiment takes, and its batches",
-        description="Tell what running an experiment file would take of memory and disk, and in which batches of "
-        "environments it would run. Nothing is run. Exit code 1: it does not fit.",
+        help="memory, disk and time that an experiment takes, and its shards",
+        description="Tell what running an experiment file would take of memory, disk and time, and in which "
+        "shards of environments it would run. Exit code 1: it does not fit.",
     )
     plan.set_defaults(command=_plan)
     for command in (run, plan):
-        command.add_argument("file", metavar="FILE", help="the experiment, a TOML file")
+        command.add_argument(
+            "file", metavar="FILE", nargs="?" if command is run else None, help="the experiment, a TOML file"
+        )
         command.add_argument(
             "--envs", type=int, metavar="N", help="number of environments instead of that in the file"
         )
@@ -89,10 +113,10 @@ def _parser() -> argparse.ArgumentParser:
             "any)",
         )
         command.add_argument(
-            "--batch",
+            "--shard",
             type=int,
             metavar="N",
-            help="at most so many environments at once, the others after them (default: as many as fit)",
+            help="at most so many environments at once, committed together (default: as many as fit)",
         )
 
     inspect = commands.add_parser(
@@ -148,13 +172,17 @@ def _run(arguments: argparse.Namespace) -> int:
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
-    from warpcontact.experiment import ExperimentError
-    from warpcontact.experiment.result import INTERRUPTED as INTERRUPTED_RUN
-    from warpcontact.experiment.result import read_summary
+    from warpcontact.experiment import ExperimentError, StoreError
+    from warpcontact.experiment.folder import EXPERIMENT, read_summary
+    from warpcontact.experiment.folder import INTERRUPTED as INTERRUPTED_RUN
 
     def warn(text: str) -> None:
         print(f"warning: {text}", file=sys.stderr, flush=True)
 
+    if arguments.file is None:
+        if not (arguments.resume and arguments.out):
+            return _fail("FILE is missing; it may be left out with --resume --out DIR")
+        arguments.file = Path(arguments.out) / EXPERIMENT
     folder: Path | None = None
     try:
         experiment = _experiment(arguments)
@@ -167,19 +195,32 @@ def _run(arguments: argparse.Namespace) -> int:
                 folder,
                 device=_device(arguments),
                 overwrite=arguments.overwrite,
-                batch=arguments.batch,
+                resume=arguments.resume,
+                ray=arguments.ray,
+                shard=arguments.shard,
+                threads=arguments.threads,
+                checkpoint=arguments.checkpoint,
                 on_stage=_say,
                 on_warning=warn,
             )
-    except ExperimentError as error:
+    except (ExperimentError, StoreError) as error:
         return _fail(str(error))
     except KeyboardInterrupt:
         if folder is None or (read_summary(folder) or {}).get("state") != INTERRUPTED_RUN:
             raise
-        print(f"\nwarpcontact: interrupted; nothing was kept in {folder}", file=sys.stderr)
+        print(f"\nwarpcontact: interrupted; what was done is kept{_resume(folder)}", file=sys.stderr)
         return INTERRUPTED
+    except OSError as error:
+        code = _fail(str(error))
+        if folder is not None and read_summary(folder) is not None:
+            print(f"warpcontact: what was committed is kept{_resume(folder)}", file=sys.stderr)
+        return code
     print(result)
-    return 0
+    return SHARDS_FAILED if result.summary.get("failed") else 0
+
+
+def _resume(folder: Path) -> str:
+    return f" in {folder}; go on with:\n    warpcontact run --resume --out {shlex.quote(str(folder))}"
 
 
 def _plan(arguments: argparse.Namespace) -> int:
@@ -192,14 +233,14 @@ def _plan(arguments: argparse.Namespace) -> int:
     try:
         experiment = _experiment(arguments)
         with _blaming_option(arguments, experiment):
-            plan = experiment.plan(device=_device(arguments), batch=arguments.batch)
+            plan = experiment.plan(device=_device(arguments), shard=arguments.shard)
     except ExperimentError as error:
         return _fail(str(error))
     except MemoryShortage as error:
         print(error)
         return FAILED
     print(plan)
-    return 0 if plan.batch else FAILED
+    return 0 if plan.shard else FAILED
 
 
 def _experiment(arguments: argparse.Namespace) -> "Experiment":
@@ -226,9 +267,9 @@ def _say(stage: str) -> None:
 
 
 def _blaming_option(arguments: argparse.Namespace, experiment: "Experiment") -> AbstractContextManager[None]:
-    """Names the option that is left to be wrong: the number of a batch, or the device."""
-    batch = arguments.batch
-    option = f"--batch {batch}" if batch is not None and batch < 1 else f"--device {arguments.device}"
+    """Names the option that is left to be wrong: the size of a shard, or the device."""
+    shard = arguments.shard
+    option = f"--shard {shard}" if shard is not None and shard < 1 else f"--device {arguments.device}"
     return _blaming(option, experiment.source)
 
 

@@ -1,7 +1,6 @@
 """What became of a contact coupling: how close the surfaces came, and over which area they repelled each other."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +9,8 @@ from numpy.typing import NDArray
 from warpcontact.checks import Array
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from warpcontact.contact_coupling import ContactCoupling
     from warpcontact.contact_range import ExpectedImpact
     from warpcontact.environments import Environments
@@ -97,24 +98,22 @@ def report(coupling: "ContactCoupling", model: "Environments") -> CouplingReport
     )
 
 
-def joined(reports: Sequence[CouplingReport]) -> CouplingReport:
-    """Returns one report of a coupling in several batches of environments, in their order."""
-    first = reports[0]
-    return replace(
-        first,
-        effective_area=np.concatenate([report.effective_area for report in reports]),
-        minimum_distance=np.concatenate([report.minimum_distance for report in reports]),
-        effective_range=np.concatenate([report.effective_range for report in reports]),
-    )
+#: What is kept of a coupling among the outcomes of a run.
+OUTCOMES = ("effective_area", "minimum_distance")
 
 
-def first_of(report: CouplingReport, envs: int) -> CouplingReport:
-    """Returns what ``report`` tells of its first environments."""
-    return replace(
-        report,
-        effective_area=report.effective_area[:envs],
-        minimum_distance=report.minimum_distance[:envs],
-        effective_range=report.effective_range[:envs],
+def report_of(coupling: "ContactCoupling", outcome: "xr.Dataset", parameters: "xr.Dataset") -> CouplingReport:
+    """Returns the report of a coupling from the outcomes and parameters (env, …) of a run."""
+    envs = outcome.sizes["env"]
+    name = f"{coupling.name}.effective_range"
+    ranges = parameters[name].values if name in parameters else np.full(envs, coupling.range.effective_range)
+    return CouplingReport(
+        name=coupling.name,
+        effective_area=outcome[f"{coupling.name}.effective_area"].values.astype(np.float64),
+        minimum_distance=outcome[f"{coupling.name}.minimum_distance"].values.astype(np.float64),
+        effective_range=ranges,
+        impact=coupling.range.impact,
+        first_env=int(outcome["env"].values[0]) if envs else 0,
     )
 
 

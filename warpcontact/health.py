@@ -22,9 +22,10 @@ class Health:
     frozen: NDArray[np.int_]
 
     @classmethod
-    def of_status(cls, status: NDArray[np.int_]) -> "Health":
-        """Reads the status array of a model."""
-        return cls(envs=len(status), frozen=np.flatnonzero(status != ENV_ACTIVE))
+    def of_status(cls, status: NDArray[np.int_], numbers: NDArray[np.int_] | None = None) -> "Health":
+        """Reads the status array of a model; ``numbers`` are those of its environments, if not from 0."""
+        frozen = np.flatnonzero(status != ENV_ACTIVE)
+        return cls(envs=len(status), frozen=frozen if numbers is None else numbers[frozen])
 
     @property
     def good(self) -> bool:

@@ -107,6 +107,7 @@ class _Channel:
         # Of one environment, as it is reported.
         self._sample = self.reading.finish(source[:1].numpy()[None], axis=2)[0, 0]
         self.frame = Frame(name, row, self._sample.nbytes)
+        self.result = np.zeros((0, model.envs, *self._sample.shape), dtype=self._sample.dtype)
         self.rings: list[_Ring] = []
 
     @beside_captures()
@@ -188,10 +189,17 @@ class Recorder:
         frames: Number of frames that it holds.
         poses: Whether to take the pose of every body as well, and keep the parameters that differ.
         parameters: Names of further parameters to keep.
+        series: Whether to take any frames: if not, only the parameters are kept.
     """
 
     def __init__(
-        self, model: Environments, names: Iterable[str], frames: int, poses: bool, parameters: Iterable[str] = ()
+        self,
+        model: Environments,
+        names: Iterable[str],
+        frames: int,
+        poses: bool,
+        parameters: Iterable[str] = (),
+        series: bool = True,
     ) -> None:
         self.model = model
         self.kept = [model.find_parameter(name) for name in parameters]
@@ -205,7 +213,7 @@ class Recorder:
                 if model.varies(name) or name.endswith(needed) or name in moved
             ]
         wanted = list(dict.fromkeys(names))
-        if poses:
+        if poses and series:
             both = ("position", "orientation")
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
         readings = [model.find_reading(name) for name in dict.fromkeys(wanted)]

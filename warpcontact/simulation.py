@@ -88,7 +88,8 @@ class Simulation:
         self.deterministic = bool(deterministic)
         self.distance_cache = bool(distance_cache)
         self.graphs = bool(graphs)
-        self._advised = False
+        # Whether the first step has nothing to warn of any more.
+        self.advised = False
         launched = ", or take graphs=False" if any(device.is_cpu for device in model.devices) else ""
         require(self._stepping, model.envs, "to step them, ", launched if self.graphs else "")
         self._buffers = [Buffers(part, integrator, self.dt, self.crossing_steps) for part in model.parts]
@@ -196,8 +197,8 @@ class Simulation:
             return
         model = self.model
         self._attach()
-        if model.at_start and not self._advised:
-            self._advised = True
+        if model.at_start and not self.advised:
+            self.advised = True
             for sentence in self.advice():
                 warnings.warn(sentence, ContactWarning, stacklevel=2)
         for part in model.parts:

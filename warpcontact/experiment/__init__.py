@@ -2,6 +2,7 @@
 
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.experiment import Experiment
-from warpcontact.experiment.result import Run
+from warpcontact.experiment.run import Run, open_run
+from warpcontact.experiment.store import StoreError
 
-__all__ = ["Experiment", "ExperimentError", "Run"]
+__all__ = ["Experiment", "ExperimentError", "Run", "StoreError", "open_run"]

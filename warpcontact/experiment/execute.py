@@ -1,12 +1,12 @@
-"""One run: from the built environments to the files in the folder of results."""
+"""A run from its start, or from where it stopped, to the end: its shards, and pictures of what they left."""
 
 import datetime
 import hashlib
 import os
 import platform
-import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +14,23 @@ import numpy as np
 import warp as wp
 
 from warpcontact._version import __version__
-from warpcontact.checks import Array
-from warpcontact.contact_coupling_report import CouplingReport, joined
 from warpcontact.environments import Environments
-from warpcontact.experiment import result
-from warpcontact.experiment.batches import Batches, opened
+from warpcontact.experiment import folder as files_of
+from warpcontact.experiment import store
+from warpcontact.experiment.design import Design
+from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.fingerprint import differences, fingerprint
 from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.plan import Plan
-from warpcontact.experiment.result import Copy, Run
+from warpcontact.experiment.progress import Bar
+from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.schema import Settings
+from warpcontact.experiment.shards import Frames, Interrupted, ShardRunner
+from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError, shards_of
 from warpcontact.experiment.toml import to_toml
-from warpcontact.health import Health
-from warpcontact.recorder import Recording
-from warpcontact.simulation import Simulation
+
+#: How often a shard is tried.
+ATTEMPTS = 3
 
 
 @dataclass(frozen=True)
@@ -35,55 +39,193 @@ class Job:
 
     Attributes:
         settings: The experiment, with all defaults.
-        varied: Values of the parameters that vary, of all environments.
-        plan: How many environments are in a batch, and how many batches there are.
+        design: What varies.
+        plan: How many environments are in a shard, and how many shards there are.
         copy: What repeats the run.
         folder: Where the results go.
         progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
         say: Called when a stage that may take long begins.
         notices: Receives warnings.
+        every: Time between checkpoints [s].
+        threads: Threads that step environments on the CPU; ``None``: one per core.
     """
 
     settings: Settings
-    varied: Mapping[str, Array]
+    design: Design
     plan: Plan
-    copy: Copy
+    copy: files_of.Copy
     folder: Path
     progress: bool | None
     say: Callable[[str], None]
     notices: Notices
+    every: float
+    threads: int | None = None
+
+    @property
+    def frames(self) -> Frames:
+        """How series are taken."""
+        return Frames.of(self.settings, self.plan.block)
+
+    @property
+    def shards(self) -> list[Shard]:
+        """All shards."""
+        return shards_of(self.plan.envs, self.plan.shard)
+
+    def runner(self, model: Environments) -> ShardRunner:
+        """Returns what runs shards on ``model``."""
+        return ShardRunner(model, self.settings, self.design, self.frames, self.folder, self.every, self.threads)
 
 
-def execute(model: Environments, job: Job) -> Run:
-    """Runs ``job`` and writes the results; if interrupted, only ``run.json`` is left, which says so.
+@dataclass
+class Outcome:
+    """What became of the shards of one attempt to run them all.
 
-    Args:
-        model: The environments of a batch, built, with values that do not vary.
-        job: What to do.
+    Attributes:
+        failed: Why shards failed for the last time, by their names.
+    """
+
+    failed: dict[str, str] = field(default_factory=dict)
+
+
+#: Runs shards: those that are left, with their records, and the bar that is told.
+Runs = Callable[[Iterable[Shard], Mapping[int, Commit], Bar], Outcome]
+
+
+def start(runner: ShardRunner, job: Job) -> None:
+    """Makes the folder of a new run with its empty store.
 
     Raises:
         ValueError: If a value does not fit into the precision of the device, before anything is removed.
     """
-    settings = job.settings
-    simulation = Simulation(
-        model, dt=settings.dt, integrator=settings.integrator.make(), crossing_steps=settings.crossing_steps
+    # All of them, so that values that do not fit are found now; the first one last.
+    for shard in reversed(job.shards):
+        runner.take(shard)
+    folder, settings = job.folder, job.settings
+    files_of.clear(folder)
+    files_of.write_summary(folder, _first_summary(runner.model, job))
+    comment = f"The experiment as warpcontact {__version__} ran it, with all defaults."
+    (folder / files_of.EXPERIMENT).write_text(to_toml(job.copy.settings, comment), encoding="utf-8")
+    for name, content in job.copy.files.items():
+        (folder / name).write_bytes(content)
+    files_of.make_parts(folder)
+    frames = job.frames
+    attributes = {
+        "source": f"warpcontact {__version__}",
+        "precision": settings.precision,
+        "dt": settings.dt,
+        "integrator": settings.integrator.type,
+        "name": settings.name,
+        "seed": settings.seed,
+    }
+    times = frames.times(settings.dt)
+    store.create(folder / store.DATA, runner.templates(), settings.envs, times, frames.block, attributes)
+
+
+def check_resumable(summary: Mapping[str, Any], job: Job) -> None:
+    """Raises ``ExperimentError`` unless ``job`` is the run of ``summary``."""
+    if summary.get("fingerprint") == fingerprint(job.copy):
+        return
+    told = differences(job.folder / files_of.EXPERIMENT, job.copy.settings)
+    raise ExperimentError(
+        str(job.folder),
+        [
+            "holds the run of another experiment: "
+            + ("; ".join(told) if told else "files that it names have changed since")
+        ],
     )
-    run: _AtOnce | _InBatches = (_AtOnce if job.plan.batches == 1 else _InBatches)(simulation, job)
-    result.clear_folder(job.folder)
-    summary = _first_summary(model, job)
+
+
+def proceed(job: Job, run_shards: Runs) -> Run:
+    """Runs all shards that are not finished, and ends the run if none is left.
+
+    Raises:
+        Interrupted: If somebody pressed Ctrl-C; says how to go on.
+        OSError: If there is no room on the disk, for instance; the last commits are kept.
+    """
+    folder = job.folder
+    files_of.make_parts(folder)
+    ledger = Ledger(folder)
+    ledger.check()
+    commits = ledger.commits()
+    summary = (files_of.read_summary(folder) or {}) | {
+        "state": files_of.UNFINISHED,
+        "process": os.getpid(),
+        "host": platform.node(),
+    }
+    summary.pop("failed", None)
+    files_of.write_summary(folder, summary)
+    shards = job.shards
+    for shard in shards:
+        ledger.recover(shard, commits.get(shard.number, Commit(shard.number)))
+    left = [shard for shard in shards if not _is_finished(commits, shard)]
+    frozen = sum(commit.frozen for commit in commits.values() if commit.finished)
     try:
-        return _execute(simulation, run, job, summary)
+        with Bar(job.plan.envs, job.frames.steps, len(shards), job.progress) as bar:
+            bar.begin(sum(shard.envs for shard in shards if _is_finished(commits, shard)), frozen)
+            outcome = run_shards(left, commits, bar)
     except KeyboardInterrupt:
-        result.write_summary(job.folder / result.SUMMARY, summary | {"state": result.INTERRUPTED})
-        result.clear_folder(job.folder, keep=result.SUMMARY)
+        files_of.write_summary(folder, summary | {"state": files_of.INTERRUPTED, "warnings": job.notices.lines})
         raise
+    if outcome.failed:
+        summary |= {"state": files_of.FAILED, "failed": outcome.failed, "warnings": job.notices.lines}
+        files_of.write_summary(folder, summary)
+        return open_run(folder)
+    return _end(job, summary)
+
+
+def here(runner: ShardRunner, job: Job) -> Runs:
+    """Returns what runs shards in this process, one after another."""
+
+    def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> Outcome:
+        outcome = Outcome()
+        for shard in left:
+            message = attempt(runner, shard, commits.get(shard.number), bar, alone=len(job.shards) == 1)
+            if message is not None:
+                outcome.failed[shard.name] = message
+        return outcome
+
+    return run
+
+
+def attempt(runner: ShardRunner, shard: Shard, commit: Commit | None, bar: Bar, *, alone: bool) -> str | None:
+    """Runs a shard, several times if it fails; returns why it failed for the last time.
+
+    Args:
+        runner: Runs it.
+        shard: The shard.
+        commit: Its record so far.
+        bar: Is told.
+        alone: Whether there is no other, which might do better: an error is then raised at once.
+    """
+    for number in range(ATTEMPTS):
+        try:
+            ended = runner.run(shard, commit, lambda done: bar.update(shard, done))
+            bar.finish(shard, ended.frozen)
+            return None
+        except (KeyboardInterrupt, StoreError):
+            raise
+        except OSError:
+            raise  # a full disk is full for all
+        except Exception as error:
+            if alone:
+                raise
+            if number == ATTEMPTS - 1:
+                return f"{type(error).__name__}: {error}"
+            warnings.warn(f"{shard.name} is tried again: {error}", RuntimeWarning, stacklevel=2)
+            commit = runner.ledger.commits().get(shard.number)
+            runner.ledger.recover(shard, commit or Commit(shard.number))
+    return None
+
+
+def _is_finished(commits: Mapping[int, Commit], shard: Shard) -> bool:
+    return shard.number in commits and commits[shard.number].finished
 
 
 def _first_summary(model: Environments, job: Job) -> dict[str, Any]:
-    settings = job.settings
+    settings, frames = job.settings, job.frames
     laws = {name: hashlib.sha256(content).hexdigest() for name, content in job.copy.files.items()}
     return {
-        "state": result.UNFINISHED,
+        "state": files_of.UNFINISHED,
         "process": os.getpid(),
         "name": settings.name,
         "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -99,108 +241,54 @@ def _first_summary(model: Environments, job: Job) -> dict[str, Any]:
         "precision": settings.precision,
         "seed": settings.seed,
         "envs": settings.envs,
-        "batches": job.plan.batches,
-        "batch": job.plan.batch,
+        "shard": job.plan.shard,
+        "shards": len(job.shards),
+        "block": frames.block,
         "dt": settings.dt,
+        "duration": float(f"{frames.steps * settings.dt:.12g}"),
+        "steps": frames.steps,
         "integrator": settings.integrator.type,
-        result.LAW_FILES: laws,
+        "fingerprint": fingerprint(job.copy),
+        files_of.LAW_FILES: laws,
     }
 
 
-def _execute(simulation: Simulation, run: "_AtOnce | _InBatches", job: Job, summary: dict[str, Any]) -> Run:
-    settings, folder = job.settings, job.folder
-    files = {"experiment": folder / result.EXPERIMENT, "summary": folder / result.SUMMARY}
-    result.write_summary(files["summary"], summary)
-    comment = f"The experiment as warpcontact {__version__} ran it, with all defaults."
-    files["experiment"].write_text(to_toml(job.copy.settings, comment), encoding="utf-8")
-    for name, content in job.copy.files.items():
-        files[name] = folder / name
-        files[name].write_bytes(content)
-
-    job.say(f"compiling for {', '.join(map(str, simulation.model.devices))}")
-    simulation.step()  # compiles what is not in the cache; the time of the run is then that of stepping
-    simulation.reset()
-    files["recording"] = folder / result.RECORDING
-    recording, health, wall_time = run(files["recording"])
-    reports = run.reports()
-    _show(recording, settings, list(job.varied), folder, files)
+def _end(job: Job, summary: dict[str, Any]) -> Run:
+    """Writes what shows the results, and that the run is finished."""
+    folder = job.folder
+    commits = Ledger(folder).commits()
+    wall_time = sum(commit.wall_time for commit in commits.values())
+    run = Run(folder, summary)
+    job.say("writing")
+    _show(run, job)
+    health = run.health
+    if not health.good:
+        warnings.warn(str(health), RuntimeWarning, stacklevel=3)
     summary = summary | {
-        "state": result.FINISHED,
-        "duration": float(f"{simulation.time:.12g}"),  # a sum of steps
-        "steps": simulation.steps,
+        "state": files_of.FINISHED,
         "wall_time": wall_time,
-        "env_steps_per_second": settings.envs * simulation.steps / wall_time,
+        "env_steps_per_second": summary["envs"] * summary["steps"] / max(wall_time, 1.0e-9),
         "frozen_environments": health.frozen.tolist(),
-        "contact_couplings": {report.name: str(report).split("\n") for report in reports},
+        "contact_couplings": {report.name: str(report).split("\n") for report in run.reports},
         "warnings": job.notices.lines,
     }
-    result.write_summary(files["summary"], summary)
-    return Run(folder=folder, files=files, recording=recording, health=health, reports=reports, summary=summary)
+    files_of.write_summary(folder, summary)
+    return Run(folder, summary)
 
 
-class _AtOnce:
-    """Runs all environments together; called, returns the recording, their health, and the time it took [s]."""
-
-    def __init__(self, simulation: Simulation, job: Job) -> None:
-        self.simulation, self.job = simulation, job
-        for name, values in job.varied.items():
-            simulation.model[name] = values
-
-    def __call__(self, path: Path) -> tuple[Recording, Health, float]:
-        job, settings = self.job, self.job.settings
-        job.say("running")
-        start = time.perf_counter()
-        recording = self.simulation.run(
-            settings.duration,
-            settings.record.readings or (),
-            settings.record.every,
-            parameters=list(job.varied),
-            progress=job.progress,
-        )
-        wall_time = time.perf_counter() - start
-        recording.attrs |= {"name": settings.name, "seed": settings.seed}
-        job.say("writing")
-        result.write_recording(recording, path)
-        return recording, self.simulation.model.health(), wall_time
-
-    def reports(self) -> tuple[CouplingReport, ...]:
-        """Returns what became of the contact couplings."""
-        model = self.simulation.model
-        return tuple(coupling.report(model) for coupling in model.scene.contact_couplings)
-
-
-class _InBatches:
-    """The same, one batch after the other."""
-
-    def __init__(self, simulation: Simulation, job: Job) -> None:
-        self.simulation, self.job = simulation, job
-        self.batches = Batches(simulation, job.plan, job.settings, job.varied)
-        # All of them, so that values that do not fit are found now; the first one last.
-        for number in reversed(range(job.plan.batches)):
-            self.batches.take(number)
-
-    def __call__(self, path: Path) -> tuple[Recording, Health, float]:
-        plan = self.job.plan
-        self.job.say(f"running {plan.batches} batches of {plan.batch} environments")
-        self.batches.run(path, self.job.progress)
-        self.job.say("writing")
-        return opened(path, self.simulation.model.scene), self.batches.health, self.batches.wall_time
-
-    def reports(self) -> tuple[CouplingReport, ...]:
-        """Returns what became of the contact couplings, of all batches."""
-        return tuple(joined(of_batches) for of_batches in zip(*self.batches.reports, strict=True))
-
-
-def _show(
-    recording: Recording, settings: Settings, varied: list[str], folder: Path, files: dict[str, Path]
-) -> None:
-    """Writes what shows the recording."""
+def _show(run: Run, job: Job) -> None:
+    """Writes what shows the results."""
     from warpcontact.experiment.picture import write_picture
     from warpcontact.usd import export_usd
 
+    settings = job.settings
+    if not settings.record.series:
+        return
+    recording = run.recording
     usd_envs = min(settings.output.usd_envs, settings.envs)
     if usd_envs:
-        files["animation"] = folder / result.ANIMATION
-        export_usd(recording, files["animation"], envs=range(usd_envs))
-    files["picture"] = folder / result.PICTURE
-    write_picture(files["picture"], recording, settings.name, varied)
+        export_usd(recording, run.folder / files_of.ANIMATION, envs=range(usd_envs))
+    write_picture(run.folder / files_of.PICTURE, recording, settings.name, list(job.design.names))
+
+
+__all__ = ["Interrupted", "Job", "Outcome", "attempt", "check_resumable", "here", "proceed", "start"]

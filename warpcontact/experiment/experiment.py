@@ -9,16 +9,18 @@ from warpcontact.build import draw_up
 from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
 from warpcontact.draft import Draft
 from warpcontact.environments import Environments
-from warpcontact.experiment import result
+from warpcontact.experiment import cluster
+from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FileMesh
+from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
-from warpcontact.experiment.execute import Job, execute
+from warpcontact.experiment.execute import Job, check_resumable, here, proceed, start
 from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.plan import Plan, make_plan, recording_size
 from warpcontact.experiment.reading import Parts, load_toml, read_settings
-from warpcontact.experiment.result import Run
+from warpcontact.experiment.run import Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
 from warpcontact.experiment.variation import Draw, truncated
@@ -38,6 +40,8 @@ _TOLD: dict[type, tuple[str, str]] = {
 
 # Frames of a recording for which nothing else is asked.
 FRAMES = 100
+#: Time between checkpoints [s].
+CHECKPOINT = 60.0
 
 
 class Experiment:
@@ -121,7 +125,7 @@ class Experiment:
 
         Raises:
             ExperimentError: If there is no such device, or a value is out of range.
-            MemoryError: If they take more memory than there is; ``run`` takes one batch after another then.
+            MemoryError: If they take more memory than there is; ``run`` takes one shard after another then.
         """
         with self._own.blamed():
             return self.changed(envs=envs)._build(device)
@@ -155,16 +159,21 @@ class Experiment:
         device: str | Sequence[str] = "auto",
         duration: float | None = None,
         overwrite: bool = False,
+        resume: bool = False,
+        ray: bool | str = False,
         progress: bool | None = None,
-        batch: int | None = None,
+        shard: int | None = None,
+        threads: int | None = None,
+        checkpoint: float = CHECKPOINT,
         on_stage: Callable[[str], None] | None = None,
         on_warning: Callable[[str], None] | None = None,
     ) -> Run:
         """Runs the experiment and writes the results into a folder.
 
-        The folder receives ``recording.zarr``, ``animation.usdc``, ``picture.png``, the complete
+        The folder receives the results, ``data.zarr``, a picture and an animation, the complete
         ``experiment.toml`` that repeats the run, copies of the user's files with laws, and ``run.json`` with
-        versions and times.
+        versions and times. Whatever ends a run, what was committed is kept, and ``resume`` goes on from there to
+        the same results, to the byte.
 
         Args:
             out: The folder; made if there is none.
@@ -173,46 +182,81 @@ class Experiment:
                 list of devices, over which the environments are split.
             duration: Simulated time [s]; ``None``: that of the experiment.
             overwrite: Whether the files of an earlier run in the folder may be replaced.
+            resume: Whether to go on with the run in the folder, which must be of the same experiment.
+            ray: Whether to run shards as tasks of Ray, on this machine or on the cluster with this address.
             progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
-            batch: How many environments to run at once at most; ``None``: as many as fit into memory. Where they
-                are fewer than there are, batches run one after another, with the same results.
+            shard: How many environments to run and commit together at most; ``None``: as many as fit into memory.
+                Results are the same for any number.
+            threads: Threads that step environments on the CPU; ``None``: one per core.
+            checkpoint: Time between checkpoints of a shard [s]; 0: as often as there is something to commit.
             on_stage: Called with a few words when a stage that may take long begins.
             on_warning: Called with the text of each warning of a mesh file or of the simulation, in place of
                 Python's way; they are in ``run.json`` in any case.
 
-        Raises:
-            ExperimentError: If the folder holds a finished run or something else, there is no such device, or a
-                value is out of range.
-            MemoryError: If not even one environment fits, or ``batch`` of them do not.
-        """
-        _check_batch(batch, self.source)
-        folder, experiment = Path(out), self.changed(envs=envs, duration=duration)
-        copy = result.copied(experiment.settings, experiment.folder, folder, experiment._own)
-        result.check_folder(folder, overwrite, copy.files)
-        notices = Notices(on_warning)
-        with notices.listening(), experiment._own.blamed():
-            return experiment._run(folder, copy, device, progress, batch, on_stage or _say_nothing, notices)
+        Returns:
+            The run. Shards may have failed in it, see ``run.summary["failed"]``.
 
-    def _run(
-        self,
-        folder: Path,
-        copy: result.Copy,
-        device: str | Sequence[str],
-        progress: bool | None,
-        batch: int | None,
-        say: Callable[[str], None],
-        notices: Notices,
-    ) -> Run:
+        Raises:
+            ExperimentError: If the folder holds a finished run or something else, or with ``resume`` no run of
+                this experiment; if there is no such device, or a value is out of range.
+            MemoryError: If not even one environment fits, or ``shard`` of them do not.
+            KeyboardInterrupt: If somebody pressed Ctrl-C; what was done until then is committed.
+            OSError: If the results cannot be written; what was committed is kept.
+        """
+        _check_shard(shard, self.source)
+        folder, experiment = Path(out), self.changed(envs=envs, duration=duration)
+        copy = files_of.copied(experiment.settings, experiment.folder, folder, experiment._own)
+        summary = files_of.check_started(folder) if resume else None
+        if summary is None:
+            files_of.check_new(folder, overwrite, copy.files)
+        notices = Notices(on_warning)
+        say = on_stage or _say_nothing
+        with notices.listening(), experiment._own.blamed():
+            experiment._tell_of_meshes(notices)
+            draft = experiment.draft(device)
+            place = cluster.connect(ray) if ray else None
+            if summary is not None:
+                shard = summary["shard"]
+            elif place is not None and shard is None:
+                shard = place.shard_size(experiment.settings.envs)
+            plan = make_plan(draft, experiment._size, experiment.settings, experiment.design, shard)
+            plan.require()
+            if summary is not None:
+                plan = plan.resumed(summary)
+            job = Job(
+                settings=experiment.settings,
+                design=experiment.design,
+                plan=plan,
+                copy=copy,
+                folder=folder,
+                progress=progress,
+                say=say,
+                notices=notices,
+                every=checkpoint,
+                threads=threads,
+            )
+            if summary is not None:
+                check_resumable(summary, job)
+            if place is not None and summary is not None:
+                return proceed(job, place.runs(job, device))
+            say(f"building {plan.shard} environments")
+            runner = job.runner(draft.build(plan.shard))
+            if summary is None:
+                start(runner, job)
+            if place is not None:
+                del runner, draft  # whoever runs shards needs the room
+                return proceed(job, place.runs(job, device))
+            say(f"compiling for {', '.join(map(str, runner.model.devices))}")
+            runner.warm_up()
+            several = f" {plan.shards} shards of {plan.shard} environments" if plan.shards > 1 else ""
+            say(f"running{several}")
+            return proceed(job, here(runner, job))
+
+    def _tell_of_meshes(self, notices: Notices) -> None:
         for i, surface in enumerate(self.settings.surface):
             for mesh in surface.meshes.values():
                 if isinstance(mesh, FileMesh):
                     notices.add_mesh(mesh.file, self._loaded[f"surface[{i}]", mesh].report)
-        say(f"building {self.settings.envs} environments")
-        draft = self._draft(device)
-        plan = make_plan(draft, self._size, self.settings, self._values, batch)
-        plan.require()
-        model = draft.build(plan.batch)
-        return execute(model, Job(self.settings, self._values, plan, copy, folder, progress, say, notices))
 
     def plan(
         self,
@@ -220,19 +264,19 @@ class Experiment:
         envs: int | None = None,
         device: str | Sequence[str] = "auto",
         duration: float | None = None,
-        batch: int | None = None,
+        shard: int | None = None,
     ) -> Plan:
-        """Returns what a run would take of memory and disk, and the batches it would run in; runs nothing.
+        """Returns what a run would take of memory and disk, and the shards it would run in; runs nothing.
 
-        Arguments and errors are those of ``run``; where not even one environment fits, ``batch`` is 0.
+        Arguments and errors are those of ``run``; where not even one environment fits, ``shard`` is 0.
         """
-        _check_batch(batch, self.source)
+        _check_shard(shard, self.source)
         with self._own.blamed():
             changed = self.changed(envs=envs, duration=duration)
-            return make_plan(changed._draft(device), changed._size, changed.settings, changed._values, batch)
+            return make_plan(changed.draft(device), changed._size, changed.settings, changed.design, shard)
 
-    def _draft(self, device: str | Sequence[str]) -> Draft:
-        """Prepares the environments on ``device``."""
+    def draft(self, device: str | Sequence[str] = "auto") -> Draft:
+        """Prepares any number of environments on ``device``, with values that do not vary."""
         try:
             return draw_up(self.scene(), device, self.settings.precision)
         except ValueError as error:
@@ -240,7 +284,7 @@ class Experiment:
 
     def _build(self, device: str | Sequence[str]) -> Model | SplitModel:
         """Builds all environments on ``device``."""
-        model = self._draft(device).build(self.settings.envs)
+        model = self.draft(device).build(self.settings.envs)
         for name, values in self._values.items():
             model[name] = values
         return model
@@ -269,6 +313,7 @@ class Experiment:
         settings = parts.settings
         seed = 0 if settings is None else settings.seed
         self._values = Draw(parts.variation, model, parts.envs, seed, problems, unsound).values
+        self.design: Design = Design(parts.envs or 1, self._values)
         if settings is None:
             return
         steps = self._can_step(model, settings, problems, unsound)
@@ -284,7 +329,7 @@ class Experiment:
         record = settings.record.model_copy(update={"every": every, "readings": tuple(readings)})
         self.settings: Settings = settings.model_copy(update={"record": record})
         if not problems:
-            self._size = recording_size(model, readings, self._values, settings.envs)
+            self._size = recording_size(model, readings, self.design.names, settings)
 
     @staticmethod
     def _can_step(
@@ -322,11 +367,11 @@ class Experiment:
         return every
 
 
-def _check_batch(batch: object, source: str) -> None:
-    """Raises ``ExperimentError`` unless ``batch`` is a number of environments, or ``None``."""
-    whole = isinstance(batch, int) and not isinstance(batch, bool)
-    if batch is not None and not (whole and batch >= 1):  # type: ignore[operator]
-        raise ExperimentError(source, [f"batch must be a whole number of at least 1, got {batch!r}"])
+def _check_shard(shard: object, source: str) -> None:
+    """Raises ``ExperimentError`` unless ``shard`` is a number of environments, or ``None``."""
+    whole = isinstance(shard, int) and not isinstance(shard, bool)
+    if shard is not None and not (whole and shard >= 1):  # type: ignore[operator]
+        raise ExperimentError(source, [f"shard must be a whole number of at least 1, got {shard!r}"])
 
 
 def _say_nothing(stage: str) -> None:

@@ -19,7 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from warpcontact.experiment.ground import Ground, draw_from_above, draw_section, grounds_of, legend_entries
-from warpcontact.experiment.result import CHUNK
+from warpcontact.experiment.store import CHUNK
 from warpcontact.recorder import Recording
 from warpcontact.scene import Body, Scene
 

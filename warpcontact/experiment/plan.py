@@ -1,14 +1,15 @@
 """What an experiment takes of memory and disk, and how many of its environments run at once."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from warpcontact.available import HOST, Room
-from warpcontact.checks import Array
 from warpcontact.draft import Draft, PartDraft
 from warpcontact.environments import Environments
-from warpcontact.experiment.result import CHUNK
+from warpcontact.experiment.design import Design
 from warpcontact.experiment.schema import Settings
+from warpcontact.experiment.store import CHUNK
 from warpcontact.footprint import (
     COMFORTABLE,
     Footprint,
@@ -26,10 +27,12 @@ from warpcontact.footprint import (
 from warpcontact.recorder import Recorder, RecordingSize
 from warpcontact.simulation import frame_count, recorded_steps
 
+# Frames are gathered up to this size before they are written [bytes].
+BLOCK = 64 * 2**20
 # Pieces of a recording that are in memory at once while it is compressed, and for its picture; measured.
 WRITTEN_AT_ONCE = 8
 DRAWN_AT_ONCE = 2
-# A batch is rounded to this many significant bits, so that the pieces of a recording are parts of it.
+# A shard is rounded to this many significant bits, so that the pieces of a recording are parts of it.
 BITS = 6
 
 
@@ -39,26 +42,32 @@ class Plan:
 
     Attributes:
         envs: Number of environments.
-        batch: How many run at once; 0: not even one fits.
+        shard: How many run at once, and are committed together; 0: not even one fits.
+        block: How many frames of them are gathered before they are written.
         footprint: What these take of memory, or what one would that does not fit.
         recording: Size of the whole recording, before it is compressed [bytes].
         rooms: What there is of memory, where it is known.
     """
 
     envs: int
-    batch: int
+    shard: int
+    block: int
     footprint: Footprint
     recording: int
     rooms: tuple[Room, ...]
 
     @property
-    def batches(self) -> int:
-        """How many batches follow each other."""
-        return -(-self.envs // self.batch) if self.batch else 0
+    def shards(self) -> int:
+        """How many shards there are."""
+        return -(-self.envs // self.shard) if self.shard else 0
+
+    def resumed(self, summary: Mapping[str, Any]) -> "Plan":
+        """Returns the plan of a run that goes on, with the shards and blocks that it has."""
+        return replace(self, shard=int(summary["shard"]), block=int(summary["block"]))
 
     def require(self) -> None:
         """Raises ``MemoryError`` if not even one environment fits."""
-        room = None if self.batch else shortage(self.footprint, self.rooms)
+        room = None if self.shard else shortage(self.footprint, self.rooms)
         if room is not None:
             message = f"{said(self.footprint, room)}; not even one environment fits"
             raise MemoryShortage(message, self.footprint.on(room.place), usable(room), 0)
@@ -68,65 +77,76 @@ class Plan:
         for room in self.rooms:
             lines.append(f"available: {readable(room.size)} of {room.name}; {readable(usable(room))} can be used")
         lines.append(f"on disk: up to {readable(self.recording)}, before compression")
-        if not self.batch:
+        if not self.shard:
             lines.append("does not fit: not even one environment")
-        elif self.batches == 1:
+        elif self.shards == 1:
             lines.append(f"{environments(self.envs)}: all at once")
         else:
-            lines.append(f"{environments(self.envs)}: {self.batches} batches of {self.batch}, one after another")
+            lines.append(f"{environments(self.envs)}: {self.shards} shards of {self.shard}, one after another")
         return "\n".join(lines)
 
 
-def make_plan(
-    draft: Draft, size: RecordingSize, settings: Settings, varied: Mapping[str, Array], batch: int | None
-) -> Plan:
+def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Design, shard: int | None) -> Plan:
     """Returns how the experiment runs on the devices of ``draft``.
 
     Args:
         draft: Its scene, ready to be built.
         size: What its recording takes.
         settings: The experiment, with all defaults.
-        varied: Values of the parameters that vary, of all environments.
-        batch: How many environments are to run at once at most; ``None``: as many as fit.
+        design: What varies.
+        shard: How many environments are to run at once at most; ``None``: as many as fit.
 
     Raises:
-        MemoryError: If ``batch`` environments do not fit; says how many do.
+        MemoryError: If ``shard`` environments do not fit; says how many do.
     """
     frames = frame_count(*recorded_steps(settings.duration, settings.record.every, settings.dt))
+    if not settings.record.series:
+        frames = 0
 
-    def recording(part: PartDraft, envs: int) -> Footprint:
+    def recording(part: PartDraft, envs: int, block: int) -> Footprint:
         device = str(part.device)
-        needs = [*part.measures_needs(part.device, size.measured, envs), *size.needs(device, envs, frames)]
+        needs = [*part.measures_needs(part.device, size.measured, envs), *size.needs(device, envs, block)]
         return Footprint(envs, device, tuple(needs))
 
     def footprint(envs: int) -> Footprint:
-        writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, frames) // 2)
-        drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames))
+        block = block_of(size, envs, frames)
+        writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, block) // 2)
+        drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames)) if frames else 0
         stepping = {"integrator": settings.integrator.make(), "crossing_steps": settings.crossing_steps}
-        return draft.memory(envs, varied, **stepping).with_needs(
+        return draft.memory(envs, design.names, **stepping).with_needs(
             [
-                *total(recording(part, own) for part, own in draft.shares(envs)).needs,
-                Need("values", HOST, sum(values.nbytes for values in varied.values())),
+                *total(recording(part, own, block) for part, own in draft.shares(envs)).needs,
+                Need("values", HOST, envs * design.row_bytes, design.row_bytes),
                 Need("writing", HOST, max(writing, drawing)),
             ]
         )
 
-    wanted = settings.envs if batch is None else min(batch, settings.envs)
+    wanted = settings.envs if shard is None else min(shard, settings.envs)
     rooms = rooms_of(footprint(wanted))
     most = most_that_fit(footprint, wanted, rooms)
-    if batch is None and 0 < most < wanted:
+    if shard is None and 0 < most < wanted:
         most = max(1, most_that_fit(footprint, wanted, rooms, COMFORTABLE))
-    elif batch is not None and most < wanted and (room := shortage(footprint(wanted), rooms)) is not None:
+    elif shard is not None and most < wanted and (room := shortage(footprint(wanted), rooms)) is not None:
         takes = footprint(wanted)
         advice = f"at most {most} at once" if most else "not even one environment"
-        message = f"batch {batch}: {said(takes, room)}; {advice} fits on {takes.device}"
+        message = f"shard {shard}: {said(takes, room)}; {advice} fits on {takes.device}"
         raise MemoryShortage(message, takes.on(room.place), usable(room), most)
-    chosen = batch_size(most, settings.envs) if most else 0
-    return Plan(settings.envs, chosen, footprint(chosen or 1), size.on_host(settings.envs, frames), rooms)
+    if shard is not None and most == wanted:
+        chosen = wanted  # as it was asked for
+    else:
+        chosen = shard_size(most, settings.envs) if most else 0
+    block = block_of(size, chosen or 1, frames)
+    return Plan(settings.envs, chosen, block, footprint(chosen or 1), size.on_host(settings.envs, frames), rooms)
 
 
-def batch_size(most: int, envs: int) -> int:
-    """Returns the size of batches of about equal size, no more than ``most``, that make up ``envs``."""
+def block_of(size: RecordingSize, envs: int, frames: int) -> int:
+    """Returns how many of ``frames`` of ``envs`` environments are gathered before they are written."""
+    frame = size.on_host(envs, 1) - size.on_host(envs, 0)
+    return max(1, min(frames, BLOCK // max(1, frame)))
+
+
+def shard_size(most: int, envs: int) -> int:
+    """Returns the size of shards of about equal size, no more than ``most``, that make up ``envs``."""
     if most >= envs:
         return envs
     grain = 1 << max(0, most.bit_length() - BITS)
@@ -136,10 +156,13 @@ def batch_size(most: int, envs: int) -> int:
 
 
 def recording_size(
-    model: Environments, readings: Collection[str], varied: Collection[str], envs: int
+    model: Environments, readings: Collection[str], varied: Collection[str], settings: Settings
 ) -> RecordingSize:
-    """Returns what the recording of ``envs`` environments takes, from a model of any number of them."""
-    return Recorder(model, readings, 1, poses=True, parameters=kept(model, varied, envs)).size()
+    """Returns what the recording of an experiment takes, from a model of any number of environments."""
+    series = settings.record.series
+    names = readings if series else ()
+    parameters = kept(model, varied, settings.envs)
+    return Recorder(model, names, 1, poses=True, parameters=parameters, series=series).size()
 
 
 def kept(model: Environments, varied: Collection[str], envs: int) -> list[str]:

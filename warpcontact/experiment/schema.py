@@ -391,6 +391,7 @@ class RecordSettings(Section):
 
     every: Annotated[float | None, q.time] = None
     readings: Rows[str] | None = None
+    series: bool = True
 
 
 class OutputSettings(Section):

@@ -1,80 +1,40 @@
-"""The folder that a run fills: which folders it may use, and what it writes into them."""
+"""The folder that a run fills: which folders it may use, and the files that tell what ran."""
 
 import itertools
 import json
 import os
 import platform
 import shutil
-import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import xarray as xr
-
 from warpcontact._version import __version__
-from warpcontact.contact_coupling_report import CouplingReport
+from warpcontact.durable import write_json
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh, own_class
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import FORMULA_SECTIONS, ROW_KEYS, Settings
-from warpcontact.health import Health
-from warpcontact.recorder import Recording
+from warpcontact.experiment.store import CHECKPOINTS, COMMITS, DATA, STAGING
 
-RECORDING = "recording.zarr"
 ANIMATION = "animation.usdc"
 PICTURE = "picture.png"
 EXPERIMENT = "experiment.toml"
 SUMMARY = "run.json"
+PROGRESS = "progress"
+
+#: Goes up when the folders of earlier versions have to be read in another way.
+SCHEMA = 1
 
 # What ``state`` in run.json may be. A run that was killed stays unfinished.
 FINISHED = "finished"
 UNFINISHED = "unfinished"
 INTERRUPTED = "interrupted"
+FAILED = "failed"
 
 #: In run.json: the SHA-256 of the copied files with laws, by their names.
 LAW_FILES = "law_files"
-
-# Arrays are stored in pieces of about this size, each a range of environments [bytes].
-CHUNK = 16 * 2**20
-
-
-@dataclass(frozen=True)
-class Run:
-    """What a run left behind.
-
-    Attributes:
-        folder: Where the files are.
-        files: Path of each file by what it is: experiment, recording, animation, picture, summary; copies of
-            files with laws by their names.
-        recording: The readings (time, env, …), and the parameters that varied (env, …). After batches they are
-            read from the folder where they are asked for.
-        health: Which environments turned non-finite.
-        reports: How close contact couplings came, and over which area.
-        summary: Content of ``run.json``: versions, device, seed, times.
-    """
-
-    folder: Path
-    files: dict[str, Path]
-    recording: Recording
-    health: Health
-    reports: tuple[CouplingReport, ...]
-    summary: dict[str, Any]
-
-    def __str__(self) -> str:
-        s = self.summary
-        rate = f"{s['env_steps_per_second']:.3g} environment steps per second"
-        batches = f" in {s['batches']} batches" if s.get("batches", 1) > 1 else ""
-        width = max(11, *map(len, self.files))
-        lines = [
-            f"{s['name']}: {s['envs']} environments × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s",
-            f"{s['wall_time']:.1f} s on {s['device']}{batches}, {rate}",
-            str(self.health),
-            *(str(report) for report in self.reports),
-            *(f"  {kind:<{width}} {path}" for kind, path in sorted(self.files.items())),
-        ]
-        return "\n".join(lines)
 
 
 @dataclass(frozen=True)
@@ -84,17 +44,19 @@ class Copy:
     Attributes:
         settings: The experiment, with names of files as they are from there.
         files: Content of the files with laws, by their names there.
+        external: The files with meshes and rows, which stay where they are.
     """
 
     settings: Settings
     files: dict[str, bytes]
+    external: tuple[Path, ...] = ()
 
 
-def check_folder(folder: Path, overwrite: bool, files: Mapping[str, bytes]) -> None:
-    """Raises ``ExperimentError`` unless results may go into ``folder``.
+def check_new(folder: Path, overwrite: bool, files: Mapping[str, bytes]) -> None:
+    """Raises ``ExperimentError`` unless the results of a new run may go into ``folder``.
 
-    It may be new or empty, or hold a run that did not finish; with ``overwrite`` it may hold any earlier run.
-    None of ``files``, that are to be written there by name, may replace another that no run has written.
+    It may be new or empty, or hold a run of which nothing was kept; with ``overwrite`` any earlier run. None of
+    ``files``, that are to be written there by name, may replace another that no run has written.
     """
     if not os.path.lexists(folder):
         return
@@ -107,15 +69,44 @@ def check_folder(folder: Path, overwrite: bool, files: Mapping[str, bytes]) -> N
         raise ExperimentError(
             str(folder), ["is not empty, and what is in it is no earlier run; choose a new folder"]
         )
-    if _is_running(summary):
-        raise ExperimentError(str(folder), [f"process {summary['process']} is running and writes there"])
-    if not overwrite and summary.get("state") not in (UNFINISHED, INTERRUPTED):
+    _check_idle(folder, summary)
+    if not overwrite and (summary.get("state") not in (UNFINISHED, INTERRUPTED) or _has_commits(folder)):
+        kind = "an earlier run" if summary.get("state") == FINISHED else "a run that did not finish"
+        resume = "" if summary.get("state") == FINISHED else ", or go on with it (--resume)"
         raise ExperimentError(
-            str(folder), ["holds an earlier run; choose another folder, or overwrite it (--overwrite)"]
+            str(folder), [f"holds {kind}; choose another folder, or overwrite it (--overwrite){resume}"]
         )
     for name in files.keys() - _law_files(summary):
         if os.path.lexists(folder / name):
             raise ExperimentError(str(folder), [f"holds a file {name!r} of its own, which the run would replace"])
+
+
+def check_started(folder: Path) -> dict[str, Any]:
+    """Returns the content of ``run.json`` of a run that may go on.
+
+    Raises:
+        ExperimentError: If there is none, it is of another schema, or a process is at work on it.
+    """
+    summary = read_summary(folder)
+    if summary is None:
+        raise ExperimentError(str(folder), ["holds no run that could go on; start one without --resume"])
+    check_schema(folder, summary)
+    _check_idle(folder, summary)
+    if not (folder / DATA).is_dir():
+        raise ExperimentError(
+            str(folder), ["the run was ended before anything was kept; start it anew, without --resume"]
+        )
+    return summary
+
+
+def check_schema(folder: Path, summary: Mapping[str, Any]) -> None:
+    """Raises ``ExperimentError`` unless a folder is of a schema that this version reads."""
+    schema = summary.get("schema")
+    if schema != SCHEMA:
+        raise ExperimentError(
+            str(folder / SUMMARY),
+            [f"schema must be {SCHEMA}, got {schema!r}, written by {summary.get('program')}"],
+        )
 
 
 def read_summary(folder: Path) -> dict[str, Any] | None:
@@ -127,6 +118,15 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
         return None
 
 
+def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
+    """Writes ``run.json``, by which a folder is known to hold a run."""
+    write_json(folder / SUMMARY, {"program": f"warpcontact {__version__}", "schema": SCHEMA, **summary})
+
+
+def _has_commits(folder: Path) -> bool:
+    return any((folder / COMMITS).glob("*.json"))
+
+
 def _law_files(summary: Mapping[str, Any] | None) -> set[str]:
     """Returns the names of the files with laws that a run left behind."""
     listed = (summary or {}).get(LAW_FILES)
@@ -135,7 +135,12 @@ def _law_files(summary: Mapping[str, Any] | None) -> set[str]:
     return {name for name in names if Path(name).name == name and name.endswith(".py")}
 
 
-def _is_running(summary: Mapping[str, Any]) -> bool:
+def _check_idle(folder: Path, summary: Mapping[str, Any]) -> None:
+    if is_running(summary):
+        raise ExperimentError(str(folder), [f"process {summary['process']} is running and writes there"])
+
+
+def is_running(summary: Mapping[str, Any]) -> bool:
     """Whether another process of this machine is, as far as one can tell, at work on the run."""
     process = summary.get("process")
     if summary.get("state") != UNFINISHED or summary.get("host") != platform.node() or os.name != "posix":
@@ -151,17 +156,22 @@ def _is_running(summary: Mapping[str, Any]) -> bool:
     return True
 
 
-def clear_folder(folder: Path, keep: str = "") -> None:
-    """Makes ``folder``, or removes the files of the earlier run in it, except ``keep``; others stay."""
+def clear(folder: Path) -> None:
+    """Makes ``folder``, or removes the files of the earlier run in it; others stay."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in (RECORDING, ANIMATION, PICTURE, EXPERIMENT, *_law_files(read_summary(folder)), SUMMARY):
+    own = (DATA, f"{DATA}.partial", STAGING, CHECKPOINTS, COMMITS, PROGRESS, ANIMATION, PICTURE, EXPERIMENT)
+    for name in (*own, *_law_files(read_summary(folder)), SUMMARY):
         path = folder / name
-        if name == keep:
-            continue
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
             path.unlink(missing_ok=True)
+
+
+def make_parts(folder: Path) -> None:
+    """Makes the folders that a run writes into."""
+    for name in (STAGING, CHECKPOINTS, COMMITS, PROGRESS):
+        (folder / name).mkdir(exist_ok=True)
 
 
 def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
@@ -187,7 +197,8 @@ def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
 
     sections = {name: tuple(map(renamed, getattr(settings, name))) for name in FORMULA_SECTIONS}
     whole = settings.model_copy(update=sections)
-    return Copy(_with_rows_from(_with_meshes_from(whole, old, new), old, new), files)
+    moved = _with_rows_from(_with_meshes_from(whole, old, new), old, new)
+    return Copy(moved, files, tuple(_external_files(settings, old)))
 
 
 def _free_name(path: Path, taken: Iterable[str]) -> str:
@@ -237,56 +248,14 @@ def _file_from(name: str, old: Path, new: Path) -> str:
         return target.as_posix()
 
 
-def write_recording(recording: Recording, path: Path) -> None:
-    """Writes ``recording`` as a Zarr v3 group, which ``xarray.open_zarr`` reads."""
-    _create_store(recording, path, lambda envs, most: most)
-    complete_recording(path, {})
-
-
-def add_to_recording(recording: xr.Dataset, path: Path, *, new: bool) -> None:
-    """Writes a batch of environments: the first into a ``new`` store, others behind those that are there.
-
-    Args:
-        recording: Of the batch; none has more environments than the first.
-        path: The store.
-        new: Whether it is the first.
-    """
-    if new:
-        # Pieces are parts of a batch, so that none is written twice.
-        _create_store(recording, path, _largest_part)
-    else:
-        recording.to_zarr(path, mode="a-", append_dim="env", zarr_format=3, consolidated=False)
-
-
-def complete_recording(path: Path, attributes: Mapping[str, Any]) -> None:
-    """Adds attributes to a store, and all metadata in one place, where xarray looks for it first."""
-    import zarr
-
-    zarr.open_group(path, mode="r+").attrs.update(attributes)
-    with warnings.catch_warnings():
-        # Others may pass over it.
-        warnings.filterwarnings("ignore", message="Consolidated metadata", category=UserWarning)
-        zarr.consolidate_metadata(path, zarr_format=3)
-
-
-def _create_store(recording: xr.Dataset, path: Path, part: Callable[[int, int], int]) -> None:
-    """Writes a new store in pieces of ``part(envs, most)`` environments."""
-    encoding = {}
-    for name, variable in recording.data_vars.items():
-        all_envs = variable.sizes["env"]
-        row = variable.nbytes // max(1, all_envs)
-        envs = part(all_envs, max(1, min(all_envs, CHUNK // max(1, row))))
-        chunks = tuple(envs if dim == "env" else size for dim, size in variable.sizes.items())
-        encoding[name] = {"chunks": chunks}
-    recording.to_zarr(path, mode="w-", zarr_format=3, consolidated=False, encoding=encoding)
-
-
-def _largest_part(envs: int, most: int) -> int:
-    """Returns the largest divisor of ``envs`` that is at most ``most``."""
-    return next(part for part in range(most, 0, -1) if envs % part == 0)
-
-
-def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
-    """Writes ``run.json``, by which a folder is known to hold a run."""
-    content = {"program": f"warpcontact {__version__}", **summary}
-    path.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+def _external_files(settings: Settings, folder: Path) -> Iterator[Path]:
+    """Iterates over the files with meshes and rows that an experiment in ``folder`` names, in its order."""
+    for surface in settings.surface:
+        for mesh in surface.meshes.values():
+            if isinstance(mesh, FileMesh):
+                yield folder / mesh.file
+    for section, keys in ROW_KEYS.items():
+        for entry in getattr(settings, section):
+            for key in keys:
+                if isinstance(getattr(entry, key), str):
+                    yield folder / getattr(entry, key)

@@ -1,0 +1,204 @@
+"""Shards as tasks of Ray, on this machine or on a cluster that shares the folder of the run.
+
+Ray places tasks and says which were lost; what counts is in the folder. A shard whose worker was killed is run
+again, from its last commit, and no other.
+"""
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.folder import read_summary
+from warpcontact.experiment.progress import INTERVAL, Bar, told
+from warpcontact.experiment.store import Commit, Ledger, Shard
+
+if TYPE_CHECKING:
+    from warpcontact.experiment.execute import Job, Outcome, Runs
+    from warpcontact.experiment.shards import ShardRunner
+
+# Cores that a shard gets on the CPU, at most: more of them are better used by more shards.
+CORES = 4
+# Shards for each place that runs them, so that none waits long for the last.
+SHARDS_PER_PLACE = 4
+
+
+@dataclass(frozen=True)
+class Place:
+    """What a cluster has.
+
+    Attributes:
+        ray: The module.
+        cores: Cores for each shard.
+        gpus: GPUs for each shard, 0 or 1.
+        places: How many shards run at once.
+    """
+
+    ray: Any
+    cores: int
+    gpus: int
+    places: int
+
+    def shard_size(self, envs: int) -> int:
+        """Returns how many of ``envs`` environments a shard has that nobody asked for otherwise, at most."""
+        return -(-envs // (SHARDS_PER_PLACE * self.places))
+
+    def runs(self, job: "Job", device: str | Sequence[str]) -> "Runs":
+        """Returns what runs shards of ``job`` as tasks."""
+        # A worker sees the GPUs that it was given, and no other.
+        where = ("cuda:0" if device in ("auto", "cuda") else device) if self.gpus else "cpu"
+        task = self.ray.remote(num_cpus=self.cores, num_gpus=self.gpus, max_retries=0)(run_shard)
+
+        def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> "Outcome":
+            folder = str(job.folder.resolve())
+            words = (folder, where, self.cores, job.every)
+            return _Tasks(self.ray, task, words, list(left), bar, Path(folder)).run()
+
+        return run
+
+
+def connect(address: bool | str) -> Place:
+    """Starts Ray on this machine, or joins the cluster with an address.
+
+    Raises:
+        ExperimentError: If Ray is not installed, or there is no such cluster.
+    """
+    try:
+        import ray
+    except ImportError:
+        raise ExperimentError(
+            "--ray", ["Ray is not installed: pip install 'warpcontact[ray]'; a run on one machine needs none"]
+        ) from None
+    if not ray.is_initialized():
+        options: dict[str, Any] = {"include_dashboard": False, "log_to_driver": False, "logging_level": "error"}
+        if isinstance(address, str):
+            options["address"] = address
+        else:
+            # Nobody else is to reach what was started for this run alone.
+            options["_node_ip_address"] = "127.0.0.1"
+        try:
+            ray.init(**options)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            raise ExperimentError(f"--ray {address}", [f"no cluster of Ray can be reached: {error}"]) from None
+    has = ray.cluster_resources()
+    gpus, cores = int(has.get("GPU", 0)), max(1, int(has.get("CPU", 1)))
+    if gpus:
+        return Place(ray, cores=max(1, min(CORES, cores // gpus)), gpus=1, places=gpus)
+    nodes = max(1, sum(1 for node in ray.nodes() if node["Alive"]))
+    each = max(1, min(CORES, cores // nodes // 2))
+    return Place(ray, cores=each, gpus=0, places=max(1, cores // each))
+
+
+class _Tasks:
+    """Submits a task for each shard, waits for them, and submits again those that were lost or failed."""
+
+    def __init__(
+        self, ray: Any, task: Any, words: tuple[Any, ...], left: list[Shard], bar: Bar, folder: Path
+    ) -> None:
+        self.ray = ray
+        self.task = task
+        self.words = words
+        self.left = left
+        self.bar = bar
+        self.folder = folder
+        self.tries = dict.fromkeys((shard.number for shard in left), 0)
+        self.running: dict[Any, Shard] = {}
+
+    def run(self) -> "Outcome":
+        from warpcontact.experiment.execute import ATTEMPTS, Outcome
+
+        outcome = Outcome()
+        for shard in self.left:
+            self._submit(shard)
+        try:
+            while self.running:
+                done, _ = self.ray.wait(list(self.running), num_returns=1, timeout=INTERVAL)
+                self._tell()
+                for reference in done:
+                    shard = self.running.pop(reference)
+                    message = self._message(reference)
+                    if message is None:
+                        commit = Ledger(self.folder).commits()[shard.number]
+                        self.bar.finish(shard, commit.frozen)
+                    elif self.tries[shard.number] < ATTEMPTS:
+                        self._submit(shard)
+                    else:
+                        outcome.failed[shard.name] = message
+        except KeyboardInterrupt:
+            self._stop()
+            raise
+        return outcome
+
+    def _submit(self, shard: Shard) -> None:
+        self.tries[shard.number] += 1
+        self.running[self.task.remote(shard.number, *self.words)] = shard
+
+    def _message(self, reference: Any) -> str | None:
+        """Returns why a task failed; ``None``: it did not."""
+        try:
+            message: str | None = self.ray.get(reference)
+            return message
+        except self.ray.exceptions.RayError as error:
+            return f"its worker was lost: {str(error).splitlines()[0]}"
+
+    def _tell(self) -> None:
+        shards = {shard.number: shard for shard in self.running.values()}
+        for number, content in told(self.folder):
+            if number in shards:
+                self.bar.update(shards[number], int(content["steps"]))
+
+    def _stop(self) -> None:
+        """Lets all tasks commit what they have done, and end."""
+        for reference in self.running:
+            self.ray.cancel(reference, force=False)
+        deadline = time.monotonic() + 60.0
+        while self.running and time.monotonic() < deadline:
+            done, _ = self.ray.wait(list(self.running), num_returns=1, timeout=INTERVAL)
+            for reference in done:
+                del self.running[reference]
+
+
+#: What runs the shards of a folder in this process, which may be given several.
+_RUNNERS: dict[tuple[str, str], "ShardRunner"] = {}
+
+
+def run_shard(number: int, folder: str, device: str, threads: int, every: float) -> str | None:
+    """Runs a shard of the run in a folder, in a worker; returns why it failed, ``None`` if it did not."""
+    import warnings
+
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    from warpcontact.experiment.store import shards_of
+
+    path = Path(folder)
+    summary = read_summary(path) or {}
+    key = (folder, str(summary.get("started")))
+    try:
+        # Who started the run has seen the warnings.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if key not in _RUNNERS:
+                _RUNNERS.clear()
+                _RUNNERS[key] = _runner(path, summary, device, threads, every)
+            runner = _RUNNERS[key]
+            shard = shards_of(summary["envs"], summary["shard"])[number]
+            commit = runner.ledger.commits().get(number)
+            runner.ledger.recover(shard, commit or Commit(number))
+            runner.run(shard, commit)
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return None
+
+
+def _runner(folder: Path, summary: Mapping[str, Any], device: str, threads: int, every: float) -> "ShardRunner":
+    from warpcontact.experiment.run import open_run
+    from warpcontact.experiment.shards import Frames, ShardRunner
+
+    experiment = open_run(folder).experiment
+    settings = experiment.settings
+    model = experiment.draft(device).build(summary["shard"])
+    frames = Frames.of(settings, summary["block"])
+    return ShardRunner(model, settings, experiment.design, frames, folder, every, threads)

@@ -1,0 +1,59 @@
+"""Whether two experiments are the same, to the content of the files that they name."""
+
+import hashlib
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from warpcontact.experiment.errors import key_path, shown
+from warpcontact.experiment.folder import Copy
+from warpcontact.experiment.schema import Settings
+from warpcontact.experiment.toml import to_toml
+
+# More differences than this are not told.
+TOLD = 5
+
+
+def fingerprint(copy: Copy) -> str:
+    """Returns the SHA-256 of an experiment as it is copied into a folder, with what other files say."""
+    total = hashlib.sha256(_text(copy.settings).encode())
+    for name, content in sorted(copy.files.items()):
+        total.update(name.encode() + hashlib.sha256(content).digest())
+    for path in copy.external:
+        total.update(hashlib.sha256(path.read_bytes()).digest())
+    return total.hexdigest()
+
+
+def differences(path: Path, settings: Settings) -> list[str]:
+    """Returns in words where the experiment in a file that a run has written differs from ``settings``."""
+    try:
+        theirs = dict(_leaves(tomllib.loads(path.read_text(encoding="utf-8"))))
+    except (OSError, ValueError) as error:
+        return [f"{path.name} cannot be read: {error}"]
+    own = dict(_leaves(tomllib.loads(_text(settings))))
+    told = [
+        f"{key_path(key)} is {_said(theirs, key)} there, {_said(own, key)} here"
+        for key in dict.fromkeys((*theirs, *own))
+        if theirs.get(key) != own.get(key)
+    ]
+    return told[:TOLD] + ([f"and {len(told) - TOLD} more"] if len(told) > TOLD else [])
+
+
+def _text(settings: Settings) -> str:
+    return to_toml(settings, "")
+
+
+def _said(leaves: dict[tuple[str | int, ...], Any], key: tuple[str | int, ...]) -> str:
+    return shown(leaves[key]) if key in leaves else "not given"
+
+
+def _leaves(value: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _leaves(inner, (*place, key))
+    elif isinstance(value, list) and any(isinstance(inner, dict) for inner in value):
+        for i, inner in enumerate(value):
+            yield from _leaves(inner, (*place, i))
+    else:
+        yield place, value

@@ -1,0 +1,281 @@
+"""What a run left in its folder, read where it is asked for."""
+
+import csv
+import functools
+import hashlib
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from warpcontact.contact_coupling_report import CouplingReport, report_of
+from warpcontact.experiment import folder as files_of
+from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.store import CHUNK, COMMITS, DATA, GROUPS, Ledger, Shard, shards_of
+from warpcontact.health import Health
+from warpcontact.recorder import Recording
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from warpcontact.experiment.experiment import Experiment
+    from warpcontact.experiment.schema import Settings
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run left behind, finished or not: of shards that are not finished, what is committed.
+
+    Data sets are read from the folder where their values are asked for.
+
+    Attributes:
+        folder: Where the files are.
+        summary: Content of ``run.json``: schema, versions, device, seed, times, state.
+    """
+
+    folder: Path
+    summary: dict[str, Any]
+
+    @functools.cached_property
+    def experiment(self) -> "Experiment":
+        """The experiment that ran. Files with laws of its own are run to read it."""
+        from warpcontact.experiment.experiment import Experiment
+
+        return Experiment.from_toml(self.folder / files_of.EXPERIMENT)
+
+    @property
+    def settings(self) -> "Settings":
+        """All settings of the experiment."""
+        return self.experiment.settings
+
+    @property
+    def finished(self) -> bool:
+        """Whether all shards are."""
+        return bool(self._mask(finished=True).all())
+
+    @functools.cached_property
+    def params(self) -> xr.Dataset:
+        """The parameters that vary, and those that a replay needs, (env, …)."""
+        return self._group("params").isel(env=self._begun())
+
+    @functools.cached_property
+    def outcome(self) -> xr.Dataset:
+        """What became of each environment, (env, …); those that are finished."""
+        data = self._group("outcome")
+        return data if self.finished else data.isel(env=np.flatnonzero(self._mask(finished=True)))
+
+    @functools.cached_property
+    def series(self) -> xr.Dataset:
+        """The readings (time, env, …); NaN where an environment has not come yet.
+
+        Raises:
+            ValueError: If nothing was recorded over time.
+        """
+        return self._group("series").isel(env=self._begun())
+
+    @functools.cached_property
+    def events(self) -> xr.Dataset:
+        """What happened when, (env, event).
+
+        Raises:
+            ValueError: If no events were asked for.
+        """
+        return self._group("events").isel(env=np.flatnonzero(self._mask(finished=True)))
+
+    @functools.cached_property
+    def recording(self) -> Recording:
+        """Series and parameters as ``Simulation.run`` returns them, to be drawn and exported."""
+        variables: dict[Any, Any] = {}
+        for data in (self.series, self.params):
+            variables |= {name: array.variable for name, array in data.data_vars.items()}
+        coordinates = {**self.params.coords, **self.series.coords}
+        recording = Recording(variables, coords=coordinates, attrs=self.series.attrs)
+        recording.scene = self.experiment.scene()
+        return recording
+
+    @property
+    def health(self) -> Health:
+        """Which environments are frozen, of those that are finished."""
+        status = self.outcome["status"]
+        return Health.of_status(status.values, status["env"].values)
+
+    @property
+    def reports(self) -> tuple[CouplingReport, ...]:
+        """How close contact couplings came, and over which area."""
+        scene = self.experiment.scene()
+        return tuple(report_of(one, self.outcome, self.params) for one in scene.contact_couplings)
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """Path of each file by what it is: experiment, data, summary, animation, picture; laws by their names."""
+        named = {
+            "experiment": files_of.EXPERIMENT,
+            "data": DATA,
+            "summary": files_of.SUMMARY,
+            "animation": files_of.ANIMATION,
+            "picture": files_of.PICTURE,
+        }
+        named |= {name: name for name in self.summary.get(files_of.LAW_FILES, {})}
+        return {kind: self.folder / name for kind, name in named.items() if (self.folder / name).exists()}
+
+    @property
+    def shards(self) -> list[Shard]:
+        """The shards that it consists of."""
+        return shards_of(self.summary["envs"], self.summary["shard"])
+
+    def table(self) -> xr.Dataset:
+        """Returns parameters and outcomes of the finished environments as one data set (env, …)."""
+        outcome = self.outcome
+        params = self.params.sel(env=outcome["env"])
+        both = [name for name in params if name in outcome]
+        return xr.merge([params.drop_vars(both), outcome], join="exact", combine_attrs="drop_conflicts")
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Returns one row for each finished environment: its parameters and outcomes, vectors by component."""
+        import pandas as pd
+
+        table = self.table()
+        columns: dict[str, NDArray[Any]] = {}
+        for name, array in table.data_vars.items():
+            for labels, values in _columns(array):
+                columns[".".join([str(name), *labels])] = values
+        return pd.DataFrame(columns, index=pd.Index(table["env"].values, name="env"))
+
+    def to_csv(self, path: str | PathLike[str]) -> None:
+        """Writes that table as comma-separated values, numbers with all their digits."""
+        frame = self.to_dataframe()
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["env", *frame.columns])
+            for env, row in zip(frame.index, frame.itertuples(index=False), strict=True):
+                writer.writerow([env, *row])
+
+    def to_parquet(self, path: str | PathLike[str]) -> None:
+        """Writes that table as Parquet.
+
+        Raises:
+            ImportError: If pyarrow is not installed.
+        """
+        try:
+            import pyarrow  # noqa: F401
+        except ImportError:
+            raise ImportError(
+                "Parquet needs pyarrow, which is not installed: pip install 'warpcontact[tables]'"
+            ) from None
+        self.to_dataframe().to_parquet(path, engine="pyarrow")
+
+    def digest(self) -> str:
+        """Returns the SHA-256 of all results, environment by environment: the same however they were run."""
+        total = hashlib.sha256()
+        for group in GROUPS:
+            if not (self.folder / DATA / group).is_dir():
+                continue
+            data = self._group(group)
+            for name in sorted(map(str, data.data_vars)):
+                array = data[name].transpose("env", ...)
+                total.update(f"{group}/{name}{array.dtype}{array.shape}".encode())
+                rows = max(1, CHUNK * array.sizes["env"] // max(1, array.nbytes))
+                for first in range(0, array.sizes["env"], rows):
+                    values = array.isel(env=slice(first, first + rows)).values
+                    total.update(np.ascontiguousarray(values).tobytes())
+        return total.hexdigest()
+
+    def check(self) -> None:
+        """Reads every file of the results and compares it with what was committed.
+
+        Raises:
+            StoreError: If one is missing or was changed.
+        """
+        Ledger(self.folder).check(contents=True)
+
+    def _group(self, name: str) -> xr.Dataset:
+        if not (self.folder / DATA / name).is_dir():
+            what = {"series": "nothing over time: [record] series = false", "events": "no events"}[name]
+            raise ValueError(f"{self.folder}: the run recorded {what}")
+        return xr.open_zarr(self.folder / DATA, group=name, consolidated=False, chunks=None)
+
+    def _mask(self, *, finished: bool) -> NDArray[np.bool_]:
+        """Returns which environments are finished, or begun (env,)."""
+        mask = np.zeros(self.summary["envs"], dtype=bool)
+        commits = Ledger(self.folder).commits()
+        for shard in self.shards:
+            commit = commits.get(shard.number)
+            mask[shard.first : shard.stop] = commit is not None and (commit.finished or not finished)
+        return mask
+
+    def _begun(self) -> NDArray[np.intp] | slice:
+        mask = self._mask(finished=False)
+        return slice(None) if mask.all() else np.flatnonzero(mask)
+
+    def __str__(self) -> str:
+        s = self.summary
+        shards = f" in {len(self.shards)} shards" if len(self.shards) > 1 else ""
+        title = (
+            f"{s['name']}: {s['envs']} environments × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s"
+        )
+        lines = [title]
+        if self.finished:
+            rate = f"{s['env_steps_per_second']:.3g} environment steps per second"
+            lines.append(f"{s['wall_time']:.1f} s on {s['device']}{shards}, {rate}")
+        else:
+            count = int(self._mask(finished=True).sum())
+            lines.append(f"{s['state']}: {count} of {s['envs']} environments are finished{shards}")
+        for shard, message in s.get("failed", {}).items():
+            lines.append(f"{shard} failed: {message}")
+        if self.outcome.sizes["env"]:
+            lines.append(str(self.health))
+        lines += [line for report in s.get("contact_couplings", {}).values() for line in report]
+        width = max(11, *map(len, self.files))
+        lines += [f"  {kind:<{width}} {path}" for kind, path in sorted(self.files.items())]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return f"<Run in {self.folder}: {self.summary['name']}, {self.summary['state']}>"
+
+
+def open_run(path: str | PathLike[str], *, verify: bool = False) -> Run:
+    """Opens the folder of a run, finished or not.
+
+    Args:
+        path: The folder.
+        verify: Whether to read all results and compare them with what was committed, not only their sizes.
+
+    Raises:
+        ExperimentError: If it holds no run, or one of a schema that this version does not read.
+        StoreError: If anything that was committed is missing, cut off or was changed.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        raise ExperimentError(str(folder), ["is not a folder"])
+    summary = files_of.read_summary(folder)
+    if summary is None:
+        raise ExperimentError(str(folder), [f"holds no run: there is no whole {files_of.SUMMARY} in it"])
+    files_of.check_schema(folder, summary)
+    if not (folder / DATA).is_dir():
+        raise ExperimentError(str(folder), ["the run was ended before anything was kept"])
+    if not (folder / COMMITS).is_dir():
+        raise ExperimentError(str(folder), [f"folder {COMMITS} is missing, which says what counts"])
+    try:
+        tomllib.loads((folder / files_of.EXPERIMENT).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ExperimentError(str(folder / files_of.EXPERIMENT), [f"cannot be read: {error}"]) from None
+    Ledger(folder).check(contents=verify)
+    return Run(folder, summary)
+
+
+def _columns(array: xr.DataArray) -> Iterator[tuple[list[str], NDArray[Any]]]:
+    """Iterates over the labels behind ``env`` of an array, and the values of each."""
+    values = array.transpose("env", ...).values
+    axes = [dim for dim in array.dims if dim != "env"]
+    for place in np.ndindex(values.shape[1:]):
+        labels = [
+            str(array[dim].values[i]) if dim in array.coords else str(i)
+            for dim, i in zip(axes, place, strict=True)
+        ]
+        yield labels, values[(slice(None), *place)]

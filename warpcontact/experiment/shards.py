@@ -1,0 +1,362 @@
+"""Runs shards of an experiment, one after another on one model: steps, writes, commits, goes on after a stop."""
+
+import contextlib
+import re
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from warpcontact import checkpoint
+from warpcontact.advice import ContactWarning
+from warpcontact.contact_coupling_report import OUTCOMES
+from warpcontact.environments import Environments
+from warpcontact.experiment.design import Design
+from warpcontact.experiment.plan import kept
+from warpcontact.experiment.progress import Beacon
+from warpcontact.experiment.schema import Settings
+from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
+from warpcontact.recorder import Recorder
+from warpcontact.remarks import Remarks
+from warpcontact.simulation import Simulation, frame_count, recorded_steps
+
+# Of the time of stepping, what checkpoints may take at most: large states are saved less often.
+CHECKPOINT_SHARE = 0.05
+
+
+class Interrupted(KeyboardInterrupt):
+    """Somebody asked to stop; what was done is committed."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """How the series of a run are taken.
+
+    Attributes:
+        steps: Steps of the run.
+        stride: Steps from frame to frame.
+        count: Number of frames, that of the start included; 0: nothing is recorded over time.
+        block: Frames that are written at once.
+    """
+
+    steps: int
+    stride: int
+    count: int
+    block: int
+
+    @classmethod
+    def of(cls, settings: Settings, block: int) -> "Frames":
+        """Returns those of an experiment, written in blocks."""
+        steps, stride = recorded_steps(settings.duration, settings.record.every, settings.dt)
+        if not settings.record.series:
+            # A frame without readings, at the end: steps are only looked at for progress.
+            return cls(steps, steps, 0, 2)
+        return cls(steps, stride, frame_count(steps, stride), block)
+
+    def times(self, dt: float) -> Any:
+        """Returns the times of all frames [s]."""
+        return np.arange(self.count) * self.stride * dt
+
+
+class ShardRunner:
+    """Runs shards of an experiment on a model that takes the values of one after the other.
+
+    Environments have the same values and results whatever shard they are in. A last shard with fewer is filled up
+    with copies of its last environment, whose results are dropped.
+
+    Args:
+        model: As many environments as a shard has.
+        settings: The experiment, with all defaults.
+        design: What varies.
+        frames: How series are taken.
+        folder: Folder of the run, with its store.
+        every: Time between checkpoints [s], at the end of a block at the earliest.
+        threads: Threads that step environments on the CPU.
+    """
+
+    def __init__(
+        self,
+        model: Environments,
+        settings: Settings,
+        design: Design,
+        frames: Frames,
+        folder: Path,
+        every: float,
+        threads: int | None = None,
+    ) -> None:
+        self.settings = settings
+        self.design = design
+        self.frames = frames
+        self.folder = folder
+        self.every = every
+        self.simulation = make_simulation(model, settings, threads)
+        # Told here, once for each kind, with the numbers of environments among all.
+        self.simulation.advised = True
+        self.ledger = Ledger(folder)
+        self._recorder: Recorder | None = None
+        self._said: set[str] = set()
+
+    @property
+    def model(self) -> Environments:
+        """The model."""
+        return self.simulation.model
+
+    def warm_up(self) -> None:
+        """Compiles what is not in the cache; the time of the run is then that of stepping."""
+        self.simulation.step()
+        self.simulation.reset()
+
+    def take(self, shard: Shard) -> None:
+        """Gives the model the values of ``shard``, and puts it at the start."""
+        values = self.design.rows(shard.first, shard.stop)
+        model = self.model
+        missing = model.envs - shard.envs
+        for name, rows in values.items():
+            parsed = model.find_parameter(name).parse(rows, shard.envs)
+            if missing and len(parsed) == shard.envs:
+                parsed = np.concatenate([parsed, np.repeat(parsed[-1:], missing, axis=0)])
+            model.assign(name, parsed)
+        model.first_env = shard.first
+        self.simulation.reset()
+
+    def recorder(self) -> Recorder:
+        """Returns what takes the frames; its parameters are those of the values that were taken."""
+        record = self.settings.record
+        readings = record.readings or () if record.series else ()
+        varied = kept(self.model, self.design.names, self.design.envs)
+        return Recorder(
+            self.model, readings, self.frames.block, poses=True, parameters=varied, series=record.series
+        )
+
+    def templates(self) -> dict[str, xr.Dataset]:
+        """Returns a data set of a shard for each group of the store, without frames and with any values."""
+        recorder = self.recorder()
+        found = {"params": recorder.parameters(), "outcome": self.outcome()}
+        if self.frames.count:
+            found["series"] = recorder.series()
+        events = self.events()
+        return found if events is None else {**found, "events": events}
+
+    def outcome(self) -> xr.Dataset:
+        """Returns what became of each environment, (env, …)."""
+        model = self.model
+        env = ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"})
+        status = np.concatenate([part.arrays.status.numpy() for part in model.parts])
+        found = xr.Dataset({"status": ("env", status)}, coords={"env": env})
+        for coupling in model.scene.contact_couplings:
+            for key in OUTCOMES:
+                name = f"{coupling.name}.{key}"
+                reading = model.find_reading(name)
+                notes = {"units": reading.unit, "long_name": reading.meaning}
+                found[name] = ("env", model.reading(name), notes)
+        return found
+
+    def events(self) -> xr.Dataset | None:
+        """Returns the events (env, event); ``None``: none were asked for."""
+        return None
+
+    def run(self, shard: Shard, commit: Commit | None, progress: Callable[[int], None] | None = None) -> Commit:
+        """Runs ``shard``, from its last commit on if there is one.
+
+        Args:
+            shard: The shard.
+            commit: Its record; ``None``: it has none.
+            progress: Called with how many steps are done, by all its environments.
+
+        Returns:
+            Its record, which says that it is finished.
+
+        Raises:
+            Interrupted: If somebody pressed Ctrl-C; all steps until then are committed.
+        """
+        commit = Commit(shard.number) if commit is None else commit
+        self.take(shard)
+        recorder = self.recorder()
+        recorder.start()
+        if commit.steps:
+            commit = self._go_on(shard, commit, recorder)
+        self._advise(commit)
+        attempt = _Attempt(self, shard, commit, recorder, self.ledger.staging(shard))
+        beacon = Beacon(self.folder, shard)
+
+        def tell(done: int) -> None:
+            beacon.tell(done)
+            if progress is not None:
+                progress(done)
+
+        try:
+            with interruptions() as asked, _without_local_numbers():
+                return attempt.run(asked, tell)
+        finally:
+            beacon.remove()
+
+    def _go_on(self, shard: Shard, commit: Commit, recorder: Recorder) -> Commit:
+        """Puts the model where ``commit`` left it; from the start where its checkpoint does not fit."""
+        path = self.folder / CHECKPOINTS / str(commit.checkpoint)
+        try:
+            arrays, _ = checkpoint.read(path)
+            frames = {key.removeprefix("frame/"): a for key, a in arrays.items() if key.startswith("frame/")}
+            checkpoint.restore(self.simulation, arrays)
+            times = arrays["times"]
+        except (checkpoint.CheckpointError, FileNotFoundError) as error:
+            warnings.warn(f"{shard.name} begins anew: {error}", RuntimeWarning, stacklevel=3)
+            self.simulation.reset()
+            return Commit(shard.number, wall_time=commit.wall_time)
+        recorder.go_on_from(frames, times)
+        return commit
+
+    def _advise(self, commit: Commit) -> None:
+        """Warns as the first step of a simulation does, of what is not known from earlier shards."""
+        if commit.steps:
+            return
+        for sentence in self.simulation.advice():
+            kind = re.sub(r"[\d.,+-]+(e[+-]?\d+)?", "", sentence)
+            if kind not in self._said:
+                warnings.warn(sentence, ContactWarning, stacklevel=3)
+            self._said.add(kind)
+
+
+class _Attempt:
+    """One attempt to run a shard to its end."""
+
+    def __init__(
+        self, runner: ShardRunner, shard: Shard, commit: Commit, recorder: Recorder, staging: Staging
+    ) -> None:
+        self.runner = runner
+        self.shard = shard
+        self.commit = commit
+        self.recorder = recorder
+        self.staging = staging
+        self.remarks = Remarks(runner.model)
+        self.started = time.perf_counter()
+        self.spent = commit.wall_time
+        self.last = self.started
+        self.took = 0.0
+
+    def run(self, asked: "Asked", tell: Callable[[int], None]) -> Commit:
+        runner, frames, commit = self.runner, self.runner.frames, self.commit
+        if not commit.steps:
+            self.staging.write("params", self.recorder.parameters())
+        taken = commit.frames + self.recorder.taken
+        # The frames without readings are not counted.
+        taken = taken if frames.count else min(1, commit.steps)
+        steps = frames.steps
+        for done in runner.simulation.advance(
+            self.recorder, steps, frames.stride, start=0.0, done=commit.steps, taken=taken
+        ):
+            tell(done)
+            if frames.count and self.recorder.taken == frames.block:
+                self._write_block()
+            if done == steps:
+                break
+            if asked.to_stop:
+                self._save(done)
+                raise Interrupted
+            if self._due():
+                self._save(done)
+        return self._finish()
+
+    def _write_block(self) -> None:
+        """Writes the frames that were taken."""
+        self.staging.write("series", self.recorder.series(), self.commit.frames)
+        self.commit.frames += self.recorder.taken
+        self.recorder.rewind()
+
+    def _due(self) -> bool:
+        since = time.perf_counter() - self.last
+        return since >= self.runner.every and since >= self.took / CHECKPOINT_SHARE
+
+    def _save(self, done: int) -> None:
+        """Commits what was done so far, with a checkpoint."""
+        begin = time.perf_counter()
+        name = f"{self.shard.name}-{done:012d}.npz"
+        arrays = checkpoint.state_of(self.runner.simulation)
+        pending = self.recorder.taken if self.runner.frames.count else 0
+        arrays |= {f"frame/{key}": values[:pending] for key, values in self.recorder.frames().items()}
+        arrays["times"] = self.recorder.times[:pending]
+        checkpoint.write(self.runner.folder / CHECKPOINTS / name, arrays, {"shard": self.shard.number})
+        self.commit.steps, self.commit.checkpoint = done, name
+        self._commit()
+        self.last = time.perf_counter()
+        self.took = self.last - begin
+
+    def _finish(self) -> Commit:
+        runner, model = self.runner, self.runner.model
+        if runner.frames.count and self.recorder.taken:
+            self._write_block()
+        self.staging.write("outcome", runner.outcome())
+        events = runner.events()
+        if events is not None:
+            self.staging.write("events", events)
+        for sentence in self.remarks.new():
+            warnings.warn(sentence, RuntimeWarning, stacklevel=4)
+        frozen = model.health().frozen
+        self.commit.frozen = int((frozen < self.shard.envs).sum())
+        self.commit.steps, self.commit.checkpoint, self.commit.finished = runner.frames.steps, None, True
+        self._commit()
+        self.staging.remove()
+        return self.commit
+
+    def _commit(self) -> None:
+        self.commit.wall_time = self.spent + time.perf_counter() - self.started
+        self.runner.ledger.commit(self.shard, self.commit, self.staging.written)
+        self.staging.clear()
+
+
+def make_simulation(model: Environments, settings: Settings, threads: int | None = None) -> Simulation:
+    """Returns what steps an experiment."""
+    return Simulation(
+        model,
+        dt=settings.dt,
+        integrator=settings.integrator.make(),
+        crossing_steps=settings.crossing_steps,
+        threads=threads,
+    )
+
+
+@dataclass
+class Asked:
+    """Whether somebody asked to stop."""
+
+    to_stop: bool = False
+
+
+@contextlib.contextmanager
+def interruptions() -> Iterator[Asked]:
+    """Notes Ctrl-C, and the signal that ends a process, once; a second time they act as usual."""
+    asked = Asked()
+    if threading.current_thread() is not threading.main_thread():
+        yield asked
+        return
+    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def note(number: int, _: Any) -> None:
+        asked.to_stop = True
+        for one, handler in usual.items():
+            signal.signal(one, handler)
+
+    if not callable(usual[signal.SIGINT]):
+        yield asked
+        return
+    for number in usual:
+        signal.signal(number, note)
+    try:
+        yield asked
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _without_local_numbers() -> Iterator[None]:
+    """Keeps a shard from reporting frozen environments by their numbers within it: the run does, of all."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".* non-finite and are frozen", category=RuntimeWarning)
+        yield
