@@ -1,6 +1,7 @@
 """The command line: what it prints, where it prints it, and its exit codes."""
 
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 import warpcontact as wc
 from warpcontact.cli import main
+from warpcontact.experiment.shards import ShardRunner
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
 HEAVY = ["matplotlib", "numpy", "pxr", "pydantic", "scipy", "tqdm", "trimesh", "warp", "xarray"]
@@ -36,7 +38,7 @@ def test_example_runs_and_says_where_the_results_are(device, tmp_path, capsys, m
     assert main(words) == 0
     out, err = capsys.readouterr()
     folder = Path("results/terrain_drop")
-    for name in ("recording.zarr", "animation.usdc", "picture.png", "experiment.toml", "run.json"):
+    for name in ("data.zarr", "animation.usdc", "picture.png", "experiment.toml", "run.json"):
         assert (folder / name).exists()
         assert str(folder / name) in out
     assert "4 environments × 0.1 s in 500 steps" in out
@@ -123,24 +125,25 @@ def test_interrupt_is_no_traceback(monkeypatch, capsys):
     assert "interrupted" in capsys.readouterr().err
 
 
-def test_interrupted_run_keeps_nothing_and_says_so(tmp_path, capsys, monkeypatch):
+def test_interrupted_run_says_how_to_go_on(tmp_path, capsys, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    words = ["run", str(EXAMPLE), "--envs", "2", "--duration", "0.02", "--device", "cpu", "--out", str(tmp_path)]
+    out = tmp_path / "a folder"
+    words = ["run", str(EXAMPLE), "--envs", "2", "--duration", "0.02", "--device", "cpu", "--out", str(out)]
     with monkeypatch.context() as patch:
-        patch.setattr(wc.Simulation, "run", interrupted)
+        patch.setattr(ShardRunner, "run", interrupted)
         assert main(words) == 130
-    assert f"interrupted; nothing was kept in {tmp_path}\n" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
-    assert main(words) == 0
-    monkeypatch.setattr(wc.Simulation, "run", interrupted)
+    err = capsys.readouterr().err
+    assert f"interrupted; what was done is kept in {out}; go on with:\n" in err
+    command = err.splitlines()[-1].split(maxsplit=1)[1]
+    assert main(shlex.split(command)) == 0
     assert main(words) == 2
     # Before anything is touched there is nothing to say about the folder.
-    monkeypatch.setattr(wc.Scene, "build", interrupted)
+    monkeypatch.setattr(wc.Scene, "snapshot", interrupted)
     assert main([*words, "--overwrite"]) == 130
-    assert "nothing was kept" not in capsys.readouterr().err
-    assert (tmp_path / "recording.zarr").exists()
+    assert "is kept" not in capsys.readouterr().err
+    assert wc.open_run(out).finished
 
 
 def test_warnings_are_printed_once_and_kept(tmp_path, capsys):

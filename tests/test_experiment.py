@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import warpcontact as wc
 from warpcontact.experiment.catalogue import SHAPES
@@ -43,7 +42,7 @@ def test_example_leaves_complete_results(device, tmp_path):
     run = small_example().run(tmp_path / "out", device=device)
     assert {path.name for path in run.files.values()} == {path.name for path in run.folder.iterdir()}
     assert run.health.good
-    stored = xr.open_zarr(run.files["recording"])
+    stored = wc.open_run(run.folder).recording
     assert stored["touch.gap"].dims == ("time", "env")
     assert stored["touch.gap"].shape == (4, 3)
     np.testing.assert_array_equal(stored["ball.position"].values, run.recording["ball.position"].values)

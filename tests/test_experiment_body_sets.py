@@ -64,12 +64,12 @@ def test_lists_and_files_say_the_same(folder, device):
             np.testing.assert_array_equal(other.recording[name].values, data[name].values)
 
 
-def test_batches_of_sets_are_the_same(folder, device):
+def test_shards_of_sets_are_the_same(folder, device):
     experiment = wc.Experiment.from_dict(STUDY, folder)
     whole = experiment.run(folder / "whole", device=device).recording
-    batches = experiment.run(folder / "batches", device=device, batch=2).recording
+    shards = experiment.run(folder / "shards", device=device, shard=2).recording
     for name in ("touch.gap", "grains.position", "grains.mass"):
-        np.testing.assert_array_equal(batches[name].values, whole[name].values)
+        np.testing.assert_array_equal(shards[name].values, whole[name].values)
 
 
 def test_inertia_follows_from_mass_and_radius_of_each_body(folder, device):

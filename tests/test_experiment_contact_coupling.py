@@ -171,14 +171,14 @@ def test_a_wrong_coupling_does_not_make_its_names_unknown():
     assert problem.startswith("contact_coupling[0].facing")
 
 
-def test_a_run_reports_its_couplings_whatever_the_batches(tmp_path):
+def test_a_run_reports_its_couplings_whatever_the_shards(tmp_path):
     changes = {
         "envs": 3,
         "variation": {"block.linear_velocity": {"values": [[0, 0, -0.5], [0, 0, 1.0], [0, 0, -2.5]]}},
     }
     runs = [
-        wc.Experiment(content(**changes)).run(tmp_path / str(batch), device="cpu", batch=batch)
-        for batch in (None, 2)
+        wc.Experiment(content(**changes)).run(tmp_path / str(shard), device="cpu", shard=shard)
+        for shard in (None, 2)
     ]
     for run in runs:
         told = str(run)
@@ -188,6 +188,6 @@ def test_a_run_reports_its_couplings_whatever_the_batches(tmp_path):
         (report,) = run.reports
         assert report.in_range.tolist() == [True, False, True]
         assert report.passed.tolist() == [False, False, True]
-    whole, batched = (run.reports[0] for run in runs)
+    whole, in_shards = (run.reports[0] for run in runs)
     for name in ("effective_area", "minimum_distance", "effective_range"):
-        np.testing.assert_array_equal(getattr(whole, name), getattr(batched, name))
+        np.testing.assert_array_equal(getattr(whole, name), getattr(in_shards, name))

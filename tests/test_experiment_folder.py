@@ -32,7 +32,7 @@ def test_earlier_run_is_replaced_on_request_only(tmp_path):
         wc.Experiment(content()).run(tmp_path, device="cpu")
     with pytest.raises(wc.ExperimentError, match="device"):  # found before anything is removed
         wc.Experiment(content()).run(tmp_path, device="cuda:99", overwrite=True)
-    assert (tmp_path / "recording.zarr").exists()
+    assert (tmp_path / "data.zarr").exists()
     run = wc.Experiment(content(output={"usd_envs": 0})).run(tmp_path, device="cpu", overwrite=True)
     assert not (tmp_path / "animation.usdc").exists()
     assert (tmp_path / "notes.txt").read_text() == "mine"
@@ -41,18 +41,21 @@ def test_earlier_run_is_replaced_on_request_only(tmp_path):
 
 def test_folder_of_an_unfinished_run_may_be_used_again(tmp_path):
     def interrupt(stage):
-        if stage == "writing":
+        if stage == "running":
             raise KeyboardInterrupt
 
     summary = tmp_path / "run.json"
     with pytest.raises(KeyboardInterrupt):
         wc.Experiment(content()).run(tmp_path, device="cpu", on_stage=interrupt)
     assert json.loads(summary.read_text())["state"] == "interrupted"
-    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
     assert wc.Experiment(content()).run(tmp_path, device="cpu").health.good
     written = json.loads(summary.read_text())
     gone = written | {"state": "unfinished", "process": 2**22 + 1}  # above the largest number of a process
     summary.write_text(json.dumps(gone))
+    with pytest.raises(wc.ExperimentError, match=r"a run that did not finish; .*\(--resume\)"):
+        wc.Experiment(content()).run(tmp_path, device="cpu")
+    for path in (tmp_path / "commit").iterdir():
+        path.unlink()  # nothing is lost then
     assert wc.Experiment(content()).run(tmp_path, device="cpu").health.good
 
 

@@ -5,7 +5,6 @@ import shutil
 
 import numpy as np
 import pytest
-import xarray as xr
 from pxr import Usd, UsdGeom
 from test_experiment_errors import problems_of
 
@@ -112,7 +111,7 @@ def test_results_carry_meshes_and_choice(folder):
     run = experiment.run(folder / "deep" / "out", device="cpu", on_warning=heard.append)
     assert any(text.startswith("mesh file 'meshes/halves.obj': duplicate: 1 face") for text in heard)
     assert json.loads(run.files["summary"].read_text())["warnings"] == heard
-    stored = xr.open_zarr(run.files["recording"])
+    stored = run.recording
     chosen = stored["ground.mesh"].values
     assert stored["ground.mesh"].dims == ("env",)
     assert len(set(chosen)) > 1
@@ -131,7 +130,7 @@ def test_results_carry_meshes_and_choice(folder):
 
     # Each environment of the animation has its mesh, whether it is written by the run or later.
     later = wc.export_usd(
-        xr.open_zarr(folder / "other" / "out" / "recording.zarr"),
+        wc.open_run(folder / "other" / "out").recording,
         folder / "later.usdc",
         envs=range(ENVS),
         scene=moved.scene(),

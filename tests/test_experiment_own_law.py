@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
 from test_experiment import content
 
 import warpcontact as wc
@@ -88,7 +87,7 @@ def test_the_command_runs_laws_of_the_user_like_the_same_script(device, folder, 
     captured = capsys.readouterr()
     assert captured.err.count(f"loading {folder / 'my_laws.py'} …\n") == 1
     assert str(out / "my_laws.py") in captured.out
-    recorded = xr.open_zarr(out / "recording.zarr")
+    recorded = wc.open_run(out).recording
 
     module = imported(folder / "my_laws.py", "laws_of_a_script")
     scene = wc.Scene()
@@ -156,17 +155,17 @@ def test_copies_of_files_of_one_name_are_told_apart(folder):
 
 def test_overwriting_replaces_copies_and_nothing_of_the_user(folder):
     out = folder.parent / "out"
-    run = wc.Experiment.from_dict(study(), folder).run(out, device="cpu")
+    wc.Experiment.from_dict(study(), folder).run(out, device="cpu")
     (out / "notes.py").write_text("mine")
     catalogue = wc.Experiment.from_dict(study(law={"type": "Hooke", "stiffness": 1e4}), folder)
     catalogue.run(out, device="cpu", overwrite=True)
-    assert not run.files["my_laws.py"].exists()
+    assert not (out / "my_laws.py").exists()
     assert (out / "notes.py").read_text() == "mine"
     (out / "my_laws.py").write_text("mine too")
     with pytest.raises(wc.ExperimentError, match=r"holds a file 'my_laws\.py' of its own"):
         wc.Experiment.from_dict(study(), folder).run(out, device="cpu", overwrite=True)
     assert (out / "my_laws.py").read_text() == "mine too"
-    assert (out / "recording.zarr").exists()
+    assert (out / "data.zarr").exists()
     # Whatever is in run.json, nothing else is removed.
     (folder / "kept.py").write_text("")
     for name in ("../study/kept.py", "notes.txt", str(folder / "kept.py"), 3):
@@ -176,7 +175,7 @@ def test_overwriting_replaces_copies_and_nothing_of_the_user(folder):
     assert (folder / "kept.py").exists()
 
 
-def test_an_interrupted_run_leaves_no_copies(folder):
+def test_an_interrupted_run_goes_on_with_its_copies(folder):
     def interrupt(stage):
         if stage == "running":
             raise KeyboardInterrupt
@@ -184,7 +183,10 @@ def test_an_interrupted_run_leaves_no_copies(folder):
     out = folder.parent / "out"
     with pytest.raises(KeyboardInterrupt):
         wc.Experiment.from_dict(study(), folder).run(out, device="cpu", on_stage=interrupt)
-    assert [path.name for path in out.iterdir()] == ["run.json"]
+    assert json.loads((out / "run.json").read_text())["state"] == "interrupted"
+    resumed = wc.Experiment.from_dict(study(), folder).run(out, device="cpu", resume=True)
+    assert (out / "my_laws.py").read_bytes() == (folder / "my_laws.py").read_bytes()
+    assert resumed.finished
 
 
 def law_of(experiment):
@@ -286,7 +288,7 @@ def test_annotations_as_texts_are_understood(folder):
 def test_the_example_rebounds_as_its_closed_form_says(device, tmp_path):
     words = ["run", str(EXAMPLES / "own_law.toml"), "--out", str(tmp_path / "out"), "--device", device]
     assert main(words) == 0
-    recording = xr.open_zarr(tmp_path / "out" / "recording.zarr")
+    recording = wc.open_run(tmp_path / "out").recording
     closed_form = imported(EXAMPLES / "own_law.py", "example_own_law_closed_form")
     after = recording.sel(time=slice(0.22, None))  # it touches at 0.202 s
     heights = after["ball.position"].sel(axis="z").max("time").values - 0.05

@@ -523,14 +523,14 @@ def test_plan_tells_and_runs_nothing(device, tmp_path, capsys, monkeypatch):
     assert out.startswith("1024 environments on ")
     for part in ("state", "recording", "available: ", "on disk: up to ", "1024 environments: all at once"):
         assert part in out
-    assert main([*words, "--batch", "100", "--duration", "1"]) == 0
-    assert "batches of" in capsys.readouterr().out
+    assert main([*words, "--shard", "100", "--duration", "1"]) == 0
+    assert "shards of" in capsys.readouterr().out
     with_room(monkeypatch, 300 * MIB)
     assert main([*words, "--envs", "100000"]) == 0
     assert "one after another" in capsys.readouterr().out
-    assert main([*words, "--envs", "100000", "--batch", "100000"]) == 1
+    assert main([*words, "--envs", "100000", "--shard", "100000"]) == 1
     out = capsys.readouterr().out
-    assert "batch 100000: 100000 environments need" in out
+    assert "shard 100000: 100000 environments need" in out
     assert "at most " in out
     with_room(monkeypatch, MIB)
     assert main(words) == 1
@@ -543,8 +543,8 @@ def test_plan_tells_and_runs_nothing(device, tmp_path, capsys, monkeypatch):
     assert main(["run", *words[1:], "--duration", "3000"]) == 2
     assert "not even one environment fits" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-    assert main([*words, "--batch", "0"]) == 2
-    assert "--batch 0: batch must be a whole number of at least 1, got 0" in capsys.readouterr().err
+    assert main([*words, "--shard", "0"]) == 2
+    assert "--shard 0: shard must be a whole number of at least 1, got 0" in capsys.readouterr().err
 
 
 GROWTH = """

@@ -537,7 +537,7 @@ def test_the_command_line_takes_several_devices(device, tmp_path, capsys):
     path.write_text(STUDY)
     assert main(["run", str(path), "--out", str(tmp_path / "out"), "--device", f"{device},{device}"]) == 0
     assert f"compiling for {device}, {device}" in capsys.readouterr().err
-    assert main(["plan", str(path), "--device", f"{device},{device}", "--batch", "2"]) == 0
-    assert "batches of 2, one after another" in capsys.readouterr().out
+    assert main(["plan", str(path), "--device", f"{device},{device}", "--shard", "2"]) == 0
+    assert "shards of 2, one after another" in capsys.readouterr().out
     assert main(["run", str(path), "--out", str(tmp_path / "none"), "--device", "cpu,cuda:99"]) == 2
     assert "--device cpu,cuda:99: device[1] must be one of cpu" in capsys.readouterr().err

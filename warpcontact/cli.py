@@ -86,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         help="seconds between checkpoints of a shard (default: 60)",
     )
     run.add_argument("--threads", type=int, metavar="N", help="threads on the CPU (default: one per core)")
-    run.set_defaults(command=_run)
+    run.set_defaults(command=_run, usage=run)
 
     plan = commands.add_parser(
         "plan",
@@ -181,7 +181,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     if arguments.file is None:
         if not (arguments.resume and arguments.out):
-            return _fail("FILE is missing; it may be left out with --resume --out DIR")
+            arguments.usage.error("the following arguments are required: FILE (unless --resume --out DIR)")
         arguments.file = Path(arguments.out) / EXPERIMENT
     folder: Path | None = None
     try:

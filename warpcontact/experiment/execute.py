@@ -28,6 +28,7 @@ from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.shards import Frames, Interrupted, ShardRunner
 from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError, shards_of
 from warpcontact.experiment.toml import to_toml
+from warpcontact.scene import Scene
 
 #: How often a shard is tried.
 ATTEMPTS = 3
@@ -39,6 +40,7 @@ class Job:
 
     Attributes:
         settings: The experiment, with all defaults.
+        scene: What there is.
         design: What varies.
         plan: How many environments are in a shard, and how many shards there are.
         copy: What repeats the run.
@@ -51,6 +53,7 @@ class Job:
     """
 
     settings: Settings
+    scene: Scene
     design: Design
     plan: Plan
     copy: files_of.Copy
@@ -178,6 +181,10 @@ def here(runner: ShardRunner, job: Job) -> Runs:
 
     def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> Outcome:
         outcome = Outcome()
+        job.say(f"compiling for {', '.join(map(str, runner.model.devices))}")
+        runner.warm_up()
+        plan = job.plan
+        job.say("running" + (f" {plan.shards} shards of {plan.shard} environments" if plan.shards > 1 else ""))
         for shard in left:
             message = attempt(runner, shard, commits.get(shard.number), bar, alone=len(job.shards) == 1)
             if message is not None:
@@ -258,7 +265,7 @@ def _end(job: Job, summary: dict[str, Any]) -> Run:
     folder = job.folder
     commits = Ledger(folder).commits()
     wall_time = sum(commit.wall_time for commit in commits.values())
-    run = Run(folder, summary)
+    run = Run(folder, summary, job.scene)
     job.say("writing")
     _show(run, job)
     health = run.health
@@ -273,7 +280,8 @@ def _end(job: Job, summary: dict[str, Any]) -> Run:
         "warnings": job.notices.lines,
     }
     files_of.write_summary(folder, summary)
-    return Run(folder, summary)
+    files_of.remove_parts(folder)
+    return Run(folder, summary, job.scene)
 
 
 def _show(run: Run, job: Job) -> None:

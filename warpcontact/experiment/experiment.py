@@ -225,6 +225,7 @@ class Experiment:
                 plan = plan.resumed(summary)
             job = Job(
                 settings=experiment.settings,
+                scene=experiment.scene(),
                 design=experiment.design,
                 plan=plan,
                 copy=copy,
@@ -246,10 +247,6 @@ class Experiment:
             if place is not None:
                 del runner, draft  # whoever runs shards needs the room
                 return proceed(job, place.runs(job, device))
-            say(f"compiling for {', '.join(map(str, runner.model.devices))}")
-            runner.warm_up()
-            several = f" {plan.shards} shards of {plan.shard} environments" if plan.shards > 1 else ""
-            say(f"running{several}")
             return proceed(job, here(runner, job))
 
     def _tell_of_meshes(self, notices: Notices) -> None:

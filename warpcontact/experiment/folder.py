@@ -174,6 +174,12 @@ def make_parts(folder: Path) -> None:
         (folder / name).mkdir(exist_ok=True)
 
 
+def remove_parts(folder: Path) -> None:
+    """Removes those of them that a finished run needs no more."""
+    for name in (STAGING, CHECKPOINTS, PROGRESS):
+        shutil.rmtree(folder / name, ignore_errors=True)
+
+
 def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
     """Returns what is to be written into folder ``new`` of an experiment in folder ``old``.
 

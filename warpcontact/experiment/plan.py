@@ -131,10 +131,9 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
         advice = f"at most {most} at once" if most else "not even one environment"
         message = f"shard {shard}: {said(takes, room)}; {advice} fits on {takes.device}"
         raise MemoryShortage(message, takes.on(room.place), usable(room), most)
-    if shard is not None and most == wanted:
-        chosen = wanted  # as it was asked for
-    else:
-        chosen = shard_size(most, settings.envs) if most else 0
+    chosen = most
+    if shard is None and most:
+        chosen = shard_size(most, settings.envs)
     block = block_of(size, chosen or 1, frames)
     return Plan(settings.envs, chosen, block, footprint(chosen or 1), size.on_host(settings.envs, frames), rooms)
 

@@ -5,7 +5,7 @@ import functools
 import hashlib
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from warpcontact.contact_coupling_report import CouplingReport, report_of
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.errors import ExperimentError
-from warpcontact.experiment.store import CHUNK, COMMITS, DATA, GROUPS, Ledger, Shard, shards_of
+from warpcontact.experiment.store import CHUNK, COMMITS, DATA, GROUPS, ORDER, Ledger, Shard, shards_of
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
+from warpcontact.scene import Scene
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,6 +42,12 @@ class Run:
 
     folder: Path
     summary: dict[str, Any]
+    _scene: Scene | None = field(default=None, repr=False, compare=False)
+
+    @functools.cached_property
+    def scene(self) -> Scene:
+        """What ran."""
+        return self.experiment.scene() if self._scene is None else self._scene
 
     @functools.cached_property
     def experiment(self) -> "Experiment":
@@ -95,8 +102,9 @@ class Run:
         for data in (self.series, self.params):
             variables |= {name: array.variable for name, array in data.data_vars.items()}
         coordinates = {**self.params.coords, **self.series.coords}
-        recording = Recording(variables, coords=coordinates, attrs=self.series.attrs)
-        recording.scene = self.experiment.scene()
+        told = {key: self.summary[key] for key in ("device", "frozen_environments") if key in self.summary}
+        recording = Recording(variables, coords=coordinates, attrs={**self.series.attrs, **told})
+        recording.scene = self.scene
         return recording
 
     @property
@@ -108,15 +116,15 @@ class Run:
     @property
     def reports(self) -> tuple[CouplingReport, ...]:
         """How close contact couplings came, and over which area."""
-        scene = self.experiment.scene()
-        return tuple(report_of(one, self.outcome, self.params) for one in scene.contact_couplings)
+        return tuple(report_of(one, self.outcome, self.params) for one in self.scene.contact_couplings)
 
     @property
     def files(self) -> dict[str, Path]:
-        """Path of each file by what it is: experiment, data, summary, animation, picture; laws by their names."""
+        """Path of each by what it is: experiment, data, commits, summary, animation, picture; laws by name."""
         named = {
             "experiment": files_of.EXPERIMENT,
             "data": DATA,
+            "commits": COMMITS,
             "summary": files_of.SUMMARY,
             "animation": files_of.ANIMATION,
             "picture": files_of.PICTURE,
@@ -198,7 +206,8 @@ class Run:
         if not (self.folder / DATA / name).is_dir():
             what = {"series": "nothing over time: [record] series = false", "events": "no events"}[name]
             raise ValueError(f"{self.folder}: the run recorded {what}")
-        return xr.open_zarr(self.folder / DATA, group=name, consolidated=False, chunks=None)
+        data = xr.open_zarr(self.folder / DATA, group=name, consolidated=False, chunks=None)
+        return data[data.attrs.pop(ORDER)]
 
     def _mask(self, *, finished: bool) -> NDArray[np.bool_]:
         """Returns which environments are finished, or begun (env,)."""

@@ -34,6 +34,9 @@ COMMITS = "commit"
 #: The groups, of parameters, outcomes, readings over time, and events.
 GROUPS = ("params", "outcome", "series", "events")
 
+#: Attribute of a group: its variables, in their order.
+ORDER = "variables"
+
 # Arrays are stored in pieces of about this size [bytes].
 CHUNK = 16 * 2**20
 
@@ -128,7 +131,9 @@ def create(
         if "time" in template.sizes:
             sizes["time"] = len(times)
             coordinates["time"] = ("time", times, template["time"].attrs)
-        labels = xr.Dataset(coords=coordinates, attrs={**attributes, **template.attrs})
+        # Folders have no order of their own.
+        order = {ORDER: list(map(str, template.data_vars))}
+        labels = xr.Dataset(coords=coordinates, attrs={**attributes, **template.attrs, **order})
         labels.to_zarr(partial, group=name, mode="w-", zarr_format=3, consolidated=False)
         group = zarr.open_group(partial, mode="r+", path=name)
         for key, variable in template.data_vars.items():

@@ -16,6 +16,7 @@ import warpcontact as wc
 from warpcontact import available
 from warpcontact.draft import Draft
 from warpcontact.experiment.plan import shard_size
+from warpcontact.experiment.shards import ShardRunner
 from warpcontact.footprint import Need
 
 VARIED = {
@@ -34,9 +35,11 @@ def varied(**changes):
 
 
 def stored(run):
-    """Returns the recording in the folder of a run, by the metadata in one place and by those of each array."""
-    whole = xr.open_zarr(run.files["recording"], chunks=None).load()
-    assert whole.identical(xr.open_zarr(run.files["recording"], consolidated=False, chunks=None).load())
+    """Returns the recording in the folder of a run, as somebody reads it who opens it later."""
+    whole = wc.open_run(run.folder).recording.load()
+    assert whole.identical(run.recording.load())
+    series = xr.open_zarr(run.files["data"], group="series", consolidated=False, chunks=None)
+    assert set(series) <= set(whole)
     return whole
 
 
@@ -50,7 +53,7 @@ def test_shards_leave_the_same_results(shard, shards, at_once, device, tmp_path)
     run = varied().run(tmp_path / "out", device=device, shard=shard)
     assert stored(run).identical(stored(at_once))
     assert list(stored(run)) == list(stored(at_once))
-    assert run.recording.identical(stored(run)) or shards == 1
+    assert run.digest() == at_once.digest()
     assert run.recording["env"].values.tolist() == list(range(11))
     assert run.recording.scene is not None
     assert (run.summary["shards"], run.summary["envs"]) == (shards, 11)
@@ -137,6 +140,7 @@ def test_frozen_environments_keep_their_numbers(device, tmp_path):
     assert (run.health.envs, run.health.good) == (7, False)
     assert json.loads(run.files["summary"].read_text())["frozen_environments"] == [2, 4, 6]
     assert stored(run).attrs["frozen_environments"] == [2, 4, 6]
+    assert run.outcome["status"].values.astype(bool).tolist() == [False, False, True, False, True, False, True]
     assert "3 of 7 environments turned non-finite" in str(run)
 
 
@@ -187,29 +191,36 @@ def test_the_bar_counts_the_steps_of_all_shards(device, tmp_path, monkeypatch):
 
     monkeypatch.setattr(tqdm, "tqdm", Bar)
     wc.Experiment(content(envs=5)).run(tmp_path / "out", device=device, shard=2, progress=True)
-    assert [(bar.total, bar.n) for bar in bars] == [(3 * 20, 3 * 20)]
+    assert [(bar.total, bar.n) for bar in bars] == [(5 * 20, 5 * 20)]
     assert bars[0].desc.startswith("5 environments in 3 shards")
 
 
-def test_an_interrupted_batch_leaves_nothing_behind(device, tmp_path, monkeypatch):
+def test_an_interrupted_run_keeps_what_was_done_and_goes_on(device, tmp_path, monkeypatch):
     taken = []
-    run = wc.Simulation.run
+    run = ShardRunner.run
 
-    def interrupted(self, *args, **options):
-        taken.append(self.model.first_env)
+    def interrupted(self, shard, *args):
+        taken.append(shard.first)
         if len(taken) == 2:
-            assert (tmp_path / "recording.zarr").exists()  # of the first shard
             raise KeyboardInterrupt
-        return run(self, *args, **options)
+        return run(self, shard, *args)
 
-    monkeypatch.setattr(wc.Simulation, "run", interrupted)
+    monkeypatch.setattr(ShardRunner, "run", interrupted)
     with pytest.raises(KeyboardInterrupt):
         wc.Experiment(content(envs=6)).run(tmp_path, device=device, shard=2)
     assert taken == [0, 2]
-    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
     assert json.loads((tmp_path / "run.json").read_text())["state"] == "interrupted"
+    kept = wc.open_run(tmp_path)
+    assert not kept.finished
+    assert kept.recording["env"].values.tolist() == kept.outcome["env"].values.tolist() == [0, 1]
+    assert "interrupted: 2 of 6 environments are finished in 3 shards" in str(kept)
     monkeypatch.undo()
-    assert wc.Experiment(content(envs=6)).run(tmp_path, device=device, shard=2).health.good
+    with pytest.raises(wc.ExperimentError, match=r"holds a run that did not finish; .*--resume"):
+        wc.Experiment(content(envs=6)).run(tmp_path, device=device)
+    resumed = wc.Experiment(content(envs=6)).run(tmp_path, device=device, resume=True)
+    assert resumed.finished
+    once = wc.Experiment(content(envs=6)).run(tmp_path / "once", device=device)
+    assert resumed.digest() == once.digest()
 
 
 def test_values_that_do_not_fit_are_found_before_anything_is_removed(device, tmp_path):
@@ -218,7 +229,7 @@ def test_values_that_do_not_fit_are_found_before_anything_is_removed(device, tmp
     experiment = wc.Experiment(content(variation={"touch.radius": {"value": 0.1}, "ground.scale": scale}))
     with pytest.raises(ValueError, match="does not fit into float32"):
         experiment.run(tmp_path, device=device, overwrite=True, shard=2)
-    assert (tmp_path / "recording.zarr").exists()
+    assert wc.open_run(tmp_path).finished
 
 
 @pytest.mark.parametrize("shard", [0, -3, 1.5, "many", True])
@@ -248,14 +259,14 @@ def test_shards_are_even_and_of_round_size():
 
 
 def test_pieces_on_disk_are_parts_of_a_shard(device, tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcontact.experiment.result.CHUNK", 700)  # a few environments of 21 frames
+    monkeypatch.setattr("warpcontact.experiment.store.CHUNK", 700)  # a few environments of 21 frames
     run = wc.Experiment(content(envs=20)).run(tmp_path / "out", device=device, shard=8)
-    size = run.summary["shard"]
-    chunks = {name: array.chunks for name, array in zarr.open_group(run.files["recording"], mode="r").arrays()}
+    group = zarr.open_group(run.files["data"], path="series", mode="r")
+    chunks = {name: array.chunks for name, array in group.arrays()}
     # 21 frames of 24 bytes: one environment; of 4 bytes: eight.
-    assert size == 7
+    assert run.summary["shard"] == 8
     assert chunks["ball.position"] == (21, 1, 3)
-    assert chunks["touch.gap"] == (21, 7)
+    assert chunks["touch.gap"] == (21, 8)
     once = wc.Experiment(content(envs=20)).run(tmp_path / "once", device=device)
     assert stored(run).identical(stored(once))
 
