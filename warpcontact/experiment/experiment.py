@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact.build import draw_up
+from warpcontact.checks import Array
 from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
 from warpcontact.draft import Draft
 from warpcontact.environments import Environments
@@ -21,7 +22,7 @@ from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.result import Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
-from warpcontact.experiment.variation import Draw, truncated
+from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.integrators.base import formulas_of
 from warpcontact.model import Model
 from warpcontact.scene import Scene
@@ -231,6 +232,11 @@ class Experiment:
             changed = self.changed(envs=envs, duration=duration)
             return make_plan(changed._draft(device), changed._size, changed.settings, changed._values, batch)
 
+    @property
+    def _values(self) -> dict[str, Array]:
+        """The values of what varies, in all environments."""
+        return self._design.rows(0, self.settings.envs)
+
     def _draft(self, device: str | Sequence[str]) -> Draft:
         """Prepares the environments on ``device``."""
         try:
@@ -268,7 +274,9 @@ class Experiment:
 
         settings = parts.settings
         seed = 0 if settings is None else settings.seed
-        self._values = Draw(parts.variation, model, parts.envs, seed, problems, unsound).values
+        varied = Variation(parts.variation, model, parts.envs, seed, self.folder, problems, unsound)
+        method, correlation = (settings.sampling.method, settings.correlation) if settings else ("random", ())
+        self._design = varied.design(method, correlation)
         if settings is None:
             return
         steps = self._can_step(model, settings, problems, unsound)
@@ -284,7 +292,7 @@ class Experiment:
         record = settings.record.model_copy(update={"every": every, "readings": tuple(readings)})
         self.settings: Settings = settings.model_copy(update={"record": record})
         if not problems:
-            self._size = recording_size(model, readings, self._values, settings.envs)
+            self._size = recording_size(model, readings, self._design.names, settings.envs)
 
     @staticmethod
     def _can_step(

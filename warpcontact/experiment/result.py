@@ -19,6 +19,7 @@ from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section,
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import FORMULA_SECTIONS, ROW_KEYS, Settings
+from warpcontact.experiment.variation import relocated
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
 
@@ -223,7 +224,8 @@ def _with_rows_from(settings: Settings, old: Path, new: Path) -> Settings:
     sections = {
         name: tuple(renamed(entry, keys) for entry in getattr(settings, name)) for name, keys in ROW_KEYS.items()
     }
-    return settings.model_copy(update=sections)
+    variation = relocated(settings.variation, lambda file: _file_from(file, old, new))
+    return settings.model_copy(update=sections | {"variation": variation})
 
 
 def _file_from(name: str, old: Path, new: Path) -> str:

@@ -1,0 +1,149 @@
+"""Which numbers an experiment draws in each environment, where they come from, and which are drawn together."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from warpcontact.experiment.distributions import DRAWN, shape_of
+from warpcontact.experiment.errors import Problems, key_path
+from warpcontact.experiment.sampling import (
+    MOST_COLUMNS,
+    Correlation,
+    LatinHypercube,
+    Random,
+    Saltelli,
+    Sampler,
+    Sobol,
+)
+from warpcontact.experiment.variation_settings import CorrelationSettings, VariationSettings
+
+# What differs between environments and is not drawn.
+_ORDERED = ("linspace", "grid", "values")
+
+
+def drawn_numbers(variation: Mapping[str, VariationSettings]) -> list[tuple[str, tuple[int, ...]]]:
+    """Returns the numbers that each environment draws, in order: name of a parameter, and which of its numbers."""
+    entries = ((name, entry.kind, getattr(entry, entry.kind)) for name, entry in variation.items() if entry.drawn)
+    return [(name, index) for name, kind, given in entries for index in np.ndindex(shape_of(kind, given))]
+
+
+class Columns:
+    """The numbers that each environment draws, each a column of a sampler.
+
+    Args:
+        variation: What varies.
+        method: How numbers are drawn, one of ``sampling.METHODS``.
+        envs: Number of environments.
+        seed: Seed of the experiment.
+        problems: Receives what is wrong.
+
+    Attributes:
+        counts: How many numbers each parameter takes, by name.
+        first: The first column of each.
+    """
+
+    def __init__(
+        self,
+        variation: Mapping[str, VariationSettings],
+        method: str,
+        envs: int,
+        seed: int,
+        problems: Problems,
+    ) -> None:
+        self.variation = variation
+        self.method = method
+        self.envs = envs
+        self.seed = seed
+        self.problems = problems
+        self.counts: dict[str, int] = {}
+        self.first: dict[str, int] = {}
+        for column, (name, _) in enumerate(drawn_numbers(variation)):
+            self.first.setdefault(name, column)
+            self.counts[name] = self.counts.get(name, 0) + 1
+        self._correlated: set[str] = set()
+
+    @property
+    def number(self) -> int:
+        """How many there are."""
+        return sum(self.counts.values())
+
+    def sampler(self, any_envs: bool) -> Sampler:
+        """Returns where the numbers come from, or some way to go on if the method does not fit.
+
+        Args:
+            any_envs: Whether any number of environments fits, as it is not known.
+        """
+        independent = Random(self.seed, self.counts)
+        most = MOST_COLUMNS // 2 if self.method == "saltelli" else MOST_COLUMNS
+        if self.method in ("sobol", "saltelli") and self.number > most:
+            rule = f"{self.method!r} draws at most {most} numbers in each environment, got {self.number}"
+            self.problems.add("sampling.method", f": {rule}")
+            return independent
+        if self.method == "saltelli":
+            sound = self._fits_saltelli(any_envs) and not any_envs
+            return Saltelli(self.seed, self.number, self.envs) if sound else independent
+        if self.method == "latin_hypercube":
+            return LatinHypercube(self.seed, self.counts, self.envs)
+        return Sobol(self.seed, self.number) if self.method == "sobol" and self.number else independent
+
+    def _fits_saltelli(self, any_envs: bool) -> bool:
+        before = len(self.problems.lines)
+        for name, entry in self.variation.items():
+            if entry.kind in _ORDERED:
+                allowed = ", ".join((*DRAWN, "value", "solid_sphere"))
+                rule = f"must be left out with sampling.method = 'saltelli'; allowed: {allowed}"
+                self.problems.add(f"{key_path(('variation', name))}.{entry.kind}", rule)
+        if not self.number:
+            self.problems.add("variation", "must have an entry that is drawn for sampling.method = 'saltelli'")
+        if len(self.problems.lines) > before:
+            return False
+        group = self.number + 2
+        rows, rest = divmod(self.envs, group)
+        if not any_envs and (rest or rows < 2 or rows & (rows - 1)):
+            below = 1 << max(1, rows.bit_length() - 1)
+            nearest = [n * group for n in (below, 2 * below) if n == below or self.envs > below * group]
+            self.problems.add(
+                "envs",
+                f"must be {group} n, with n = 2, 4, 8, …, for sampling.method = 'saltelli' and {self.number} "
+                f"numbers that are drawn, got {self.envs}; next to it: {' and '.join(map(str, nearest))}",
+            )
+        return len(self.problems.lines) == before
+
+    def correlation(
+        self, number: int, entry: CorrelationSettings, unsound: Callable[[str], bool]
+    ) -> Correlation | None:
+        """Returns what draws some of the numbers together, or ``None`` if that is wrong.
+
+        Args:
+            number: Which ``[[correlation]]`` it is.
+            entry: What it says.
+            unsound: Tells of the name of a parameter whether its element has problems of its own.
+        """
+        before = len(self.problems.lines)
+        if self.method == "saltelli":
+            rule = "must be left out: sampling.method = 'saltelli' takes what is drawn to be independent"
+            self.problems.add(f"correlation[{number}]", rule)
+            return None
+        for i, name in enumerate(entry.names):
+            path = f"correlation[{number}].names[{i}]"
+            if name in self.variation:
+                self._check_correlated(path, name)
+            elif not unsound(name):
+                self.problems.refer(path, name, "drawn entry of [variation]", self.counts)
+        if len(self.problems.lines) > before or not self.counts.keys() >= set(entry.names):
+            return None
+        columns = tuple(self.first[name] for name in entry.names)
+        return Correlation(columns, np.linalg.cholesky(np.array(entry.matrix)))
+
+    def _check_correlated(self, path: str, name: str) -> None:
+        """Checks an entry that is to be drawn with others."""
+        entry = self.variation[name]
+        if name in self._correlated:
+            self.problems.add(path, f"must be in no other [[correlation]], got {name!r} again")
+        elif not entry.drawn:
+            message = f"must be drawn, by one of {', '.join(DRAWN)}, got {name!r}, which has {entry.kind}"
+            self.problems.add(path, message)
+        elif shape_of(entry.kind, getattr(entry, entry.kind)):
+            message = f"must be one number in each environment, got {name!r}, which has {self.counts[name]}"
+            self.problems.add(path, message)
+        self._correlated.add(name)
