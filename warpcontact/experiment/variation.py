@@ -160,9 +160,10 @@ class Variation:
             return self._gridded(path, parameter, settings)
         if kind == "distribution":
             if parameter.whole != is_discrete(given):
-                gives = "gives no whole numbers" if parameter.whole else "gives whole numbers only"
-                other = "one of scipy.stats that is" if parameter.whole else "a continuous one: that is not"
-                message = f"must be {other} discrete, got {given['name']!r}, which {gives}"
+                allowed, number = ("discrete", "whole") if parameter.whole else ("continuous", "real")
+                message = (
+                    f"must be one that is {allowed}, got {given['name']!r}; {parameter.name} is a {number} number"
+                )
                 self.problems.add(f"{path}.name", message)
                 return None
         else:
