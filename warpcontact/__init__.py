@@ -13,6 +13,7 @@ from warpcontact._version import __version__
 if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes, unilateral
     from warpcontact.advice import ContactWarning
+    from warpcontact.analysis import convergence, quantile_fan, sensitivity, write_fan
     from warpcontact.benchmark import BenchReport, bench
     from warpcontact.contact_coupling import ContactCoupling
     from warpcontact.contact_range import ContactRange
@@ -78,6 +79,7 @@ _HOME = {
     "Template": "warpcontact.elements",
     "bench": "warpcontact.benchmark",
     "compare": "warpcontact.compare",
+    "convergence": "warpcontact.analysis",
     "export_usd": "warpcontact.usd",
     "frictions": "warpcontact.kernels.frictions",
     "integrators": "warpcontact.integrators",
@@ -87,11 +89,14 @@ _HOME = {
     "meshes": "warpcontact.meshes",
     "motions": "warpcontact.kernels.motions",
     "parameter": "warpcontact.kernels.formula",
+    "quantile_fan": "warpcontact.analysis",
     "sample_surface": "warpcontact.meshes",
+    "sensitivity": "warpcontact.analysis",
     "shapes": "warpcontact.kernels.smooth.shapes",
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
     "unilateral": "warpcontact.unilateral",
+    "write_fan": "warpcontact.analysis",
 }
 
 __all__ = [
@@ -134,6 +139,7 @@ __all__ = [
     "__version__",
     "bench",
     "compare",
+    "convergence",
     "export_usd",
     "frictions",
     "integrators",
@@ -143,11 +149,14 @@ __all__ = [
     "meshes",
     "motions",
     "parameter",
+    "quantile_fan",
     "sample_surface",
+    "sensitivity",
     "shapes",
     "springs",
     "table",
     "unilateral",
+    "write_fan",
 ]
 
 

@@ -1,6 +1,7 @@
 """Experiments: a scene, what varies between its environments, how long, and what is recorded."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -232,7 +233,7 @@ class Experiment:
             changed = self.changed(envs=envs, duration=duration)
             return make_plan(changed._draft(device), changed._size, changed.settings, changed._values, batch)
 
-    @property
+    @cached_property
     def _values(self) -> dict[str, Array]:
         """The values of what varies, in all environments."""
         return self._design.rows(0, self.settings.envs)
