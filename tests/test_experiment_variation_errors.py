@@ -144,9 +144,17 @@ BAD = [
     ),
     (
         sampled("saltelli", {MASS: {"value": 1}}, envs=16),
-        "variation must have an entry that is drawn for sampling.method = 'saltelli'",
+        "variation must have an entry that is drawn and differs for sampling.method = 'saltelli'",
+    ),
+    (
+        sampled("saltelli", {MASS: {"uniform": [1, 1]}}, envs=16),
+        "variation must have an entry that is drawn and differs for sampling.method = 'saltelli'",
     ),
     # Correlation.
+    (
+        together(variation=PAIR | {MASS: {"normal": [1, 0]}}),
+        "correlation[0].names[0] must differ between environments, got 'ball.mass', which is always the same",
+    ),
     (
         together([MASS]),
         "correlation[0].names must be a list of the names of two or more entries of [variation], got "

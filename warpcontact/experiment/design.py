@@ -83,23 +83,21 @@ class Drawn:
     Args:
         marginal: The distribution.
         shape: Shape of one value.
-        column: First of its columns of the sampler, one for each number.
+        column: First of its columns of the sampler.
+        numbers: Which numbers of a value these are of; the others are the same in all environments.
     """
 
     marginal: Marginal
     shape: tuple[int, ...]
     column: int
-
-    @property
-    def count(self) -> int:
-        """How many columns it has."""
-        return int(np.prod(self.shape))
+    numbers: tuple[int, ...]
 
     def values(self, units: Array, normals: Mapping[int, Array]) -> Array:
         """Returns values (n, …) of numbers (n, columns), in place of which correlated ``normals`` may be."""
         if self.column in normals:
             return self.marginal.of_normals(normals[self.column])
-        own = np.ascontiguousarray(units[:, self.column : self.column + self.count])
+        own = np.full((len(units), int(np.prod(self.shape))), 0.5)
+        own[:, self.numbers] = units[:, self.column : self.column + len(self.numbers)]
         return self.marginal.of_units(own.reshape(-1, *self.shape))
 
 

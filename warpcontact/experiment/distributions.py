@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.experiment.errors import shown, suggestion
@@ -156,6 +157,14 @@ def shape_of(kind: str, given: Any) -> tuple[int, ...]:
     if kind == "distribution":
         return np.broadcast_shapes(*(np.shape(value) for key, value in given.items() if key != "name"))
     return np.shape(given[0])
+
+
+def varies(kind: str, given: Any) -> NDArray[np.bool_]:
+    """Returns which numbers of such an entry differ between environments, in the shape of one value."""
+    if kind == "distribution":
+        return np.ones(shape_of(kind, given), dtype=bool)
+    first, second = np.array(given, dtype=np.float64)
+    return np.asarray(second != (0.0 if kind in ("normal", "lognormal") else first))
 
 
 def is_discrete(given: Mapping[str, Any]) -> bool:

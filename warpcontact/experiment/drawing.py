@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from warpcontact.experiment.distributions import DRAWN, shape_of
+from warpcontact.experiment.distributions import DRAWN, shape_of, varies
 from warpcontact.experiment.errors import Problems, key_path
 from warpcontact.experiment.sampling import (
     MOST_COLUMNS,
@@ -22,9 +22,13 @@ _ORDERED = ("linspace", "grid", "values")
 
 
 def drawn_numbers(variation: Mapping[str, VariationSettings]) -> list[tuple[str, tuple[int, ...]]]:
-    """Returns the numbers that each environment draws, in order: name of a parameter, and which of its numbers."""
+    """Returns the numbers that are drawn and differ, in order: name of a parameter, and which of its numbers."""
     entries = ((name, entry.kind, getattr(entry, entry.kind)) for name, entry in variation.items() if entry.drawn)
-    return [(name, index) for name, kind, given in entries for index in np.ndindex(shape_of(kind, given))]
+    return [
+        (name, tuple(map(int, index)))
+        for name, kind, given in entries
+        for index in np.argwhere(varies(kind, given))
+    ]
 
 
 class Columns:
@@ -38,7 +42,8 @@ class Columns:
         problems: Receives what is wrong.
 
     Attributes:
-        counts: How many numbers each parameter takes, by name.
+        numbers: Which numbers of a value of each parameter have a column, by name. One by which environments do
+            not differ has none, unless it is drawn at random: what follows it is drawn as if it did.
         first: The first column of each.
     """
 
@@ -55,17 +60,16 @@ class Columns:
         self.envs = envs
         self.seed = seed
         self.problems = problems
-        self.counts: dict[str, int] = {}
+        self.numbers: dict[str, tuple[int, ...]] = {}
         self.first: dict[str, int] = {}
-        for column, (name, _) in enumerate(drawn_numbers(variation)):
-            self.first.setdefault(name, column)
-            self.counts[name] = self.counts.get(name, 0) + 1
+        self.number = 0
+        for name, entry in variation.items():
+            if entry.drawn:
+                differ = varies(entry.kind, getattr(entry, entry.kind))
+                self.numbers[name] = tuple(map(int, np.flatnonzero(differ | (method == "random"))))
+                self.first[name] = self.number
+                self.number += len(self.numbers[name])
         self._correlated: set[str] = set()
-
-    @property
-    def number(self) -> int:
-        """How many there are."""
-        return sum(self.counts.values())
 
     def sampler(self, any_envs: bool) -> Sampler:
         """Returns where the numbers come from, or some way to go on if the method does not fit.
@@ -73,7 +77,8 @@ class Columns:
         Args:
             any_envs: Whether any number of environments fits, as it is not known.
         """
-        independent = Random(self.seed, self.counts)
+        counts = {name: len(numbers) for name, numbers in self.numbers.items()}
+        independent = Random(self.seed, counts)
         most = MOST_COLUMNS // 2 if self.method == "saltelli" else MOST_COLUMNS
         if self.method in ("sobol", "saltelli") and self.number > most:
             rule = f"{self.method!r} draws at most {most} numbers in each environment, got {self.number}"
@@ -83,7 +88,7 @@ class Columns:
             sound = self._fits_saltelli(any_envs) and not any_envs
             return Saltelli(self.seed, self.number, self.envs) if sound else independent
         if self.method == "latin_hypercube":
-            return LatinHypercube(self.seed, self.counts, self.envs)
+            return LatinHypercube(self.seed, counts, self.envs)
         return Sobol(self.seed, self.number) if self.method == "sobol" and self.number else independent
 
     def _fits_saltelli(self, any_envs: bool) -> bool:
@@ -94,7 +99,8 @@ class Columns:
                 rule = f"must be left out with sampling.method = 'saltelli'; allowed: {allowed}"
                 self.problems.add(f"{key_path(('variation', name))}.{entry.kind}", rule)
         if not self.number:
-            self.problems.add("variation", "must have an entry that is drawn for sampling.method = 'saltelli'")
+            rule = "must have an entry that is drawn and differs for sampling.method = 'saltelli'"
+            self.problems.add("variation", rule)
         if len(self.problems.lines) > before:
             return False
         group = self.number + 2
@@ -129,8 +135,8 @@ class Columns:
             if name in self.variation:
                 self._check_correlated(path, name)
             elif not unsound(name):
-                self.problems.refer(path, name, "drawn entry of [variation]", self.counts)
-        if len(self.problems.lines) > before or not self.counts.keys() >= set(entry.names):
+                self.problems.refer(path, name, "drawn entry of [variation]", self.first)
+        if len(self.problems.lines) > before or not self.first.keys() >= set(entry.names):
             return None
         columns = tuple(self.first[name] for name in entry.names)
         return Correlation(columns, np.linalg.cholesky(np.array(entry.matrix)))
@@ -143,7 +149,9 @@ class Columns:
         elif not entry.drawn:
             message = f"must be drawn, by one of {', '.join(DRAWN)}, got {name!r}, which has {entry.kind}"
             self.problems.add(path, message)
-        elif shape_of(entry.kind, getattr(entry, entry.kind)):
-            message = f"must be one number in each environment, got {name!r}, which has {self.counts[name]}"
+        elif shape := shape_of(entry.kind, getattr(entry, entry.kind)):
+            message = f"must be one number in each environment, got {name!r}, which has {int(np.prod(shape))}"
             self.problems.add(path, message)
+        elif not varies(entry.kind, getattr(entry, entry.kind)):
+            self.problems.add(path, f"must differ between environments, got {name!r}, which is always the same")
         self._correlated.add(name)

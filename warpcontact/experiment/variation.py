@@ -117,7 +117,7 @@ class Variation:
         for name, settings in self.variation.items():
             parameter = self._parameter(name)
             before = len(self.problems.lines)
-            entry = None if parameter is None else self._entry(parameter, settings, columns.first.get(name, 0))
+            entry = None if parameter is None else self._entry(parameter, settings, columns)
             if parameter is None or entry is None or len(self.problems.lines) > before:
                 continue
             entries[name] = entry
@@ -141,9 +141,9 @@ class Variation:
         return None
 
     def _entry(
-        self, parameter: Parameter, settings: VariationSettings, column: int
+        self, parameter: Parameter, settings: VariationSettings, columns: Columns
     ) -> Entry | Drawn | SphereInertia | None:
-        """Returns the entry of a parameter, whose columns begin at ``column``; ``None`` if it is wrong."""
+        """Returns the entry of a parameter, or ``None`` if it is wrong."""
         kind = settings.kind
         path, given = f"{_path(parameter.name)}.{kind}", getattr(settings, kind)
         if settings.solid_sphere is not None:
@@ -171,7 +171,8 @@ class Variation:
         if kind == "linspace":
             first, last = np.array(given, dtype=np.float64)
             return (SpacedWhole if parameter.whole else Spaced)(first, last, self.envs)
-        return Drawn(marginal_of(kind, given, parameter.whole), shape_of(kind, given), column)
+        marginal, name = marginal_of(kind, given, parameter.whole), parameter.name
+        return Drawn(marginal, shape_of(kind, given), columns.first[name], columns.numbers[name])
 
     def _check_ends(self, path: str, parameter: Parameter, kind: str, given: Any) -> None:
         """Checks the ends of a range: whether a draw lies outside of the parameter's is a matter of luck."""
