@@ -1,5 +1,7 @@
 """Designs: rows of any environments alone, distributions, samplings, grids, correlations, files of values."""
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -62,6 +64,14 @@ def test_rows_alone_are_those_of_all_to_the_bit(method, variation, envs, correla
             assert part[name].dtype == np.float64
             assert part[name].shape == (stop - first, *values.shape[1:])
             assert part[name].tobytes() == values[first:stop].tobytes(), name
+
+
+@pytest.mark.parametrize(("method", "variation", "envs", "correlation"), MIXTURES[1:5])
+def test_a_design_can_be_sent_to_another_process(method, variation, envs, correlation):
+    whole = design(variation, envs, method, correlation=correlation)
+    sent = pickle.loads(pickle.dumps(whole))
+    for name, values in whole.rows(0, 40).items():
+        assert sent.rows(0, 40)[name].tobytes() == values.tobytes()
 
 
 @pytest.mark.parametrize("method", ["random", "sobol"])

@@ -290,3 +290,13 @@ def test_overrides_that_no_longer_fit_are_refused():
     with pytest.raises(wc.ExperimentError, match=r"envs must be 4 n.* got 10; next to it: 8 and 16"):
         experiment.changed(envs=10)
     assert experiment.changed(envs=32).settings.envs == 32
+
+
+@pytest.mark.parametrize("method", ["random", "sobol", "saltelli"])
+def test_a_mistake_in_an_entry_is_the_only_one(method):
+    for entry in ({"uniform": [2, 1]}, {"uniform": [-1, 1]}, {"uniform": [[1, 1], [2, 2]]}, {"unifrom": [1, 2]}):
+        correlation = [] if method == "saltelli" else [{"names": list(PAIR), "matrix": HALF}]
+        inertia = {"solid_sphere": {"mass": MASS, "radius": "touch.radius"}}
+        changes = sampled(method, PAIR | {MASS: entry, "ball.inertia": inertia}, envs=16, correlation=correlation)
+        (problem,) = problems_of(content(**changes))
+        assert problem.startswith(IN_MASS)

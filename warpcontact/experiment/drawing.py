@@ -45,6 +45,7 @@ class Columns:
         numbers: Which numbers of a value of each parameter have a column, by name. One by which environments do
             not differ has none, unless it is drawn at random: what follows it is drawn as if it did.
         first: The first column of each.
+        unclear: Names of those that have problems, so that nobody knows how many numbers they should have.
     """
 
     def __init__(
@@ -69,6 +70,7 @@ class Columns:
                 self.numbers[name] = tuple(map(int, np.flatnonzero(differ | (method == "random"))))
                 self.first[name] = self.number
                 self.number += len(self.numbers[name])
+        self.unclear: set[str] = set()
         self._correlated: set[str] = set()
 
     def sampler(self, any_envs: bool) -> Sampler:
@@ -85,6 +87,7 @@ class Columns:
             self.problems.add("sampling.method", f": {rule}")
             return independent
         if self.method == "saltelli":
+            any_envs = any_envs or bool(self.unclear)
             sound = self._fits_saltelli(any_envs) and not any_envs
             return Saltelli(self.seed, self.number, self.envs) if sound else independent
         if self.method == "latin_hypercube":
@@ -132,11 +135,13 @@ class Columns:
             return None
         for i, name in enumerate(entry.names):
             path = f"correlation[{number}].names[{i}]"
+            if name in self.unclear:
+                continue
             if name in self.variation:
                 self._check_correlated(path, name)
             elif not unsound(name):
                 self.problems.refer(path, name, "drawn entry of [variation]", self.first)
-        if len(self.problems.lines) > before or not self.first.keys() >= set(entry.names):
+        if len(self.problems.lines) > before or not self.first.keys() - self.unclear >= set(entry.names):
             return None
         columns = tuple(self.first[name] for name in entry.names)
         return Correlation(columns, np.linalg.cholesky(np.array(entry.matrix)))

@@ -87,6 +87,9 @@ class Parts:
             if sound is not None:
                 parts.variation[name] = sound
         left_out = {*SECTIONS, "variation", *wrong}
+        if "variation" in wrong:
+            # How many numbers are drawn, and which can be drawn together, is not known.
+            left_out |= {"sampling", "correlation"}
         rest = {key: value for key, value in raw.items() if key not in left_out}
         parts.settings = _sound(Settings, rest, own)
         if "envs" not in wrong:

@@ -119,6 +119,7 @@ class Variation:
             before = len(self.problems.lines)
             entry = None if parameter is None else self._entry(parameter, settings, columns)
             if parameter is None or entry is None or len(self.problems.lines) > before:
+                columns.unclear |= {name} & columns.first.keys()
                 continue
             entries[name] = entry
             if not isinstance(entry, SphereInertia):
