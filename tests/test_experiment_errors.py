@@ -185,7 +185,7 @@ BAD = [
         {"uniform": [1, 2]},
         'variation."ball.mas" is not the name of a parameter; did you',
     ),
-    (VARIED, {}, 'variation."ball.mass" must have exactly one of uniform, loguniform, normal, linspace'),
+    (VARIED, {}, 'variation."ball.mass" must have exactly one of uniform, loguniform, normal, lognormal, '),
     (VARIED, {"uniform": [1, 2], "values": [1]}, 'variation."ball.mass" must have exactly one of'),
     (VARIED, 3, 'variation."ball.mass" must be a table, got 3'),
     (VARIED, [1, 2, 3], 'variation."ball.mass" must be a table, got [1, 2, 3]; write { values = [...] }'),

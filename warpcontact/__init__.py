@@ -13,6 +13,7 @@ from warpcontact._version import __version__
 if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes, unilateral
     from warpcontact.advice import ContactWarning
+    from warpcontact.analysis import convergence, quantile_fan, sensitivity, write_fan
     from warpcontact.benchmark import BenchReport, bench
     from warpcontact.checkpoint import CheckpointError
     from warpcontact.contact_coupling import ContactCoupling
@@ -82,6 +83,7 @@ _HOME = {
     "Template": "warpcontact.elements",
     "bench": "warpcontact.benchmark",
     "compare": "warpcontact.compare",
+    "convergence": "warpcontact.analysis",
     "export_usd": "warpcontact.usd",
     "frictions": "warpcontact.kernels.frictions",
     "integrators": "warpcontact.integrators",
@@ -92,11 +94,14 @@ _HOME = {
     "motions": "warpcontact.kernels.motions",
     "open_run": "warpcontact.experiment",
     "parameter": "warpcontact.kernels.formula",
+    "quantile_fan": "warpcontact.analysis",
     "sample_surface": "warpcontact.meshes",
+    "sensitivity": "warpcontact.analysis",
     "shapes": "warpcontact.kernels.smooth.shapes",
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
     "unilateral": "warpcontact.unilateral",
+    "write_fan": "warpcontact.analysis",
 }
 
 __all__ = [
@@ -142,6 +147,7 @@ __all__ = [
     "__version__",
     "bench",
     "compare",
+    "convergence",
     "export_usd",
     "frictions",
     "integrators",
@@ -152,11 +158,14 @@ __all__ = [
     "motions",
     "open_run",
     "parameter",
+    "quantile_fan",
     "sample_surface",
+    "sensitivity",
     "shapes",
     "springs",
     "table",
     "unilateral",
+    "write_fan",
 ]
 
 

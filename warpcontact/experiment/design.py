@@ -1,23 +1,230 @@
-"""Temporary: replaced at merge."""
+"""What varies between environments, as one description of which any environments are computed alone."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from warpcontact.checks import Array
+from warpcontact.experiment.distributions import Marginal
+from warpcontact.experiment.sampling import BLOCK, Correlation, Sampler
+
+
+class Entry(Protocol):
+    """Values of one parameter that follow from the number of the environment."""
+
+    def rows(self, envs: NDArray[np.intp]) -> Array:
+        """Returns values (n, …) of the environments with these numbers (n,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Same:
+    """One value in all environments."""
+
+    value: Array
+
+    def rows(self, envs: NDArray[np.intp]) -> Array:
+        """See ``Entry``."""
+        return np.repeat(self.value[None], len(envs), axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Listed:
+    """Values one after the other, each for ``repeat`` environments, and then again from the first one."""
+
+    values: Array
+    repeat: int = 1
+
+    def rows(self, envs: NDArray[np.intp]) -> Array:
+        """See ``Entry``."""
+        return np.asarray(self.values[envs // self.repeat % len(self.values)])
+
+
+@dataclass(frozen=True, eq=False)
+class Spaced:
+    """Evenly spaced from ``first`` to ``last`` over all ``count`` environments, as by ``np.linspace``."""
+
+    first: Array
+    last: Array
+    count: int
+
+    def rows(self, envs: NDArray[np.intp]) -> Array:
+        """See ``Entry``."""
+        number = envs.astype(np.float64).reshape(-1, *(1,) * self.first.ndim)
+        way, parts = self.last - self.first, max(self.count - 1, 1)
+        step = way / parts
+        values = self.first + (number / parts * way if np.any(step == 0.0) else number * step)
+        values[(envs == self.count - 1) & (self.count > 1)] = self.last
+        return values
+
+
+@dataclass(frozen=True, eq=False)
+class SpacedWhole:
+    """The whole numbers from ``first`` to ``last``, each for about as many of ``count`` environments in a row."""
+
+    first: Array
+    last: Array
+    count: int
+
+    def rows(self, envs: NDArray[np.intp]) -> Array:
+        """See ``Entry``."""
+        span = np.abs(self.last - self.first)
+        passed = np.floor(envs * (span + 1.0) / max(self.count - 1, 1))
+        return np.asarray(self.first + np.sign(self.last - self.first) * np.minimum(passed, span))
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Values drawn from a distribution.
+
+    Args:
+        marginal: The distribution.
+        shape: Shape of one value.
+        column: First of its columns of the sampler.
+        numbers: Which numbers of a value these are of; the others are the same in all environments.
+    """
+
+    marginal: Marginal
+    shape: tuple[int, ...]
+    column: int
+    numbers: tuple[int, ...]
+
+    def values(self, units: Array, normals: Mapping[int, Array]) -> Array:
+        """Returns values (n, …) of numbers (n, columns), in place of which correlated ``normals`` may be."""
+        if self.column in normals:
+            return self.marginal.of_normals(normals[self.column])
+        own = np.full((len(units), int(np.prod(self.shape))), 0.5)
+        own[:, self.numbers] = units[:, self.column : self.column + len(self.numbers)]
+        return self.marginal.of_units(own.reshape(-1, *self.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class SphereInertia:
+    """Inertia tensors of uniform solid spheres.
+
+    Args:
+        mass: The name of a parameter that varies, or what has the shape (1,) or (1, items) [kg].
+        radius: Likewise [m].
+        single: Whether it is that of one body and not of a set.
+    """
+
+    mass: str | Array
+    radius: str | Array
+    single: bool
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Names of the parameters that it follows."""
+        return tuple(source for source in (self.mass, self.radius) if isinstance(source, str))
+
+    def values(self, others: Mapping[str, Array], count: int) -> Array:
+        """Returns values (count, 3, 3), or (count, items, 3, 3), from those of other parameters."""
+        mass, radius = (self._values(source, others) for source in (self.mass, self.radius))
+        moment = 0.4 * mass * radius**2
+        moment = np.broadcast_to(moment, (count, *moment.shape[1:]))
+        return np.asarray(moment[..., None, None] * np.eye(3))
+
+    def _values(self, source: str | Array, others: Mapping[str, Array]) -> Array:
+        values = others[source] if isinstance(source, str) else source
+        return values[:, None] if values.ndim == 1 and not self.single else values
+
+
+@dataclass(frozen=True)
+class Form:
+    """How the values of an entry become those of its parameter.
+
+    Attributes:
+        tensor: Whether they are principal moments, to be made tensors.
+        shared: Whether one value is for all items of a set.
+    """
+
+    tensor: bool = False
+    shared: bool = False
+
+    def applied(self, values: Array) -> Array:
+        """Returns ``values`` (n, …) in this form."""
+        if self.tensor:
+            values = values[..., None] * np.eye(3)
+        return values[:, None] if self.shared else values
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
+    """The values of all parameters that vary, of any environments.
+
+    The same environment has the same values, to the bit, whichever others are asked for with it.
+
+    Attributes:
+        envs: Number of environments.
+        entries: What is known of each parameter, by name, in the order of the experiment.
+        forms: How it becomes a value.
+        sampler: Where the numbers of those come from that are drawn.
+        correlations: Which of them are drawn together.
+    """
+
     envs: int
-    given: Mapping[str, Array]
+    entries: Mapping[str, Entry | Drawn | SphereInertia]
+    forms: Mapping[str, Form]
+    sampler: Sampler
+    correlations: tuple[Correlation, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(self.given)
+        """Names of the parameters, in the order of the experiment."""
+        return tuple(self.entries)
 
     @property
     def row_bytes(self) -> int:
-        return sum(v[:1].nbytes for v in self.given.values())
+        """What the values of an environment take [bytes]."""
+        return sum(values.nbytes for values in self.rows(0, 1).values())
 
     def rows(self, first: int, stop: int) -> dict[str, Array]:
-        return {name: v[first:stop] for name, v in self.given.items()}
+        """Returns the values in environments ``first`` to ``stop``, without the last.
+
+        Takes no more memory than they do, but for a Latin hypercube, which is drawn whole and kept.
+
+        Args:
+            first: Number of an environment.
+            stop: Number of an environment, or that of all.
+
+        Returns:
+            Values by the name of the parameter: (stop − first, …) with the shape of one value; of a set
+            (stop − first, items, …), or (stop − first, 1, …) where all of its items have the same. They can be
+            assigned to a model of so many environments as they are.
+
+        Raises:
+            IndexError: If there are no such environments.
+        """
+        if not 0 <= first <= stop <= self.envs:
+            raise IndexError(f"environments must be from 0 to {self.envs}, got {first} to {stop}")
+        numbers = np.arange(first, stop)
+        found = self._drawn(first, stop)
+        for name, entry in self.entries.items():
+            if not isinstance(entry, Drawn | SphereInertia):
+                found[name] = entry.rows(numbers)
+        found = {name: self.forms[name].applied(values) for name, values in found.items()}
+        # What is computed from other parameters comes after them.
+        for name, entry in self.entries.items():
+            if isinstance(entry, SphereInertia):
+                found[name] = entry.values(found, stop - first)
+        return {name: found[name] for name in self.entries}
+
+    def _drawn(self, first: int, stop: int) -> dict[str, Array]:
+        """Returns the values of all entries that are drawn, block by block."""
+        entries = {name: entry for name, entry in self.entries.items() if isinstance(entry, Drawn)}
+        if not entries:
+            return {}
+        begin = first // BLOCK * BLOCK
+        pieces: dict[str, list[Array]] = {name: [] for name in entries}
+        bounds = pairwise(range(begin, max(stop, first + 1) + BLOCK, BLOCK))
+        for (start, end), units in zip(bounds, self.sampler.blocks(begin), strict=False):
+            normals: dict[int, Array] = {}
+            for correlation in self.correlations:
+                normals |= correlation.normals(units)
+            cut = slice(max(first, start) - start, min(stop, end) - start)
+            for name, entry in entries.items():
+                pieces[name].append(entry.values(units, normals)[cut])
+        return {name: np.concatenate(values) for name, values in pieces.items()}

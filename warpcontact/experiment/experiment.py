@@ -23,7 +23,7 @@ from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.run import Run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
-from warpcontact.experiment.variation import Draw, truncated
+from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.integrators.base import formulas_of
 from warpcontact.model import Model
 from warpcontact.scene import Scene
@@ -282,7 +282,7 @@ class Experiment:
     def _build(self, device: str | Sequence[str]) -> Model | SplitModel:
         """Builds all environments on ``device``."""
         model = self.draft(device).build(self.settings.envs)
-        for name, values in self._values.items():
+        for name, values in self.design.rows(0, self.settings.envs).items():
             model[name] = values
         return model
 
@@ -309,8 +309,9 @@ class Experiment:
 
         settings = parts.settings
         seed = 0 if settings is None else settings.seed
-        self._values = Draw(parts.variation, model, parts.envs, seed, problems, unsound).values
-        self.design: Design = Design(parts.envs or 1, self._values)
+        varied = Variation(parts.variation, model, parts.envs, seed, self.folder, problems, unsound)
+        method, correlation = (settings.sampling.method, settings.correlation) if settings else ("random", ())
+        self.design: Design = varied.design(method, correlation)
         if settings is None:
             return
         steps = self._can_step(model, settings, problems, unsound)

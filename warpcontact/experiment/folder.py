@@ -17,6 +17,7 @@ from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import FORMULA_SECTIONS, ROW_KEYS, Settings
 from warpcontact.experiment.store import CHECKPOINTS, COMMITS, DATA, STAGING
+from warpcontact.experiment.variation import relocated
 
 ANIMATION = "animation.usdc"
 PICTURE = "picture.png"
@@ -240,7 +241,8 @@ def _with_rows_from(settings: Settings, old: Path, new: Path) -> Settings:
     sections = {
         name: tuple(renamed(entry, keys) for entry in getattr(settings, name)) for name, keys in ROW_KEYS.items()
     }
-    return settings.model_copy(update=sections)
+    variation = relocated(settings.variation, lambda file: _file_from(file, old, new))
+    return settings.model_copy(update=sections | {"variation": variation})
 
 
 def _file_from(name: str, old: Path, new: Path) -> str:
@@ -265,3 +267,6 @@ def _external_files(settings: Settings, folder: Path) -> Iterator[Path]:
             for key in keys:
                 if isinstance(getattr(entry, key), str):
                     yield folder / getattr(entry, key)
+    for varied in settings.variation.values():
+        if isinstance(varied.values, str):
+            yield folder / varied.values

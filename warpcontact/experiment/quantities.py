@@ -237,8 +237,7 @@ def _positions(value: Any) -> Any:
     return rows
 
 
-def _rows(value: Any) -> tuple[Any, ...]:
-    what = "a list of one value per environment"
+def _choices(value: Any, what: str = "a list of values") -> tuple[Any, ...]:
     rows = plain(value, what)
     if not isinstance(rows, tuple) or not rows:
         raise ValueError(f"must be {what}, got {shown(value)}")
@@ -246,6 +245,12 @@ def _rows(value: Any) -> tuple[Any, ...]:
         if np.shape(row) != np.shape(rows[0]):
             raise ValueError(f"[{i}] must be of the same kind as the values before, got {shown(row)}")
     return rows
+
+
+def _rows(value: Any) -> tuple[Any, ...] | str:
+    if isinstance(value, str):
+        return check_rows_file("", value)
+    return _choices(value, "a list of one value per environment")
 
 
 def _value(value: Any) -> Any:
@@ -329,6 +334,7 @@ quadrature = PlainValidator(lambda value: check_quadrature("", value))
 amounts = PlainValidator(_amounts)
 value = PlainValidator(_value)
 rows = PlainValidator(_rows)
+choices = PlainValidator(_choices)
 pair = _pair("", lambda first, second: True)
 interval = _pair("[low, high] with low ≤ high", lambda low, high: low <= high)
 positive_interval = _pair("[low, high] with 0 < low ≤ high", lambda low, high: (low > 0.0) & (low <= high))

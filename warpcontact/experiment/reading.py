@@ -12,7 +12,8 @@ from pydantic import ValidationError
 from warpcontact.experiment.catalogue import Section
 from warpcontact.experiment.errors import ExperimentError, Problems, key_path, shown, suggestion
 from warpcontact.experiment.own import OwnFiles
-from warpcontact.experiment.schema import SECTIONS, Settings, VariationSettings, table_at
+from warpcontact.experiment.schema import LISTS, SECTIONS, Settings, VariationSettings, table_at
+from warpcontact.experiment.variation_settings import grid_size
 
 # What a value must be, by the type of pydantic's error.
 _KINDS = {
@@ -86,10 +87,13 @@ class Parts:
             if sound is not None:
                 parts.variation[name] = sound
         left_out = {*SECTIONS, "variation", *wrong}
+        if "variation" in wrong:
+            # How many numbers are drawn, and which can be drawn together, is not known.
+            left_out |= {"sampling", "correlation"}
         rest = {key: value for key, value in raw.items() if key not in left_out}
         parts.settings = _sound(Settings, rest, own)
         if "envs" not in wrong:
-            parts.envs = raw.get("envs", 1)
+            parts.envs = raw.get("envs", grid_size(parts.variation))
         return parts
 
     def may_name(self, name: str) -> bool:
@@ -151,7 +155,10 @@ def read_settings(raw: Mapping[str, Any], own: OwnFiles, problems: Problems) -> 
             if isinstance(entry, dict) and isinstance(entry.get("name"), str):
                 problems.names[f"{section}[{i}]"] = entry["name"]
     try:
-        return Parts.of_settings(Settings.model_validate(dict(raw), context=own))
+        settings = Settings.model_validate(dict(raw), context=own)
+        if "envs" not in raw:
+            settings = settings.model_copy(update={"envs": grid_size(settings.variation)})
+        return Parts.of_settings(settings)
     except ValidationError as failure:
         errors = failure.errors(include_url=False)
     places = {error["loc"] for error in errors}
@@ -169,7 +176,7 @@ def _explain(error: Any, raw: Mapping[str, Any], own: OwnFiles, problems: Proble
     if kind == "missing":
         meaning = table_at(location[:-1], raw, own).model_fields[location[-1]].description
         problems.add(path, f"is missing{f': {meaning}' if meaning else ''}")
-    elif kind == "extra_forbidden" and location[0] == "variation" and isinstance(value, dict):
+    elif kind == "extra_forbidden" and _is_nested_name(location, value):
         name = ".".join(_nested_name(location[1:], value))
         problems.add(path, f'must be one name in quotes: "{name}" = {{ … }}')
     elif kind == "extra_forbidden" and location[0] in _PLURALS and location[-1] == "positions":
@@ -183,7 +190,7 @@ def _explain(error: Any, raw: Mapping[str, Any], own: OwnFiles, problems: Proble
     elif kind == "greater_than_equal":
         problems.add(path, f"must be at least {error['ctx']['ge']}, got {shown(value)}")
     elif kind in _KINDS:
-        what = f"a list of tables, [[{path}]]" if path in SECTIONS else _KINDS[kind]
+        what = f"a list of tables, [[{path}]]" if path in SECTIONS or path in LISTS else _KINDS[kind]
         listed = location[0] == "variation" and isinstance(value, list | tuple)
         problems.add(path, f"must be {what}, got {shown(value)}{_VALUES if listed else ''}")
     else:
@@ -199,8 +206,13 @@ def _is_list_of_lists(value: Any) -> bool:
     return isinstance(value, list | tuple) and len(value) > 0 and isinstance(value[0], list | tuple)
 
 
+def _is_nested_name(location: Sequence[str | int], value: Any) -> bool:
+    """Whether TOML took the name of a parameter for tables within tables."""
+    return location[0] == "variation" and "." not in str(location[1]) and isinstance(value, dict)
+
+
 def _nested_name(location: Sequence[str | int], value: Any) -> list[str]:
-    """Returns the parts of the name of a parameter that TOML took for tables within tables."""
+    """Returns the parts of such a name."""
     names = [str(part) for part in location]
     while isinstance(value, dict) and value and not set(value) & set(VariationSettings.model_fields):
         key, value = next(iter(value.items()))

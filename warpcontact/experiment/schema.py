@@ -26,6 +26,12 @@ from warpcontact.experiment.catalogue import (
 )
 from warpcontact.experiment.integration import IntegratorSettings
 from warpcontact.experiment.own import OwnFiles
+from warpcontact.experiment.variation_settings import (
+    CorrelationSettings,
+    SamplingSettings,
+    SolidSphere,
+    VariationSettings,
+)
 from warpcontact.kernels import laws
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.smooth.elements import ALL
@@ -354,38 +360,6 @@ class CatenarySettings(CouplingOptions):
     floor: Annotated[float | None, q.numbers((), allowed=coupling_limits.FLOOR)] = None
 
 
-class SolidSphere(Section):
-    """Inertia of a uniform solid sphere, (2/5) m r²."""
-
-    mass: Annotated[str | float, q.number_or_name] = Field(description="a parameter or a number [kg]")
-    radius: Annotated[str | float, q.number_or_name] = Field(description="a parameter or a number [m]")
-
-
-class VariationSettings(Section):
-    """An entry of ``[variation]``: the values of one parameter in the environments. One key of these."""
-
-    uniform: Annotated[tuple[Any, ...] | None, q.interval] = None
-    loguniform: Annotated[tuple[Any, ...] | None, q.positive_interval] = None
-    normal: Annotated[tuple[Any, ...] | None, q.mean_and_deviation] = None
-    linspace: Annotated[tuple[Any, ...] | None, q.pair] = None
-    value: Annotated[Any, q.value] = None
-    values: Annotated[tuple[Any, ...] | None, q.rows] = None
-    solid_sphere: SolidSphere | None = None
-
-    @property
-    def kind(self) -> str:
-        """The key that is given."""
-        return next(iter(self.model_dump(exclude_none=True)))
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> "VariationSettings":
-        given = list(self.model_dump(exclude_none=True))
-        if len(given) != 1:
-            kinds = ", ".join(type(self).model_fields)
-            raise ValueError(f"must have exactly one of {kinds}; got {' and '.join(given) or 'none'}")
-        return self
-
-
 class RecordSettings(Section):
     """``[record]``: what is recorded how often."""
 
@@ -427,6 +401,8 @@ class Settings(Section):
     bushing: Rows[BushingSettings] = ()
     catenary: Rows[CatenarySettings] = ()
     variation: dict[str, VariationSettings] = Field(default_factory=dict)
+    sampling: SamplingSettings = Field(default_factory=SamplingSettings)
+    correlation: Rows[CorrelationSettings] = ()
     integrator: IntegratorSettings = Field(default_factory=IntegratorSettings)
     record: RecordSettings = Field(default_factory=RecordSettings)
     output: OutputSettings = Field(default_factory=OutputSettings)
@@ -471,10 +447,13 @@ ROW_KEYS: dict[str, tuple[str, ...]] = {
 }
 #: The sections that are one table.
 _SINGLE: dict[str, type[Section]] = {
+    "sampling": SamplingSettings,
     "integrator": IntegratorSettings,
     "record": RecordSettings,
     "output": OutputSettings,
 }
+#: The sections that are lists and no part of a scene.
+LISTS: dict[str, type[Section]] = {"correlation": CorrelationSettings}
 #: Tables within a contact coupling.
 _TABLES: dict[str, type[Section]] = {"range": RangeSettings, "from_impact": ImpactSettings}
 
@@ -487,7 +466,7 @@ def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Sec
     if parts[0] == "variation":
         return SolidSphere if len(parts) > 2 else VariationSettings
     if len(parts) == 1:
-        return (SECTIONS | _SINGLE)[parts[0]]
+        return (SECTIONS | _SINGLE | LISTS)[parts[0]]
     if parts[1] in _TABLES and parts[0] == "contact_coupling":
         return _TABLES[parts[-1]]
     value = raw

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from warpcontact.experiment.errors import key_path
-from warpcontact.experiment.schema import SECTIONS, Settings
+from warpcontact.experiment.schema import LISTS, SECTIONS, Settings
 
 
 def to_toml(settings: Settings, comment: str) -> str:
@@ -20,10 +20,10 @@ def to_toml(settings: Settings, comment: str) -> str:
     lines = [f"# {comment}"]
     lines += [_line(key, value) for key, value in content.items() if not isinstance(value, dict | tuple | list)]
     lines += [_line("gravity", content["gravity"])]
-    for section in SECTIONS:
+    for section in (*SECTIONS, *LISTS):
         for entry in content[section]:
             lines += ["", f"[[{section}]]", *(_line(key, value) for key, value in entry.items())]
-    for table in ("variation", "integrator", "record", "output"):
+    for table in ("variation", "sampling", "integrator", "record", "output"):
         if content[table]:
             lines += ["", f"[{table}]", *(_line(key, value) for key, value in content[table].items())]
     return "\n".join(lines) + "\n"

@@ -1,72 +1,88 @@
-"""One value of a parameter for each environment, as ``[variation]`` asks for it.
+"""``[variation]`` against a model: what is asked for of each parameter, checked, as a design.
 
 Each entry has a random generator of its own, seeded by the experiment's seed and the name of the parameter: to add
-an entry changes none of the others. Values are drawn environment after environment, so that environment i gets
-the same ones however many follow it.
+an entry changes none of the others.
 """
 
-import hashlib
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.environments import Environments
+from warpcontact.experiment.design import (
+    Design,
+    Drawn,
+    Entry,
+    Form,
+    Listed,
+    Same,
+    Spaced,
+    SpacedWhole,
+    SphereInertia,
+)
+from warpcontact.experiment.distributions import is_discrete, marginal_of, shape_of
+from warpcontact.experiment.drawing import Columns
 from warpcontact.experiment.errors import Problems, key_path, suggestion
-from warpcontact.experiment.schema import SolidSphere, VariationSettings
+from warpcontact.experiment.rows_file import read_rows
+from warpcontact.experiment.variation_settings import (
+    CorrelationSettings,
+    SolidSphere,
+    VariationSettings,
+    axis_of,
+    grid_axes,
+)
 from warpcontact.parameters import Parameter
 
-# How the two numbers or vectors a, b of an entry become rows for n environments.
-_RULES: dict[str, Callable[[np.random.Generator, Array, Array, int], Array]] = {
-    "uniform": lambda rng, low, high, n: low + (high - low) * rng.random((n, *low.shape)),
-    "loguniform": lambda rng, low, high, n: low * (high / low) ** rng.random((n, *low.shape)),
-    "normal": lambda rng, mean, deviation, n: mean + deviation * rng.standard_normal((n, *mean.shape)),
-    "linspace": lambda _, first, last, n: np.linspace(first, last, n),
-}
-
-
-def _blocks(_: np.random.Generator, first: Array, last: Array, n: int) -> Array:
-    """Returns the whole numbers from ``first`` to ``last``, each for about as many of ``n`` environments."""
-    span = np.abs(last - first)
-    count = np.floor(np.arange(n) * (span + 1.0) / max(n - 1, 1))
-    return np.asarray(first + np.sign(last - first) * np.minimum(count, span))
-
-
-# The same for parameters that are a whole number.
-_WHOLE_RULES: dict[str, Callable[[np.random.Generator, Array, Array, int], Array]] = {
-    "uniform": lambda rng, low, high, n: low + np.floor((high - low + 1.0) * rng.random((n, *low.shape))),
-    "linspace": _blocks,
-}
-
-
-def generator(seed: int, name: str) -> np.random.Generator:
-    """Returns the random generator of the parameter called ``name``."""
-    digest = hashlib.sha256(name.encode()).digest()
-    return np.random.default_rng(np.random.SeedSequence([seed, int.from_bytes(digest[:16])]))
+# Values are checked so many environments at a time.
+CHECKED_AT_ONCE = 65536
+# The keys for a parameter that is a whole number.
+_WHOLE = ("value", "values", "uniform", "linspace", "grid", "distribution")
 
 
 def truncated(variation: Mapping[str, VariationSettings], envs: int) -> dict[str, VariationSettings]:
     """Returns ``variation`` for the first ``envs`` environments: listed values beyond them are left out."""
     return {
-        name: entry if entry.values is None else entry.model_copy(update={"values": entry.values[:envs]})
+        name: entry.model_copy(update={"values": entry.values[:envs]})
+        if isinstance(entry.values, tuple)
+        else entry
         for name, entry in variation.items()
     }
 
 
-class Draw:
-    """The values of all varied parameters.
+def relocated(
+    variation: Mapping[str, VariationSettings], moved: Callable[[str], str]
+) -> dict[str, VariationSettings]:
+    """Returns ``variation`` with the names of its files replaced by what ``moved`` returns of them."""
+    return _with_values(variation, str, moved)
+
+
+def _with_values(
+    variation: Mapping[str, VariationSettings], kind: type, changed: Callable[[Any], Any]
+) -> dict[str, VariationSettings]:
+    """Returns ``variation`` with other ``values`` where they are of this kind."""
+    return {
+        name: entry.model_copy(update={"values": changed(entry.values)})
+        if isinstance(entry.values, kind)
+        else entry
+        for name, entry in variation.items()
+    }
+
+
+class Variation:
+    """What varies, checked entry by entry against a model.
 
     Args:
         variation: What varies.
         model: Environments of the same scene, of any number of environments; it is not changed.
         envs: Number of environments; ``None``: unknown, so that lists may be of any length.
         seed: Seed of the experiment.
+        folder: Folder to which the names of files with values are relative.
+        problems: Receives what is wrong.
         unsound: Tells of the name of a parameter whether its element has problems of its own.
-
-    Attributes:
-        values: Values (envs, …) by the name of the parameter, in the order of the experiment.
-        problems: What is wrong with the others.
     """
 
     def __init__(
@@ -75,92 +91,145 @@ class Draw:
         model: Environments,
         envs: int | None,
         seed: int,
+        folder: Path,
         problems: Problems,
         unsound: Callable[[str], bool],
     ) -> None:
+        self.variation = variation
         self.model = model
         self.envs = envs or 1
         self.any_length = envs is None
         self.seed = seed
+        self.folder = folder
         self.problems = problems
         self.unsound = unsound
-        self.values: dict[str, Array] = {}
-        # What is computed from other parameters comes after them.
-        for derived in (False, True):
-            for name, entry in variation.items():
-                if (entry.solid_sphere is not None) == derived:
-                    self._draw(name, entry)
-        self.values = {name: self.values[name] for name in variation if name in self.values}
 
-    def _draw(self, name: str, entry: VariationSettings) -> None:
-        path = key_path(("variation", name))
-        if name not in self.model:
-            if not self.unsound(name):
-                self.problems.add(path, f"is not the name of a parameter{self._hint(name)}")
-            return
-        parameter = self.model.find_parameter(name)
-        kind, problems_before = entry.kind, len(self.problems.lines)
-        if entry.solid_sphere is not None:
-            values = self._solid_sphere(f"{path}.{kind}", parameter, entry.solid_sphere)
-        elif entry.value is not None:
-            values = self._same(f"{path}.{kind}", parameter, entry.value)
-        elif entry.values is not None:
-            values = np.array(entry.values)
-            if self.any_length:
-                values = values[:1]
-            if len(values) != self.envs:
-                message = f"must have one value for each of {self.envs} environments, got {len(values)}"
-                self.problems.add(f"{path}.{kind}", message)
-        else:
-            values = self._from_two(f"{path}.{kind}", parameter, kind, getattr(entry, kind))
-        if values is None or len(self.problems.lines) > problems_before:
-            return
-        if parameter.tail == (3, 3) and values.shape[1:] == (3,):
-            # Principal moments as tensors: those of three environments would pass for one tensor.
-            values = values[:, :, None] * np.eye(3)
-        if self._check(path, parameter, values, self.envs):
-            self.values[name] = values
+    def design(self, method: str, correlation: Sequence[CorrelationSettings]) -> Design:
+        """Returns the design of all sound entries.
 
-    def _same(self, path: str, parameter: Parameter, value: Any) -> Array | None:
-        """Returns one value, repeated for all environments."""
-        values = np.array(value)
-        # As if there were one environment: what has a row for each of several is no one value.
-        if not self._check(path, parameter, values if parameter.single else values[None], 1):
-            return None
-        return np.repeat(values[None], self.envs, axis=0)
+        Args:
+            method: How values are drawn, one of ``sampling.METHODS``.
+            correlation: Which of them are drawn together.
+        """
+        entries: dict[str, Any] = {}
+        forms: dict[str, Form] = {}
+        columns = Columns(self.variation, method, self.envs, self.seed, self.problems)
+        for name, settings in self.variation.items():
+            parameter = self._parameter(name)
+            before = len(self.problems.lines)
+            entry = None if parameter is None else self._entry(parameter, settings, columns)
+            if parameter is None or entry is None or len(self.problems.lines) > before:
+                columns.unclear |= {name} & columns.first.keys()
+                continue
+            entries[name] = entry
+            if not isinstance(entry, SphereInertia):
+                forms[name] = _form(parameter, _shape(entry))
+        for name, entry in list(entries.items()):
+            if isinstance(entry, SphereInertia) and not entries.keys() >= set(entry.sources):
+                del entries[name]
+        sampler = columns.sampler(any_envs=self.any_length)
+        together = [columns.correlation(i, entry, self.unsound) for i, entry in enumerate(correlation)]
+        correlations = tuple(one for one in together if one is not None)
+        design = Design(self.envs, entries, forms, sampler, correlations)
+        self._check_all(design)
+        return design
 
-    def _from_two(self, path: str, parameter: Parameter, kind: str, pair: Any) -> Array | None:
-        rules = _WHOLE_RULES if parameter.whole else _RULES
-        if kind not in rules:
-            allowed = ", ".join(("value", "values", *rules))
+    def _parameter(self, name: str) -> Parameter | None:
+        if name in self.model:
+            return self.model.find_parameter(name)
+        if not self.unsound(name):
+            self.problems.add(_path(name), f"is not the name of a parameter{self._hint(name)}")
+        return None
+
+    def _entry(
+        self, parameter: Parameter, settings: VariationSettings, columns: Columns
+    ) -> Entry | Drawn | SphereInertia | None:
+        """Returns the entry of a parameter, or ``None`` if it is wrong."""
+        kind = settings.kind
+        path, given = f"{_path(parameter.name)}.{kind}", getattr(settings, kind)
+        if settings.solid_sphere is not None:
+            return self._sphere(path, parameter, settings.solid_sphere)
+        if parameter.whole and kind not in _WHOLE:
+            allowed = ", ".join(_WHOLE)
             self.problems.add(path, f"gives no whole numbers; {parameter.name} takes one of {allowed}")
             return None
-        first, second = np.array(pair, dtype=np.float64)
-        # The ends first: whether a draw lies outside of the range is a matter of luck.
-        ends = 1 if kind == "normal" else 2
-        for i, end in enumerate((first, second)[:ends]):
-            if not self._check(f"{path}[{i}]", parameter, end if parameter.single else end[None], 1):
-                break
-        return rules[kind](generator(self.seed, parameter.name), first, second, self.envs)
+        if kind == "value":
+            return Same(np.array(given)) if self._check_one(path, parameter, np.array(given)) else None
+        if kind == "values":
+            return self._listed(path, given)
+        if kind == "grid":
+            return self._gridded(path, parameter, settings)
+        if kind == "distribution":
+            if parameter.whole != is_discrete(given):
+                allowed, number = ("discrete", "whole") if parameter.whole else ("continuous", "real")
+                message = (
+                    f"must be one that is {allowed}, got {given['name']!r}; {parameter.name} is a {number} number"
+                )
+                self.problems.add(f"{path}.name", message)
+                return None
+        else:
+            self._check_ends(path, parameter, kind, given)
+        if kind == "linspace":
+            first, last = np.array(given, dtype=np.float64)
+            return (SpacedWhole if parameter.whole else Spaced)(first, last, self.envs)
+        marginal, name = marginal_of(kind, given, parameter.whole), parameter.name
+        return Drawn(marginal, shape_of(kind, given), columns.first[name], columns.numbers[name])
 
-    def _solid_sphere(self, path: str, target: Parameter, entry: SolidSphere) -> Array | None:
+    def _check_ends(self, path: str, parameter: Parameter, kind: str, given: Any) -> None:
+        """Checks the ends of a range: whether a draw lies outside of the parameter's is a matter of luck."""
+        ends = np.array(given, dtype=np.float64)
+        # Of a deviation nothing is known, nor of the logarithm of a value.
+        count = {"normal": 1, "lognormal": 0}.get(kind, 2)
+        for i, end in enumerate(ends[:count]):
+            if not self._check_one(f"{path}[{i}]", parameter, end):
+                return
+
+    def _listed(self, path: str, given: Any) -> Listed | None:
+        if isinstance(given, str):
+            try:
+                values = read_rows(self.folder / given)
+            except ValueError as error:
+                self.problems.add(path, f": {error}")
+                return None
+            if values.ndim == 0 or len(values) < self.envs:
+                got = len(values) if values.ndim else "one number"
+                self.problems.add(
+                    path, f"must have at least one row for each of {self.envs} environments, got {got}"
+                )
+                return None
+            return Listed(values[: self.envs])
+        values = np.array(given)[: 1 if self.any_length else None]
+        if len(values) != self.envs:
+            message = f"must have one value for each of {self.envs} environments, got {len(values)}"
+            self.problems.add(path, message)
+            return None
+        return Listed(values)
+
+    def _gridded(self, path: str, parameter: Parameter, settings: VariationSettings) -> Listed | None:
+        values = np.array(settings.grid)
+        axes = grid_axes(dict(self.variation))
+        axis = axis_of(parameter.name, settings)
+        if len(values) != axes[axis]:
+            others = (name for name, entry in self.variation.items() if entry.group == settings.group)
+            message = f"must have as many values as {next(others)!r} of the group {settings.group!r}, {axes[axis]}"
+            self.problems.add(path, f"{message}, got {len(values)}")
+            return None
+        if not self._check(path, parameter, _form(parameter, values.shape[1:]).applied(values), 0):
+            return None
+        lengths = list(axes.values())
+        # The last axis varies fastest.
+        return Listed(values, int(np.prod(lengths[list(axes).index(axis) + 1 :], dtype=object)))
+
+    def _sphere(self, path: str, target: Parameter, entry: SolidSphere) -> SphereInertia | None:
         if not target.name.endswith(".inertia"):
             self.problems.add(path, "gives an inertia and can vary nothing else")
             return None
         mass = self._source(f"{path}.mass", entry.mass, target)
         radius = self._source(f"{path}.radius", entry.radius, target)
-        if mass is None or radius is None:
-            return None
-        moment = 0.4 * mass * radius**2
-        if target.single:
-            return np.repeat(np.broadcast_to(moment, self.envs)[:, None], 3, axis=1)
-        return np.broadcast_to(moment, (self.envs, target.count))[..., None, None] * np.eye(3)
+        return None if mass is None or radius is None else SphereInertia(mass, radius, target.single)
 
-    def _source(self, path: str, source: str | float, target: Parameter) -> Array | None:
-        """Returns the values of a scalar parameter, or of a number, (1,) or (envs,).
-
-        For a ``target`` with items (1 or envs, 1 or items).
-        """
+    def _source(self, path: str, source: str | float, target: Parameter) -> str | Array | None:
+        """Returns a scalar parameter that varies, or the values (1,) or (1, items) of another, or of a number."""
         if not isinstance(source, str):
             return np.array([source]) if target.single else np.array([[source]])
         if source not in self.model:
@@ -172,17 +241,40 @@ class Draw:
         if parameter.tail or not fits:
             self.problems.add(path, f"must be a parameter that is one number, got {source!r}")
             return None
-        values = self.values.get(source, parameter.read(1))
-        return values[:, None] if values.ndim == 1 and not target.single else values
+        return source if source in self.variation else parameter.read(1)
 
-    def _check(self, path: str, parameter: Parameter, values: Array, envs: int) -> bool:
+    def _check_all(self, design: Design) -> None:
+        """Checks the values in all environments, of each parameter up to the first that is wrong."""
+        pending = [name for name in design.names if not isinstance(design.entries[name], Same)]
+        for first in range(0, self.envs, CHECKED_AT_ONCE):
+            if not pending:
+                return
+            rows = design.rows(first, min(first + CHECKED_AT_ONCE, self.envs))
+            wrong: set[str] = set()
+            # What is wrong with a mass is not wrong with the inertia that follows from it.
+            for name in sorted(pending, key=lambda name: isinstance(design.entries[name], SphereInertia)):
+                entry = design.entries[name]
+                follows = isinstance(entry, SphereInertia) and not wrong.isdisjoint(entry.sources)
+                if follows or not self._check(_path(name), self.model.find_parameter(name), rows[name], first):
+                    wrong.add(name)
+            pending = [name for name in pending if name not in wrong]
+
+    def _check_one(self, path: str, parameter: Parameter, value: Array) -> bool:
+        """Checks one value for all environments: what has a row for each of several is none."""
+        return self._check(path, parameter, value if parameter.single else value[None], None)
+
+    def _check(self, path: str, parameter: Parameter, values: Array, first: int | None) -> bool:
+        """Checks ``values`` of environments from number ``first`` on; ``None``: of one value that all have."""
         try:
-            parameter.parse(values, envs)
+            parameter.parse(values, 1 if first is None else len(values))
         except ValueError as error:
             message = str(error)
             if not message.startswith(parameter.name):
                 message = f": {message}"
-            self.problems.add(path, message.removeprefix(parameter.name).lstrip())
+            message = message.removeprefix(parameter.name).lstrip()
+            if first:
+                message = re.sub(r"^\[(\d+)", lambda found: f"[{int(found[1]) + first}", message)
+            self.problems.add(path, message)
             return False
         return True
 
@@ -198,3 +290,22 @@ class Draw:
             return f"; did you mean {alike[0]!r}?"
         own = [other for other in known if other.startswith(f"{element}.")]
         return suggestion(name, known) or f"; there are: {', '.join(own or known)}"
+
+
+def _path(name: str) -> str:
+    return key_path(("variation", name))
+
+
+def _shape(entry: Entry | Drawn) -> tuple[int, ...]:
+    """Returns the shape of one value of an entry."""
+    return entry.shape if isinstance(entry, Drawn) else entry.rows(np.zeros(1, dtype=np.intp)).shape[1:]
+
+
+def _form(parameter: Parameter, shape: tuple[int, ...]) -> Form:
+    """Returns how values of ``shape`` become those of ``parameter``."""
+    # Principal moments as tensors: those of three environments would pass for one tensor.
+    tensor = parameter.tail == (3, 3) and shape == (3,)
+    tails = parameter.given or (parameter.tail,)
+    own = shape[:1] in ((1,), (parameter.count,)) and shape[1:] in tails
+    # Values that may be meant either way stay as they are, and are refused.
+    return Form(tensor, not parameter.single and (tensor or (shape in tails and not own)))

@@ -1,0 +1,8 @@
+"""What the results of many environments tell: indices of sensitivity, quantiles over time, convergence."""
+
+from warpcontact.analysis.fan import quantile_fan
+from warpcontact.analysis.picture import write_fan
+from warpcontact.analysis.statistics import convergence
+from warpcontact.analysis.variance import sensitivity
+
+__all__ = ["convergence", "quantile_fan", "sensitivity", "write_fan"]

@@ -1,0 +1,68 @@
+"""Quantiles over the environments at each time."""
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from warpcontact import checks
+from warpcontact.analysis.results import MISSING, Results, frozen, numbers, refuse, rest_of, variable
+
+# Times are taken together up to this size of what they are computed from [bytes].
+BLOCK = 64 * 2**20
+
+
+def quantile_fan(
+    run: Results,
+    reading: str,
+    quantiles: Sequence[float] = (0.05, 0.25, 0.5, 0.75, 0.95),
+    *,
+    missing: str = "refuse",
+) -> xr.DataArray:
+    """Returns quantiles of a reading over the environments, at each time.
+
+    Some times are read at once, so that the series of a large run need not fit into memory.
+
+    Args:
+        run: A run with a series of the reading.
+        reading: Its name.
+        quantiles: From 0 to 1, rising.
+        missing: What becomes of environments that are frozen or, at a time, without a finite value: ``"refuse"``
+            them, or ``"drop"`` the frozen ones, and others at those times.
+
+    Returns:
+        Quantiles (quantile, time, …), NaN where no environment is left, with the attributes of the reading.
+
+    Raises:
+        ValueError: If there is no such series, the quantiles are none, or some environments cannot be used.
+    """
+    checks.choice("missing", missing, MISSING)
+    levels = np.asarray(quantiles, dtype=np.float64)
+    if levels.ndim != 1 or not levels.size or not (levels >= 0.0).all() or not (levels <= 1.0).all():
+        raise ValueError(f"quantiles must be numbers from 0 to 1, got {quantiles!r}")
+    if (np.diff(levels) <= 0.0).any():
+        raise ValueError(f"quantiles must rise, got {quantiles!r}")
+    array = variable(run.series, reading, "reading", "time", "env")
+    envs = numbers(array)
+    halted = np.isin(envs, frozen(run.outcome))
+    dims, shape, coords = rest_of(array, "env")
+    found = np.empty((len(levels), *shape))
+    one_time = array.sizes["env"] * int(np.prod(shape[1:])) * found.itemsize
+    some = max(1, BLOCK // max(1, one_time))
+    for first in range(0, array.sizes["time"], some):
+        times = slice(first, first + some)
+        values = array.isel(time=times).values.astype(np.float64)
+        finite = np.isfinite(values)
+        always = np.asarray(finite.all(axis=(0, *range(2, values.ndim))))
+        refuse(envs, halted, always, reading, missing)
+        if finite.all() and not halted.any():
+            found[:, times] = np.quantile(values, levels, axis=1)
+            continue
+        values[~finite] = np.nan
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
+            found[:, times] = np.nanquantile(values[:, ~halted], levels, axis=1) if (~halted).any() else np.nan
+    return xr.DataArray(
+        found, dims=("quantile", *dims), coords={"quantile": levels, **coords}, name=reading, attrs=array.attrs
+    )

@@ -1,0 +1,123 @@
+"""What an analysis takes from a run, and the environments of it that can be used."""
+
+from collections.abc import Hashable
+from typing import Any, Protocol
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from warpcontact import checks
+from warpcontact.checks import Array
+from warpcontact.experiment.errors import suggestion
+from warpcontact.experiment.schema import Settings
+
+MISSING = ("refuse", "drop")
+# Environments that are named in a message.
+NAMED = 5
+
+
+class Results(Protocol):
+    """The results of an experiment.
+
+    Attributes:
+        settings: The experiment, with all defaults.
+        outcome: Summaries (env, …) by name; ``status``, if it is there, tells by its flags which are frozen.
+        series: Readings (time, env, …) by name.
+    """
+
+    @property
+    def settings(self) -> Settings:
+        """The experiment, with all defaults."""
+
+    @property
+    def outcome(self) -> xr.Dataset:
+        """Summaries (env, …) by name."""
+
+    @property
+    def series(self) -> xr.Dataset:
+        """Readings (time, env, …) by name."""
+
+
+def variable(data: xr.Dataset, name: str, what: str, *dims: str) -> xr.DataArray:
+    """Returns a variable of numbers with ``dims`` first, or raises ``ValueError`` naming ``what`` it should be."""
+    known = [str(key) for key, array in data.data_vars.items() if set(dims) <= set(array.dims)]
+    if name not in known:
+        hint = suggestion(name, known) or f"; there are: {', '.join(known) or 'none'}"
+        raise ValueError(f"{what} must be one of the run, got {name!r}{hint}")
+    array = data[name]
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{what} must be one of numbers, got {name!r} with {array.dtype}")
+    return array.transpose(*dims, ...)
+
+
+def frozen(outcome: xr.Dataset) -> NDArray[np.int64]:
+    """Returns the numbers of the environments that are frozen, as far as ``outcome`` tells."""
+    status = outcome.get("status")
+    if status is None or "flag_meanings" not in status.attrs:
+        return np.empty(0, dtype=np.int64)
+    codes = np.atleast_1d(status.attrs["flag_values"])
+    words = str(status.attrs["flag_meanings"]).upper().split()
+    found = [code for code, word in zip(codes, words, strict=True) if word == "FROZEN"]
+    return numbers(status)[np.isin(status.values, found)]
+
+
+def numbers(array: xr.DataArray) -> NDArray[np.int64]:
+    """Returns the numbers of the environments of ``array`` (env, …)."""
+    return np.asarray(array["env"].values if "env" in array.coords else np.arange(array.sizes["env"]))
+
+
+def usable(run: Results, outcome: xr.DataArray, missing: str) -> tuple[Array, NDArray[np.bool_]]:
+    """Returns an outcome as (envs, numbers), and which environments can be used.
+
+    Args:
+        run: Its run.
+        outcome: The outcome (env, …).
+        missing: ``"refuse"``: all have to.
+
+    Raises:
+        ValueError: If they have to and do not; names the first ones.
+    """
+    checks.choice("missing", missing, MISSING)
+    values = outcome.values.astype(np.float64).reshape(outcome.sizes["env"], -1)
+    halted = np.isin(numbers(outcome), frozen(run.outcome))
+    finite = np.asarray(np.isfinite(values).all(axis=1))
+    refuse(numbers(outcome), halted, finite, str(outcome.name), missing)
+    return values, finite & ~halted
+
+
+def refuse(
+    envs: NDArray[np.int64], halted: NDArray[np.bool_], finite: NDArray[np.bool_], name: str, missing: str
+) -> None:
+    """Raises ``ValueError`` about environments that are frozen or not finite, unless they may be missing."""
+    bad = np.flatnonzero(halted | ~finite)
+    if missing == "drop" or not len(bad):
+        return
+    named = ", ".join(f"{envs[i]} ({'frozen' if halted[i] else 'not finite'})" for i in bad[:NAMED])
+    more = f" and {len(bad) - NAMED} more" if len(bad) > NAMED else ""
+    raise ValueError(
+        f"{name!r} cannot be used in {len(bad)} of {len(envs)} environments: {named}{more}; "
+        "missing='drop' leaves them out"
+    )
+
+
+def rest_of(array: xr.DataArray, *without: str) -> tuple[tuple[Hashable, ...], tuple[int, ...], dict[Any, Any]]:
+    """Returns the dimensions of ``array`` other than those, their sizes, and the coordinates along them."""
+    dims = tuple(dim for dim in array.dims if dim not in without)
+    coords = {key: coord for key, coord in array.coords.items() if set(coord.dims) <= set(dims)}
+    return dims, tuple(array.sizes[dim] for dim in dims), coords
+
+
+def probability(name: str, value: Any) -> float:
+    """Returns ``value`` if it is between 0 and 1, or raises ``ValueError``."""
+    number = float(checks.numbers(name, value, ()))
+    if not 0.0 < number < 1.0:
+        raise ValueError(f"{name} must be greater than 0 and less than 1, got {value!r}")
+    return number
+
+
+def whole(name: str, value: Any, at_least: int) -> int:
+    """Returns ``value`` if it is a whole number of at least so much, or raises ``ValueError``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
+        raise ValueError(f"{name} must be a whole number of at least {at_least}, got {value!r}")
+    return int(value)

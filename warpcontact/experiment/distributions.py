@@ -1,0 +1,262 @@
+"""Distributions of single numbers: from numbers that are uniform between 0 and 1 to values of a parameter.
+
+All go by the inverse of their cumulative distribution, so that one uniform number makes one value, whether it is
+random or a coordinate of a design.
+"""
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.checks import Array
+from warpcontact.experiment.errors import shown, suggestion
+from warpcontact.experiment.quantities import plain
+
+# The numbers between 0 and 1 that are taken: those of 53 bits, with half a unit in place of 0, so that no
+# distribution is asked for its infinite ends.
+SMALLEST = 2.0**-54
+LARGEST = 1.0 - 2.0**-53
+
+
+def inside(units: Array) -> Array:
+    """Returns ``units`` kept off 0 and 1."""
+    return np.clip(units, SMALLEST, LARGEST)
+
+
+class Marginal:
+    """A distribution of numbers, or of vectors with independent components."""
+
+    def of_units(self, units: Array) -> Array:
+        """Returns values (n, *shape) of uniform numbers (n, *shape)."""
+        raise NotImplementedError
+
+    def of_normals(self, normals: Array) -> Array:
+        """Returns values (n, *shape) of standard normal numbers (n, *shape), in the same order."""
+        from scipy.special import ndtr
+
+        return self.of_units(inside(ndtr(normals)))
+
+
+@dataclass(frozen=True, eq=False)
+class Uniform(Marginal):
+    """Evenly from ``low`` to ``high``."""
+
+    low: Array
+    high: Array
+
+    def of_units(self, units: Array) -> Array:
+        """See ``Marginal``."""
+        return self.low + (self.high - self.low) * units
+
+
+@dataclass(frozen=True, eq=False)
+class WholeUniform(Marginal):
+    """Whole numbers from ``low`` to ``high``, each equally often."""
+
+    low: Array
+    high: Array
+
+    def of_units(self, units: Array) -> Array:
+        """See ``Marginal``."""
+        count = self.high - self.low
+        return self.low + np.minimum(np.floor((count + 1.0) * units), count)
+
+
+@dataclass(frozen=True, eq=False)
+class LogUniform(Marginal):
+    """Evenly in the logarithm."""
+
+    low: Array
+    high: Array
+
+    def of_units(self, units: Array) -> Array:
+        """See ``Marginal``."""
+        return self.low * (self.high / self.low) ** units
+
+
+@dataclass(frozen=True, eq=False)
+class Normal(Marginal):
+    """Gaussian."""
+
+    mean: Array
+    deviation: Array
+
+    def of_units(self, units: Array) -> Array:
+        """See ``Marginal``."""
+        from scipy.special import ndtri
+
+        return self.of_normals(ndtri(units))
+
+    def of_normals(self, normals: Array) -> Array:
+        """See ``Marginal``."""
+        return self.mean + self.deviation * normals
+
+
+@dataclass(frozen=True, eq=False)
+class LogNormal(Normal):
+    """Gaussian in the logarithm, of which ``mean`` and ``deviation`` are."""
+
+    def of_normals(self, normals: Array) -> Array:
+        """See ``Marginal``."""
+        with np.errstate(over="ignore"):  # what is infinite is no value of a parameter, which is told later
+            return np.asarray(np.exp(super().of_normals(normals)))
+
+
+@dataclass(frozen=True, eq=False)
+class OfScipy(Marginal):
+    """A distribution of ``scipy.stats``.
+
+    Args:
+        name: Its name there.
+        parameters: Its parameters by name, numbers or vectors.
+    """
+
+    name: str
+    parameters: Mapping[str, Array]
+
+    def of_units(self, units: Array) -> Array:
+        """See ``Marginal``."""
+        with np.errstate(all="ignore"):
+            return np.asarray(_families()[self.name].ppf(units, **self.parameters), dtype=np.float64)
+
+
+#: The kinds of a variation that are drawn, given by two numbers or vectors.
+PAIRS: dict[str, type[Any]] = {
+    "uniform": Uniform,
+    "loguniform": LogUniform,
+    "normal": Normal,
+    "lognormal": LogNormal,
+}
+#: All kinds that are drawn.
+DRAWN = (*PAIRS, "distribution")
+
+
+def marginal_of(kind: str, given: Any, whole: bool) -> Marginal:
+    """Returns the distribution that an entry of ``[variation]`` asks for.
+
+    Args:
+        kind: Its key, one of ``DRAWN``.
+        given: What is behind it.
+        whole: Whether it is of a parameter that is a whole number.
+    """
+    if kind == "distribution":
+        parameters = {key: np.array(value) for key, value in given.items() if key != "name"}
+        return OfScipy(given["name"], parameters)
+    first, second = np.array(given, dtype=np.float64)
+    made: Marginal = (WholeUniform if whole else PAIRS[kind])(first, second)
+    return made
+
+
+def shape_of(kind: str, given: Any) -> tuple[int, ...]:
+    """Returns the shape of one value of such an entry."""
+    if kind == "distribution":
+        return np.broadcast_shapes(*(np.shape(value) for key, value in given.items() if key != "name"))
+    return np.shape(given[0])
+
+
+def varies(kind: str, given: Any) -> NDArray[np.bool_]:
+    """Returns which numbers of such an entry differ between environments, in the shape of one value."""
+    if kind == "distribution":
+        return np.ones(shape_of(kind, given), dtype=bool)
+    first, second = np.array(given, dtype=np.float64)
+    return np.asarray(second != (0.0 if kind in ("normal", "lognormal") else first))
+
+
+def is_discrete(given: Mapping[str, Any]) -> bool:
+    """Whether a checked distribution of ``scipy.stats`` gives whole numbers only."""
+    from scipy import stats
+
+    return isinstance(_families()[given["name"]], stats.rv_discrete)
+
+
+@functools.cache
+def _families() -> dict[str, Any]:
+    """Returns all distributions of ``scipy.stats`` by name."""
+    from scipy import stats
+
+    named = {name: getattr(stats, name) for name in dir(stats)}
+    kinds = stats.rv_continuous, stats.rv_discrete
+    return {name: family for name, family in named.items() if isinstance(family, kinds)}
+
+
+def check_distribution(value: Any) -> dict[str, Any]:
+    """Returns ``value`` as the table of a distribution of ``scipy.stats``: its name and its parameters.
+
+    Raises:
+        ValueError: If it is none. The message continues the key of the table.
+    """
+    if not isinstance(value, Mapping):
+        raise ValueError(f'must be a table, got {shown(value)}; write {{ name = "norm", loc = 1, scale = 0.1 }}')
+    if "name" not in value:
+        raise ValueError(".name is missing: the name of a distribution of scipy.stats")
+    name = value["name"]
+    if not isinstance(name, str) or name not in _families():
+        hint = suggestion(name, _families()) or ", such as norm, truncnorm, weibull_min, gamma, beta, triang"
+        raise ValueError(f".name must be the name of a distribution of scipy.stats, got {shown(name)}{hint}")
+    family = _families()[name]
+    shapes = family.shapes.split(", ") if family.shapes else []
+    known = [*shapes, "loc", *(() if is_discrete({"name": name}) else ("scale",))]
+    for key in value:
+        if key != "name" and key not in known:
+            hint = suggestion(key, known) or f"; {name} has: {', '.join(known)}"
+            raise ValueError(f".{key} is not known{hint}")
+    for key in shapes:
+        if key not in value:
+            raise ValueError(f".{key} is missing: {name} has the parameters {', '.join(known)}")
+    checked = {key: _numbers(key, value[key]) for key in known if key in value}
+    try:
+        np.broadcast_shapes(*map(np.shape, checked.values()))
+    except ValueError:
+        raise ValueError(f": lists of parameters of {name} must have the same length") from None
+    for key, (allowed, rule) in _ranges(family).items():
+        for number in np.ravel(checked.get(key, 1.0)):
+            if not allowed(number):
+                raise ValueError(f".{key} must be {rule}, got {number:g}")
+    with np.errstate(all="ignore"):
+        middle = family.ppf(0.5, **{key: np.array(number) for key, number in checked.items()})
+    if not np.all(np.isfinite(middle)):
+        given = ", ".join(f"{key} = {number!r}" for key, number in checked.items())
+        raise ValueError(f": there is no {name} with {given}; scipy.stats.{name} tells what its parameters may be")
+    return {"name": name} | checked
+
+
+def _numbers(key: str, value: Any) -> Any:
+    what = "a number or a list of numbers"
+    try:
+        numbers = plain(value, what)
+    except ValueError as error:
+        raise ValueError(f".{key} {error}") from None
+    if isinstance(numbers, tuple) and (not numbers or any(isinstance(number, tuple) for number in numbers)):
+        raise ValueError(f".{key} must be {what}, got {shown(value)}")
+    return numbers
+
+
+def _ranges(family: Any) -> dict[str, tuple[Any, str]]:
+    """Returns what the parameters of a distribution may be, each alone: a test of a number, and words."""
+    ranges: dict[str, tuple[Any, str]] = {"scale": (lambda number: number > 0.0, "greater than 0")}
+    for info in family._shape_info():  # scipy.stats.fit takes its bounds from there, too
+        low, high = (float(end) for end in info.domain)
+        if 0.0 < low < np.finfo(float).tiny:
+            low = 0.0
+        with_low, with_high = info.inclusive
+        ranges[info.name] = _range(low, high, with_low, with_high, info.integrality)
+    return ranges
+
+
+def _range(low: float, high: float, with_low: bool, with_high: bool, whole: bool) -> tuple[Any, str]:
+    def allowed(number: float) -> bool:
+        above = number >= low if with_low else number > low
+        below = number <= high if with_high else number < high
+        return above and below and not (whole and number != round(number))
+
+    words = ["a whole number"] if whole else []
+    if low > -math.inf:
+        words.append(f"{'at least' if with_low else 'greater than'} {low:g}")
+    if high < math.inf:
+        words.append(f"{'at most' if with_high else 'less than'} {high:g}")
+    return allowed, " and ".join(words)
