@@ -30,7 +30,7 @@ def study(envs, method="saltelli", **variation):
     names = {name: name.replace("_", ".", 1) for name in variation}
     varied = {names[name]: entry for name, entry in variation.items()}
     experiment = wc.Experiment.from_dict(content(envs=envs, variation=varied, sampling={"method": method}))
-    rows = experiment._design.rows(0, envs)
+    rows = experiment.design.rows(0, envs)
     columns = [rows[names[name]].reshape(envs, -1) for name in variation]
     return experiment.settings, np.concatenate(columns, axis=1)
 

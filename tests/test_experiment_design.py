@@ -35,7 +35,7 @@ TOGETHER = [
 
 def design(variation, envs, method="random", **changes):
     raw = content(envs=envs, variation=variation, sampling={"method": method}, **changes)
-    return wc.Experiment.from_dict(raw)._design
+    return wc.Experiment.from_dict(raw).design
 
 
 def values_of(variation, envs, method="random", **changes):
@@ -106,7 +106,7 @@ def test_values_of_a_set_say_which_axis_is_that_of_the_environments():
     }
     raw = content(envs=3, point=[], points=points, contact=contact, variation=varied)
     experiment = wc.Experiment.from_dict(raw)
-    rows = experiment._design.rows(0, 3)
+    rows = experiment.design.rows(0, 3)
     assert {name: values.shape for name, values in rows.items()} == {
         "touch.radius": (3, 1),
         "corners.position": (3, 3, 3),
@@ -258,14 +258,14 @@ def test_grid_has_all_combinations_of_which_the_first_varies_slowest():
     del raw["envs"]
     experiment = wc.Experiment.from_dict(raw)
     assert experiment.settings.envs == 12
-    rows = experiment._design.rows(0, 12)
+    rows = experiment.design.rows(0, 12)
     assert rows["ball.mass"].tolist() == [1] * 6 + [2] * 6
     assert rows["ball.linear_velocity"][:, 0].tolist() == [0, 0, 1, 1, 2, 2] * 2
     assert rows["touch.kappa"].tolist() == [0, 0, 0.5, 0.5, 1, 1] * 2
     assert rows["touch.share"].tolist() == [0.1, 0.2] * 6
     assert len(np.unique(rows["touch.radius"])) == 12
     # With other numbers of environments it is cut off, or begins again.
-    more = experiment.changed(envs=20)._design.rows(0, 20)
+    more = experiment.changed(envs=20).design.rows(0, 20)
     assert more["ball.mass"].tolist() == [*rows["ball.mass"], *rows["ball.mass"][:8]]
     assert experiment.model(envs=5, device="cpu")["ball.mass"].tolist() == [1] * 5
 
@@ -332,5 +332,5 @@ def test_written_experiment_draws_the_same(device, tmp_path):
     run = first.run(tmp_path / "results" / "first", device=device)
     again = wc.Experiment.from_toml(run.files["experiment"])
     assert again.settings.sampling.method == "sobol"
-    for name, values in first._design.rows(0, 4).items():
-        np.testing.assert_array_equal(again._design.rows(0, 4)[name], values)
+    for name, values in first.design.rows(0, 4).items():
+        np.testing.assert_array_equal(again.design.rows(0, 4)[name], values)

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warpcontact import __version__, bench_command, laws_command
+from warpcontact import __version__, bench_command, folder_commands, laws_command
 
 if TYPE_CHECKING:
     from warpcontact.experiment import Experiment
@@ -94,6 +94,9 @@ def _parser() -> argparse.ArgumentParser:
         description="Tell what running an experiment file would take of memory, disk and time, and in which "
         "shards of environments it would run. Exit code 1: it does not fit.",
     )
+    plan.add_argument(
+        "--no-probe", dest="probe", action="store_false", help="step nothing, and leave the time out"
+    )
     plan.set_defaults(command=_plan)
     for command in (run, plan):
         command.add_argument(
@@ -158,6 +161,9 @@ def _parser() -> argparse.ArgumentParser:
     commands.choices["laws"].set_defaults(command=_laws)
     bench_command.add_to(commands)
     commands.choices["bench"].set_defaults(command=_bench)
+    folder_commands.add_to(commands)
+    commands.choices["status"].set_defaults(command=_of_folder, work=folder_commands.status)
+    commands.choices["export"].set_defaults(command=_of_folder, work=folder_commands.export)
     return parser
 
 
@@ -224,6 +230,8 @@ def _resume(folder: Path) -> str:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
+    import warnings
+
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
@@ -239,7 +247,12 @@ def _plan(arguments: argparse.Namespace) -> int:
     except MemoryShortage as error:
         print(error)
         return FAILED
-    print(plan)
+    print(plan, flush=True)
+    if plan.shard and arguments.probe:
+        _say("measuring")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a run tells
+            print(experiment.probe(device=_device(arguments), shard=plan.shard))
     return 0 if plan.shard else FAILED
 
 
@@ -318,6 +331,14 @@ def _inspect(arguments: argparse.Namespace) -> int:
 def _laws(arguments: argparse.Namespace) -> int:
     try:
         laws_command.run(arguments)
+    except ValueError as error:
+        return _fail(str(error))
+    return 0
+
+
+def _of_folder(arguments: argparse.Namespace) -> int:
+    try:
+        arguments.work(arguments)
     except ValueError as error:
         return _fail(str(error))
     return 0

@@ -19,6 +19,7 @@ from warpcontact.experiment.execute import Job, check_resumable, here, proceed, 
 from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.plan import Plan, make_plan, recording_size
+from warpcontact.experiment.probe import Probe, probe
 from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.run import Run
 from warpcontact.experiment.schema import Settings
@@ -271,6 +272,11 @@ class Experiment:
         with self._own.blamed():
             changed = self.changed(envs=envs, duration=duration)
             return make_plan(changed.draft(device), changed._size, changed.settings, changed.design, shard)
+
+    def probe(self, *, device: str | Sequence[str] = "auto", shard: int | None = None) -> Probe:
+        """Steps some environments, ``shard`` at most, for a few seconds; returns how long a run would take."""
+        with self._own.blamed():
+            return probe(self.draft(device), self.settings, self.design, shard or self.settings.envs)
 
     def draft(self, device: str | Sequence[str] = "auto") -> Draft:
         """Prepares any number of environments on ``device``, with values that do not vary."""

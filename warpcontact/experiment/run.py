@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from warpcontact.contact_coupling_report import CouplingReport, report_of
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.errors import ExperimentError
-from warpcontact.experiment.store import CHUNK, COMMITS, DATA, GROUPS, ORDER, Ledger, Shard, shards_of
+from warpcontact.experiment.store import CHUNK, COMMITS, DATA, GROUPS, ORDER, Ledger, Shard, StoreError, shards_of
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
 from warpcontact.scene import Scene
@@ -207,7 +207,10 @@ class Run:
             what = {"series": "nothing over time: [record] series = false", "events": "no events"}[name]
             raise ValueError(f"{self.folder}: the run recorded {what}")
         data = xr.open_zarr(self.folder / DATA, group=name, consolidated=False, chunks=None)
-        return data[data.attrs.pop(ORDER)]
+        order = data.attrs.pop(ORDER, None)
+        if not isinstance(order, list) or set(order) != set(data.data_vars):
+            raise StoreError(f"{self.folder / DATA / name}: must have the variables {order}, has {list(data)}")
+        return data[order]
 
     def _mask(self, *, finished: bool) -> NDArray[np.bool_]:
         """Returns which environments are finished, or begun (env,)."""

@@ -1,0 +1,113 @@
+"""How far a run is, from its folder alone."""
+
+import time
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from warpcontact.experiment import folder as files_of
+from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.probe import spoken
+from warpcontact.experiment.progress import told
+from warpcontact.experiment.store import Ledger, shards_of
+
+# What a shard told longer ago than this is no news [s].
+FRESH = 60.0
+
+
+@dataclass(frozen=True)
+class RunStatus:
+    """How far a run is; ``print`` tells it.
+
+    Attributes:
+        folder: Its folder.
+        summary: Content of ``run.json``.
+        state: ``"running"``, ``"finished"``, ``"interrupted"``, ``"failed"`` or ``"stopped"``: ended from outside.
+        shards: Number of shards.
+        finished_shards: How many are finished.
+        finished_envs: How many environments are.
+        env_steps: Environment steps that are committed.
+        running_steps: Those, and what running shards tell of.
+        frozen: Frozen environments, of the finished ones.
+        wall_time: Time of stepping that is committed, of all shards [s].
+    """
+
+    folder: Path
+    summary: dict[str, Any]
+    state: str
+    shards: int
+    finished_shards: int
+    finished_envs: int
+    env_steps: int
+    running_steps: int
+    frozen: int
+    wall_time: float
+
+    @property
+    def total(self) -> int:
+        """Environment steps of the whole run."""
+        return int(self.summary["envs"]) * int(self.summary["steps"])
+
+    @property
+    def rate(self) -> float:
+        """Environment steps per second of stepping; 0: nothing is committed yet."""
+        return self.env_steps / self.wall_time if self.wall_time > 0.0 else 0.0
+
+    def __str__(self) -> str:
+        s = self.summary
+        lines = [
+            f"{s['name']}: {self.state}, {self.running_steps / self.total:.1%} of {s['envs']} environments × "
+            f"{s['steps']} steps",
+            f"finished: {self.finished_envs} of {s['envs']} environments, {self.finished_shards} of {self.shards} "
+            f"shard{'s' if self.shards > 1 else ''}",
+            f"committed: {self.env_steps / self.total:.1%}",
+        ]
+        if self.frozen:
+            lines.append(f"frozen: {self.frozen} environments")
+        if self.rate:
+            left = (self.total - self.running_steps) / self.rate
+            more = f", {spoken(left)} of stepping left" if left > 0.0 else ""
+            lines.append(f"{self.rate:.3g} environment steps per second of a shard{more}")
+        lines += [f"{shard} failed: {message}" for shard, message in s.get("failed", {}).items()]
+        if self.state in ("interrupted", "failed", "stopped"):
+            lines.append(f"go on with: warpcontact run --resume --out {self.folder}")
+        return "\n".join(lines)
+
+
+def status_of(path: str | PathLike[str]) -> RunStatus:
+    """Returns how far the run in a folder is.
+
+    Raises:
+        ExperimentError: If it holds no run, or one of a schema that this version does not read.
+        StoreError: If a record in it is damaged.
+    """
+    folder = Path(path)
+    summary = files_of.read_summary(folder)
+    if summary is None:
+        raise ExperimentError(str(folder), ["holds no run"])
+    files_of.check_schema(folder, summary)
+    shards = {shard.number: shard for shard in shards_of(summary["envs"], summary["shard"])}
+    commits = {number: one for number, one in Ledger(folder).commits().items() if number in shards}
+    steps = {number: commit.steps for number, commit in commits.items()}
+    running = dict(steps)
+    now = time.time()
+    for number, content in told(folder):
+        if number in shards and now - float(content["time"]) < FRESH:
+            running[number] = max(running.get(number, 0), int(content["steps"]))
+    finished = [shards[number] for number, commit in commits.items() if commit.finished]
+    state = summary["state"]
+    if state == files_of.UNFINISHED:
+        state = "running" if files_of.is_running(summary) or running != steps else "stopped"
+    return RunStatus(
+        folder=folder,
+        summary=summary,
+        state=state,
+        shards=len(shards),
+        finished_shards=len(finished),
+        finished_envs=sum(shard.envs for shard in finished),
+        env_steps=sum(shards[number].envs * count for number, count in steps.items()),
+        running_steps=sum(shards[number].envs * count for number, count in running.items()),
+        frozen=sum(commit.frozen for commit in commits.values()),
+        wall_time=sum(commit.wall_time for commit in commits.values()),
+    )
