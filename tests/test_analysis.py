@@ -176,6 +176,20 @@ def test_fan_has_the_quantiles_at_each_time(extra, block, monkeypatch):
         np.testing.assert_allclose(fan.sel(quantile=level), ordered[:, rank], rtol=1e-12)
 
 
+def test_fan_of_a_store_is_read_piece_by_piece(tmp_path, monkeypatch):
+    run, _ = waves(20)
+    run.series.to_zarr(tmp_path / "series", encoding={"ball.height": {"chunks": (8, 5)}}, consolidated=False)
+    stored = xr.open_zarr(tmp_path / "series", consolidated=False, chunks=None)
+    monkeypatch.setattr(fan_module, "BLOCK", 20 * 20 * 8)  # 20 times
+    read = []
+    monkeypatch.setattr(
+        np, "quantile", lambda values, *a, _f=np.quantile, **k: read.append(len(values)) or _f(values, *a, **k)
+    )
+    fan = wc.quantile_fan(Run(run.settings, series=stored), "ball.height")
+    assert read == [16, 16, 16, 2]
+    assert fan.equals(wc.quantile_fan(run, "ball.height"))
+
+
 def test_fan_leaves_out_what_is_missing_if_asked():
     run, values = waves(10, times=4)
     run.series["ball.height"][2, 4] = np.nan

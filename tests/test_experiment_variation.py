@@ -42,10 +42,12 @@ def test_draws_depend_on_the_seed_and_nothing_else():
 
 
 def test_drawn_values_are_the_same_in_every_version():
-    # The same file means the same run for good. These are the numbers of version 0.1.0.
+    # The same file means the same run for good. These are the numbers of version 0.1.0, of normal those after it.
     values = drawn(envs=1)
     np.testing.assert_allclose(values["ball.mass"], [1.8575271503517654], rtol=1e-12)
     np.testing.assert_allclose(values["touch.radius"], [0.035928239002009234], rtol=1e-12)
+    expected = [[0.2807168660214724, -0.04177655058165358, -1.0]]
+    np.testing.assert_allclose(values["ball.linear_velocity"], expected, rtol=1e-12)
 
 
 def test_listed_and_spaced_values_are_taken_as_they_are():

@@ -10,7 +10,7 @@ from warpcontact import checks
 from warpcontact.analysis.results import MISSING, Results, frozen, numbers, refuse, rest_of, variable
 
 # Times are taken together up to this size of what they are computed from [bytes].
-BLOCK = 64 * 2**20
+BLOCK = 256 * 2**20
 
 
 def quantile_fan(
@@ -50,6 +50,9 @@ def quantile_fan(
     found = np.empty((len(levels), *shape))
     one_time = array.sizes["env"] * int(np.prod(shape[1:])) * found.itemsize
     some = max(1, BLOCK // max(1, one_time))
+    # Whole pieces of a store, none of which is read twice then.
+    piece = int(array.encoding.get("preferred_chunks", {}).get("time", 1))
+    some = some // piece * piece or some
     for first in range(0, array.sizes["time"], some):
         times = slice(first, first + some)
         values = array.isel(time=times).values.astype(np.float64)
