@@ -63,7 +63,7 @@ def test_speed_and_friction_share_the_variance_of_the_stopping_distance_as_the_c
     # All have stopped, as exactly as the solver goes: 1e-5 of 4 m/s.
     assert np.abs(last["block.linear_velocity"]).max() < 4e-5
     distance = last["block.position"].sel(axis="x").values.astype(float)
-    rows = experiment._design.rows(0, 4 * ROWS)
+    rows = experiment.design.rows(0, 4 * ROWS)
     speed, mu = rows["block.linear_velocity"][:, 0], rows["slide.friction.mu"]
     # Two steps are those of touching and of coming to rest, in which a block goes up to 2 v dt.
     np.testing.assert_allclose(distance, speed**2 / (2 * mu * GRAVITY), atol=2 * 4 * SLIDE["dt"])
