@@ -3,8 +3,17 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_FAILED, ENV_FROZEN, FREE, Work, structs
+from warpcontact.kernels import frames, quarantine
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    ENV_FAILED,
+    ENV_FROZEN,
+    ENV_HALTED,
+    ENV_STOPPED,
+    FREE,
+    Work,
+    structs,
+)
 
 
 @functools.cache
@@ -35,6 +44,8 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     rotated = frames.functions(real).rotated
     spin = _spin(real)
+    of_guard = quarantine.guard(real)
+    Guard, cause_of, blame = of_guard.Guard, of_guard.cause_of, of_guard.blame
 
     @wp.kernel(module="unique", enable_backward=False)
     def semi_implicit_euler(
@@ -42,6 +53,7 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         model: Model,
+        guard: Guard,
         state_in: State,
         wrenches: Wrenches,
         state_out: State,
@@ -87,10 +99,7 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
             state_out.body_orientation[env, body] = orientation
             state_out.body_linear_velocity[env, body] = velocity
             state_out.body_angular_velocity[env, body] = turning
-            # One sum is finite only if every term is: squares have no opposite signs.
-            sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(turning)
-            if not wp.isfinite(sizes):
-                status[env] = ENV_FAILED
+            blame(guard, env, cause_of(guard, env, position, velocity, turning), status)
 
     return semi_implicit_euler
 
@@ -140,10 +149,10 @@ def change_step(real: type, moves: bool = False) -> wp.Kernel:
 
 @functools.cache
 def finish(real: type) -> wp.Kernel:
-    """Returns the kernel that ends a step: clocks go on, and failed environments stay where they were.
+    """Returns the kernel that ends a step: clocks go on; failed and halted environments stay where they were.
 
-    Both state buffers then hold the last accepted state of a failed environment, so a frozen
-    one needs no further work.
+    Both state buffers then hold the last accepted state of such an environment, so a frozen or stopped one needs
+    no further work.
     """
     t = structs(real)
     State = t.State
@@ -163,11 +172,16 @@ def finish(real: type) -> wp.Kernel:
             env = work.first + task
             if status[env] == ENV_ACTIVE:
                 time[env] = time[env] + step[env, 0]
-            if status[env] != ENV_FAILED:
+            held = wp.int32(ENV_ACTIVE)
+            if status[env] == ENV_FAILED:
+                held = ENV_FROZEN
+            elif status[env] == ENV_HALTED:
+                held = ENV_STOPPED
+            if held == ENV_ACTIVE:
                 continue
             for body in range(bodies):
                 copy_body(state_in, state_out, env, body)
-            status[env] = ENV_FROZEN
+            status[env] = held
 
     return finish_step
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from warpcontact._version import __version__
 
 if TYPE_CHECKING:
-    from warpcontact import compare, integrators, meshes, unilateral
+    from warpcontact import compare, integrators, meshes, outcomes, unilateral
     from warpcontact.advice import ContactWarning
     from warpcontact.benchmark import BenchReport, bench
     from warpcontact.contact_coupling import ContactCoupling
@@ -25,17 +25,20 @@ if TYPE_CHECKING:
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
     from warpcontact.kernels.motions.base import Motion
+    from warpcontact.kernels.outcomes.base import Outcome
     from warpcontact.kernels.smooth import shapes
     from warpcontact.kernels.smooth.patch import Patch
     from warpcontact.kernels.springs.base import Damper, Spring
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
+    from warpcontact.outcomes.watch import Events, Stop
+    from warpcontact.quarantine import QuarantineError
     from warpcontact.recorder import Recording
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
-    from warpcontact.status import ContactMode, CouplingStatus, LineStatus, Status
+    from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
     from warpcontact.usd import export_usd
 
 # Where each public name lives; a module stands for itself.
@@ -44,6 +47,7 @@ _HOME = {
     "Body": "warpcontact.elements",
     "Bushing": "warpcontact.couplings.elements",
     "Catenary": "warpcontact.couplings.elements",
+    "Cause": "warpcontact.status",
     "Contact": "warpcontact.elements",
     "ContactCoupling": "warpcontact.contact_coupling",
     "ContactMode": "warpcontact.status",
@@ -51,6 +55,8 @@ _HOME = {
     "ContactWarning": "warpcontact.advice",
     "CouplingStatus": "warpcontact.status",
     "Damper": "warpcontact.kernels.springs.base",
+    "EnvironmentStatus": "warpcontact.status",
+    "Events": "warpcontact.outcomes.watch",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
     "Friction": "warpcontact.kernels.frictions.base",
@@ -62,17 +68,20 @@ _HOME = {
     "MeshReport": "warpcontact.meshes",
     "Model": "warpcontact.model",
     "Motion": "warpcontact.kernels.motions.base",
+    "Outcome": "warpcontact.kernels.outcomes.base",
     "Patch": "warpcontact.kernels.smooth.patch",
     "Points": "warpcontact.elements",
+    "QuarantineError": "warpcontact.quarantine",
     "Recording": "warpcontact.recorder",
     "Scene": "warpcontact.scene",
+    "Shape": "warpcontact.smooth.elements",
     "Simulation": "warpcontact.simulation",
+    "SmoothContact": "warpcontact.smooth.elements",
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
-    "Shape": "warpcontact.smooth.elements",
-    "SmoothContact": "warpcontact.smooth.elements",
     "SpringDamper": "warpcontact.couplings.elements",
     "Status": "warpcontact.status",
+    "Stop": "warpcontact.outcomes.watch",
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
     "Template": "warpcontact.elements",
@@ -86,6 +95,7 @@ _HOME = {
     "memory": "warpcontact.kernels.formula",
     "meshes": "warpcontact.meshes",
     "motions": "warpcontact.kernels.motions",
+    "outcomes": "warpcontact.outcomes",
     "parameter": "warpcontact.kernels.formula",
     "sample_surface": "warpcontact.meshes",
     "shapes": "warpcontact.kernels.smooth.shapes",
@@ -99,6 +109,7 @@ __all__ = [
     "Body",
     "Bushing",
     "Catenary",
+    "Cause",
     "Contact",
     "ContactCoupling",
     "ContactMode",
@@ -106,6 +117,8 @@ __all__ = [
     "ContactWarning",
     "CouplingStatus",
     "Damper",
+    "EnvironmentStatus",
+    "Events",
     "Experiment",
     "ExperimentError",
     "Friction",
@@ -117,8 +130,10 @@ __all__ = [
     "MeshReport",
     "Model",
     "Motion",
+    "Outcome",
     "Patch",
     "Points",
+    "QuarantineError",
     "Recording",
     "Scene",
     "Shape",
@@ -128,6 +143,7 @@ __all__ = [
     "Spring",
     "SpringDamper",
     "Status",
+    "Stop",
     "Surface",
     "SurfaceSamples",
     "Template",
@@ -142,6 +158,7 @@ __all__ = [
     "memory",
     "meshes",
     "motions",
+    "outcomes",
     "parameter",
     "sample_surface",
     "shapes",

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,13 +23,13 @@ from warpcontact.draft import Draft, PartDraft
 from warpcontact.drives import add_motions
 from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
-from warpcontact.kernels import types
+from warpcontact.kernels import quarantine, types
 from warpcontact.model import Model
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.piles.pile import make_piles
 from warpcontact.readings import readings_of
-from warpcontact.scene import Body, Contact, Scene
+from warpcontact.scene import MAX_DISTANCE, MAX_SPEED, Body, Contact, Scene
 from warpcontact.smooth.contact_sets import make_smooth_sets
 from warpcontact.smooth.shape_sets import make_shape_sets
 from warpcontact.split_model import SplitModel
@@ -121,6 +122,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
         cache=_cache(t, layout, blocks.set_count, blocks.count, starts[-1], records),
+        guard=quarantine.guard(t.real).Guard(),
         status=None,
         time=None,
         instant=None,
@@ -141,6 +143,11 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     gravity = Field(scene.gravity[None])
     upload = parameters.upload(arrays.model, "gravity", t.vec3, lambda: gravity.values)
     parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [upload], tail=(3,))
+    layout.array("state", arrays.guard, "cause", wp.int32, per_env())
+    for quantity, allowed in (("max_speed", MAX_SPEED), ("max_distance", MAX_DISTANCE)):
+        limit = Field(np.array([getattr(scene, quantity)]))
+        upload = parameters.upload(arrays.guard, quantity, t.real, partial(getattr, limit, "values"))
+        parameters.add(f"scene.{quantity}", limit, slice(0, 1), allowed, [upload])
     _add_bodies(scene, arrays, parameters, t)
     drives = add_motions(scene, arrays, layout, parameters)
     _add_surfaces(scene, arrays, layout, parameters, t)
@@ -177,7 +184,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         piles=piles,
         drives=drives,
         blocks=blocks,
-        readings=readings_of(scene, start_of, groups, contact_couplings, couplings, smooth, piles),
+        readings=readings_of(scene, t, start_of, groups, contact_couplings, couplings, smooth, piles),
         meshes=meshes,
     )
 

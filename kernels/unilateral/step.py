@@ -7,7 +7,7 @@ a free body keeps its angular momentum to rounding.
 import functools
 
 import warp as wp
-from warpcontact.kernels import frames
+from warpcontact.kernels import frames, quarantine
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.bodies import (
     arm_of,
@@ -20,7 +20,6 @@ from warpcontact.kernels.types import (
     BALL,
     DRIVEN,
     ENV_ACTIVE,
-    ENV_FAILED,
     FREE,
     HINGE,
     PLANAR,
@@ -272,7 +271,9 @@ def advance(real: type, moves: bool) -> wp.Kernel:
     rotated = frames.functions(real).rotated
     f = bodies.functions(real)
     wide, wide_matrix, wide_quat, moved = f.wide, f.wide_matrix, f.wide_quat, f.moved
-    put, set_velocity, has_failed = f.put, f.set_velocity, f.has_failed
+    put, set_velocity, judge = f.put, f.set_velocity, f.judge
+    of_guard = quarantine.guard(real)
+    Guard, cause_of, blame = of_guard.Guard, of_guard.cause_of, of_guard.blame
 
     @wp.func
     def advance_constrained(
@@ -318,6 +319,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         theta: real,
         model: Model,
+        guard: Guard,
         state_in: State,
         middle: State,
         moving: Moving,
@@ -338,8 +340,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
                             model, state_in, middle, moving, state_out, env, body, wp.float64(dt),
                             wp.float64(theta),
                         )  # fmt: skip
-                    if has_failed(wrenches, state_out, env, body):
-                        status[env] = ENV_FAILED
+                    judge(guard, wrenches, state_out, env, body, status)
                     continue
             rest = real(1.0) - theta
             velocity = moving.linear[env, body]
@@ -373,9 +374,6 @@ def advance(real: type, moves: bool) -> wp.Kernel:
             state_out.body_orientation[env, body] = orientation
             state_out.body_linear_velocity[env, body] = velocity
             state_out.body_angular_velocity[env, body] = turning
-            # One sum is finite only if every term is: squares have no opposite signs.
-            sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(turning)
-            if not wp.isfinite(sizes):
-                status[env] = ENV_FAILED
+            blame(guard, env, cause_of(guard, env, position, velocity, turning), status)
 
     return go_whole_way

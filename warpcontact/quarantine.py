@@ -1,0 +1,58 @@
+"""What becomes of environments that failed, beside being held at their last good state."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warpcontact.environments import Environments
+from warpcontact.kernels.types import ENV_FROZEN
+from warpcontact.status import Cause
+
+if TYPE_CHECKING:
+    from warpcontact.outcomes.observer import Observer
+
+#: Steps between two looks at which environments failed. In steps, so that results do not depend on the machine.
+CADENCE = 64
+
+
+class QuarantineError(RuntimeError):
+    """An environment failed, and the policy is to raise.
+
+    Attributes:
+        env: Its number.
+        time: What its clock says: it is held at its state then [s].
+        cause: Why.
+        count: How many have failed.
+    """
+
+    def __init__(self, env: int, time: float, cause: Cause, count: int) -> None:
+        self.env, self.time, self.cause, self.count = env, time, cause, count
+        others = f", and {count - 1} more" if count > 1 else ""
+        super().__init__(f"environment {env} failed at {time:g} s: {cause.name}{others}")
+
+
+def raise_failed(model: Environments) -> None:
+    """Raises for the first to fail by its clock, and of those at one time the first in order.
+
+    Raises:
+        QuarantineError: If any environment is frozen.
+    """
+    status = np.concatenate([part.arrays.status.numpy() for part in model.parts])
+    failed = np.flatnonzero(status == ENV_FROZEN)
+    if not len(failed):
+        return
+    time = np.concatenate([part.arrays.time.numpy() for part in model.parts])
+    cause = np.concatenate([part.arrays.guard.cause.numpy() for part in model.parts])
+    first = int(failed[time[failed].argmin()])
+    raise QuarantineError(model.first_env + first, float(time[first]), Cause(int(cause[first])), len(failed))
+
+
+def reset_failed(model: Environments, observers: "list[Observer]") -> None:
+    """Puts failed environments back to their initial state, with empty history and outcomes, and counts it."""
+    for part, observer in zip(model.parts, observers, strict=True):
+        failed = part.arrays.status.numpy() == ENV_FROZEN
+        if failed.any():
+            resets = observer.resets.numpy().copy()
+            part.restart(failed)
+            resets[failed] += 1
+            observer.resets.assign(resets)
