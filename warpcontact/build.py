@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,13 +22,14 @@ from warpcontact.draft import Draft, PartDraft
 from warpcontact.drives import add_motions
 from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
-from warpcontact.kernels import quarantine, types
+from warpcontact.kernels import types
 from warpcontact.model import Model
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.piles.pile import make_piles
+from warpcontact.quarantine import add_guard
 from warpcontact.readings import readings_of
-from warpcontact.scene import MAX_DISTANCE, MAX_SPEED, Body, Contact, Scene
+from warpcontact.scene import Body, Contact, Scene
 from warpcontact.smooth.contact_sets import make_smooth_sets
 from warpcontact.smooth.shape_sets import make_shape_sets
 from warpcontact.split_model import SplitModel
@@ -122,7 +122,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
         cache=_cache(t, layout, blocks.set_count, blocks.count, starts[-1], records),
-        guard=quarantine.guard(t.real).Guard(),
+        guard=add_guard(scene, layout, parameters, t.real),
         status=None,
         time=None,
         instant=None,
@@ -143,11 +143,6 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     gravity = Field(scene.gravity[None])
     upload = parameters.upload(arrays.model, "gravity", t.vec3, lambda: gravity.values)
     parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [upload], tail=(3,))
-    layout.array("state", arrays.guard, "cause", wp.int32, per_env())
-    for quantity, allowed in (("max_speed", MAX_SPEED), ("max_distance", MAX_DISTANCE)):
-        limit = Field(np.array([getattr(scene, quantity)]))
-        upload = parameters.upload(arrays.guard, quantity, t.real, partial(getattr, limit, "values"))
-        parameters.add(f"scene.{quantity}", limit, slice(0, 1), allowed, [upload])
     _add_bodies(scene, arrays, parameters, t)
     drives = add_motions(scene, arrays, layout, parameters)
     _add_surfaces(scene, arrays, layout, parameters, t)

@@ -1,18 +1,35 @@
-"""What becomes of environments that failed, beside being held at their last good state."""
+"""What makes an environment fail, and what becomes of it beside being held at its last good state."""
 
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
-from warpcontact.environments import Environments
+from warpcontact.arrays import Layout, per_env
+from warpcontact.kernels import quarantine
 from warpcontact.kernels.types import ENV_FROZEN
+from warpcontact.parameters import Field, Parameters
+from warpcontact.scene import MAX_DISTANCE, MAX_SPEED, Scene
 from warpcontact.status import Cause
 
 if TYPE_CHECKING:
+    from warpcontact.environments import Environments
     from warpcontact.outcomes.observer import Observer
 
 #: Steps between two looks at which environments failed. In steps, so that results do not depend on the machine.
 CADENCE = 64
+
+
+def add_guard(scene: Scene, layout: Layout, parameters: Parameters, real: type) -> Any:
+    """Returns the struct of what environments may not do, declared and with its parameters."""
+    guard = quarantine.guard(real).Guard()
+    layout.array("state", guard, "cause", wp.int32, per_env())
+    for quantity, allowed in (("max_speed", MAX_SPEED), ("max_distance", MAX_DISTANCE)):
+        limit = Field(np.array([getattr(scene, quantity)]))
+        upload = parameters.upload(guard, quantity, real, partial(getattr, limit, "values"))
+        parameters.add(f"scene.{quantity}", limit, slice(0, 1), allowed, [upload])
+    return guard
 
 
 class QuarantineError(RuntimeError):
@@ -31,7 +48,7 @@ class QuarantineError(RuntimeError):
         super().__init__(f"environment {env} failed at {time:g} s: {cause.name}{others}")
 
 
-def raise_failed(model: Environments) -> None:
+def raise_failed(model: "Environments") -> None:
     """Raises for the first to fail by its clock, and of those at one time the first in order.
 
     Raises:
@@ -47,7 +64,7 @@ def raise_failed(model: Environments) -> None:
     raise QuarantineError(model.first_env + first, float(time[first]), Cause(int(cause[first])), len(failed))
 
 
-def reset_failed(model: Environments, observers: "list[Observer]") -> None:
+def reset_failed(model: "Environments", observers: "list[Observer]") -> None:
     """Puts failed environments back to their initial state, with empty history and outcomes, and counts it."""
     for part, observer in zip(model.parts, observers, strict=True):
         failed = part.arrays.status.numpy() == ENV_FROZEN

@@ -87,8 +87,8 @@ class Outcome:
                 return m[0] / m[1]
 
     ``update`` returns the memory ``m`` after ``x`` was seen at ``time`` [s], for the step of ``dt`` [s] that
-    begins there. The last state of all is seen with ``dt`` = 0 whenever results are asked for, and then forgotten, as
-    steps may follow. ``result`` returns the outcome.
+    begins there. The last state of all is seen with ``dt`` = 0 whenever results are asked for, and then forgotten,
+    as steps may follow. ``result`` returns the outcome.
 
     Args:
         of: Name of the reading.

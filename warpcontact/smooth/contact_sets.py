@@ -337,7 +337,7 @@ class SmoothSet:
                 meaning = f"derivative of the gap by {size} of {shape.name}"
                 array = _part(f"gap_by_sizes_{side}", first, width, items)
                 name = f"{contact.name}.gap_by_{size}_{side}"
-                options = {"items": several, "shape": () if width == 1 else (width,)}
+                options: dict[str, Any] = {"items": several, "shape": () if width == 1 else (width,)}
                 yield Reading(name, "-", meaning, array, needs=("smooth_gradients",), **options)
                 first += width
 
