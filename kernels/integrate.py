@@ -11,6 +11,7 @@ from warpcontact.kernels.types import (
     ENV_HALTED,
     ENV_STOPPED,
     FREE,
+    NO_CAUSE,
     Work,
     structs,
 )
@@ -45,7 +46,7 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
     rotated = frames.functions(real).rotated
     spin = _spin(real)
     of_guard = quarantine.guard(real)
-    Guard, cause_of, blame = of_guard.Guard, of_guard.cause_of, of_guard.blame
+    Guard, cause_of = of_guard.Guard, of_guard.cause_of
 
     @wp.kernel(module="unique", enable_backward=False)
     def semi_implicit_euler(
@@ -99,7 +100,10 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
             state_out.body_orientation[env, body] = orientation
             state_out.body_linear_velocity[env, body] = velocity
             state_out.body_angular_velocity[env, body] = turning
-            blame(guard, env, cause_of(guard, env, position, velocity, turning), status)
+            cause = cause_of(position, velocity, turning, guard.limits[env, 0])
+            if cause != NO_CAUSE:
+                status[env] = ENV_FAILED
+                guard.cause[env] = cause
 
     return semi_implicit_euler
 
@@ -170,18 +174,13 @@ def finish(real: type) -> wp.Kernel:
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task
-            if status[env] == ENV_ACTIVE:
+            before = status[env]
+            if before == ENV_ACTIVE:
                 time[env] = time[env] + step[env, 0]
-            held = wp.int32(ENV_ACTIVE)
-            if status[env] == ENV_FAILED:
-                held = ENV_FROZEN
-            elif status[env] == ENV_HALTED:
-                held = ENV_STOPPED
-            if held == ENV_ACTIVE:
-                continue
-            for body in range(bodies):
-                copy_body(state_in, state_out, env, body)
-            status[env] = held
+            if before == ENV_FAILED or before == ENV_HALTED:
+                for body in range(bodies):
+                    copy_body(state_in, state_out, env, body)
+                status[env] = wp.where(before == ENV_FAILED, ENV_FROZEN, ENV_STOPPED)
 
     return finish_step
 

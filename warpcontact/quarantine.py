@@ -1,15 +1,15 @@
 """What makes an environment fail, and what becomes of it beside being held at its last good state."""
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, per_env
 from warpcontact.kernels import quarantine
 from warpcontact.kernels.types import ENV_FROZEN
-from warpcontact.parameters import Field, Parameters
+from warpcontact.parameters import Field, Parameters, pack
 from warpcontact.scene import MAX_DISTANCE, MAX_SPEED, Scene
 from warpcontact.status import Cause
 
@@ -23,12 +23,21 @@ CADENCE = 64
 
 def add_guard(scene: Scene, layout: Layout, parameters: Parameters, real: type) -> Any:
     """Returns the struct of what environments may not do, declared and with its parameters."""
-    guard = quarantine.guard(real).Guard()
+    of_guard = quarantine.guard(real)
+    guard = of_guard.Guard()
     layout.array("state", guard, "cause", wp.int32, per_env())
-    for quantity, allowed in (("max_speed", MAX_SPEED), ("max_distance", MAX_DISTANCE)):
-        limit = Field(np.array([getattr(scene, quantity)]))
-        upload = parameters.upload(guard, quantity, real, partial(getattr, limit, "values"))
-        parameters.add(f"scene.{quantity}", limit, slice(0, 1), allowed, [upload])
+    speed, distance = Field(np.array([scene.max_speed])), Field(np.array([scene.max_distance]))
+    largest = float(np.finfo(wp.dtype_to_numpy(real)).max)
+
+    def content() -> NDArray[Any]:
+        with np.errstate(over="ignore"):
+            squares = {"speed": speed.values**2, "distance": distance.values**2}
+        # Beyond what the device has numbers for, all others are within the limit.
+        return pack(of_guard.Limits, {key: np.where(v > largest, np.inf, v) for key, v in squares.items()})
+
+    upload = parameters.upload(guard, "limits", of_guard.Limits, content)
+    parameters.add("scene.max_speed", speed, slice(0, 1), MAX_SPEED, [upload])
+    parameters.add("scene.max_distance", distance, slice(0, 1), MAX_DISTANCE, [upload])
     return guard
 
 

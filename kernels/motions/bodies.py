@@ -11,7 +11,9 @@ import warp as wp
 from warpcontact.kernels import frames, quarantine
 from warpcontact.kernels.types import (
     BALL,
+    ENV_FAILED,
     HINGE,
+    NO_CAUSE,
     NON_FINITE,
     PLANAR,
     PRESCRIBED,
@@ -96,7 +98,7 @@ def functions(real: type) -> SimpleNamespace:
     wide, narrow = frame.wide, frame.narrow
     rotated = frames.functions(wp.float64).rotated
     of_guard = quarantine.guard(real)
-    Guard, cause_of, blame = of_guard.Guard, of_guard.cause_of, of_guard.blame
+    Guard, cause_of = of_guard.Guard, of_guard.cause_of
 
     @wp.func
     def wide_matrix(m: mat33):
@@ -137,15 +139,16 @@ def functions(real: type) -> SimpleNamespace:
         """Lets the step fail if the body does, or is under a load that is no number, even if it does not yield."""
         loads = wp.length_sq(wrenches.force[env, body]) + wp.length_sq(wrenches.torque[env, body])
         cause = cause_of(
-            guard,
-            env,
             state.body_position[env, body],
             state.body_linear_velocity[env, body],
             state.body_angular_velocity[env, body],
+            guard.limits[env, 0],
         )
         if wp.isnan(loads):
             cause = NON_FINITE
-        blame(guard, env, cause, status)
+        if cause != NO_CAUSE:
+            status[env] = ENV_FAILED
+            guard.cause[env] = cause
 
     @wp.func
     def moved(

@@ -20,8 +20,10 @@ from warpcontact.kernels.types import (
     BALL,
     DRIVEN,
     ENV_ACTIVE,
+    ENV_FAILED,
     FREE,
     HINGE,
+    NO_CAUSE,
     PLANAR,
     PRESCRIBED,
     SLIDER,
@@ -273,7 +275,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
     wide, wide_matrix, wide_quat, moved = f.wide, f.wide_matrix, f.wide_quat, f.moved
     put, set_velocity, judge = f.put, f.set_velocity, f.judge
     of_guard = quarantine.guard(real)
-    Guard, cause_of, blame = of_guard.Guard, of_guard.cause_of, of_guard.blame
+    Guard, cause_of = of_guard.Guard, of_guard.cause_of
 
     @wp.func
     def advance_constrained(
@@ -374,6 +376,9 @@ def advance(real: type, moves: bool) -> wp.Kernel:
             state_out.body_orientation[env, body] = orientation
             state_out.body_linear_velocity[env, body] = velocity
             state_out.body_angular_velocity[env, body] = turning
-            blame(guard, env, cause_of(guard, env, position, velocity, turning), status)
+            cause = cause_of(position, velocity, turning, guard.limits[env, 0])
+            if cause != NO_CAUSE:
+                status[env] = ENV_FAILED
+                guard.cause[env] = cause
 
     return go_whole_way
