@@ -100,10 +100,13 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
             state_out.body_orientation[env, body] = orientation
             state_out.body_linear_velocity[env, body] = velocity
             state_out.body_angular_velocity[env, body] = turning
-            cause = cause_of(position, velocity, turning, guard.limits[env, 0])
-            if cause != NO_CAUSE:
-                status[env] = ENV_FAILED
-                guard.cause[env] = cause
+            # One sum is finite only if every term is: squares have no opposite signs.
+            sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(turning)
+            if not sizes < guard.suspect[env, 0]:
+                cause = cause_of(position, velocity, turning, guard.limits[env, 0])
+                if cause != NO_CAUSE:
+                    status[env] = ENV_FAILED
+                    guard.cause[env] = cause
 
     return semi_implicit_euler
 
@@ -177,7 +180,7 @@ def finish(real: type) -> wp.Kernel:
             before = status[env]
             if before == ENV_ACTIVE:
                 time[env] = time[env] + step[env, 0]
-            if before == ENV_FAILED or before == ENV_HALTED:
+            if before == ENV_FAILED or before == ENV_HALTED:  # noqa: SIM109
                 for body in range(bodies):
                     copy_body(state_in, state_out, env, body)
                 status[env] = wp.where(before == ENV_FAILED, ENV_FROZEN, ENV_STOPPED)

@@ -23,7 +23,8 @@ def guard(real: type) -> SimpleNamespace:
     class Guard:
         """What environments may not do, and why they were frozen."""
 
-        limits: wp.array2d(dtype=Limits)  # [env, 0]
+        suspect: wp.array2d(dtype=real)  # [env, 0] what keeps all squares below this, in sum, has not failed
+        limits: wp.array2d(dtype=Limits)  # [env, 0] to be looked at if not
         cause: wp.array(dtype=wp.int32)  # [env] NO_CAUSE, NON_FINITE, …
 
     @wp.func

@@ -29,15 +29,18 @@ def add_guard(scene: Scene, layout: Layout, parameters: Parameters, real: type) 
     speed, distance = Field(np.array([scene.max_speed])), Field(np.array([scene.max_distance]))
     largest = float(np.finfo(wp.dtype_to_numpy(real)).max)
 
-    def content() -> NDArray[Any]:
+    def squares() -> dict[str, NDArray[np.float64]]:
         with np.errstate(over="ignore"):
-            squares = {"speed": speed.values**2, "distance": distance.values**2}
+            of = {"speed": speed.values**2, "distance": distance.values**2}
         # Beyond what the device has numbers for, all others are within the limit.
-        return pack(of_guard.Limits, {key: np.where(v > largest, np.inf, v) for key, v in squares.items()})
+        return {key: np.where(values > largest, np.inf, values) for key, values in of.items()}
 
-    upload = parameters.upload(guard, "limits", of_guard.Limits, content)
-    parameters.add("scene.max_speed", speed, slice(0, 1), MAX_SPEED, [upload])
-    parameters.add("scene.max_distance", distance, slice(0, 1), MAX_DISTANCE, [upload])
+    uploads = [
+        parameters.upload(guard, "limits", of_guard.Limits, lambda: pack(of_guard.Limits, squares())),
+        parameters.upload(guard, "suspect", real, lambda: np.minimum(largest, np.minimum(*squares().values()))),
+    ]
+    parameters.add("scene.max_speed", speed, slice(0, 1), MAX_SPEED, uploads)
+    parameters.add("scene.max_distance", distance, slice(0, 1), MAX_DISTANCE, uploads)
     return guard
 
 

@@ -376,9 +376,12 @@ def advance(real: type, moves: bool) -> wp.Kernel:
             state_out.body_orientation[env, body] = orientation
             state_out.body_linear_velocity[env, body] = velocity
             state_out.body_angular_velocity[env, body] = turning
-            cause = cause_of(position, velocity, turning, guard.limits[env, 0])
-            if cause != NO_CAUSE:
-                status[env] = ENV_FAILED
-                guard.cause[env] = cause
+            # One sum is finite only if every term is: squares have no opposite signs.
+            sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(turning)
+            if not sizes < guard.suspect[env, 0]:
+                cause = cause_of(position, velocity, turning, guard.limits[env, 0])
+                if cause != NO_CAUSE:
+                    status[env] = ENV_FAILED
+                    guard.cause[env] = cause
 
     return go_whole_way

@@ -20,6 +20,7 @@ from warpcontact.environments import Environments
 from warpcontact.experiment import result
 from warpcontact.experiment.batches import Batches, opened
 from warpcontact.experiment.notices import Notices
+from warpcontact.experiment.observation import watching
 from warpcontact.experiment.plan import Plan
 from warpcontact.experiment.result import Copy, Run
 from warpcontact.experiment.schema import Settings
@@ -66,7 +67,11 @@ def execute(model: Environments, job: Job) -> Run:
     """
     settings = job.settings
     simulation = Simulation(
-        model, dt=settings.dt, integrator=settings.integrator.make(), crossing_steps=settings.crossing_steps
+        model,
+        dt=settings.dt,
+        integrator=settings.integrator.make(),
+        crossing_steps=settings.crossing_steps,
+        **watching(settings),
     )
     run: _AtOnce | _InBatches = (_AtOnce if job.plan.batches == 1 else _InBatches)(simulation, job)
     result.clear_folder(job.folder)

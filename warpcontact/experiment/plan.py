@@ -7,6 +7,7 @@ from warpcontact.available import HOST, Room
 from warpcontact.checks import Array
 from warpcontact.draft import Draft, PartDraft
 from warpcontact.environments import Environments
+from warpcontact.experiment.observation import watching
 from warpcontact.experiment.result import CHUNK
 from warpcontact.experiment.schema import Settings
 from warpcontact.footprint import (
@@ -103,7 +104,7 @@ def make_plan(
         writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, frames) // 2)
         drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames))
         stepping = {"integrator": settings.integrator.make(), "crossing_steps": settings.crossing_steps}
-        return draft.memory(envs, varied, **stepping).with_needs(
+        return draft.memory(envs, varied, **stepping, **watching(settings)).with_needs(
             [
                 *total(recording(part, own) for part, own in draft.shares(envs)).needs,
                 Need("values", HOST, sum(values.nbytes for values in varied.values())),

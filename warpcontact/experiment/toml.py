@@ -23,8 +23,8 @@ def to_toml(settings: Settings, comment: str) -> str:
     for section in SECTIONS:
         for entry in content[section]:
             lines += ["", f"[[{section}]]", *(_line(key, value) for key, value in entry.items())]
-    for table in ("variation", "integrator", "record", "output"):
-        if content[table]:
+    for table in ("variation", "integrator", "outcome", "stop", "events", "quarantine", "record", "output"):
+        if content.get(table):
             lines += ["", f"[{table}]", *(_line(key, value) for key, value in content[table].items())]
     return "\n".join(lines) + "\n"
 
