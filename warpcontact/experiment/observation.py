@@ -1,20 +1,27 @@
 """What an experiment watches while it runs, and what it records and writes of that."""
 
-import functools
 import inspect
+from collections.abc import Callable, Iterable
+from functools import cache, partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 from pydantic import Field, PlainValidator, SerializeAsAny, ValidationInfo, create_model, model_validator
 
+from warpcontact import checks
+from warpcontact.arrays import Layout
 from warpcontact.checks import limits
+from warpcontact.environments import Environments
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import Section, own_class
-from warpcontact.experiment.errors import shown, suggestion
+from warpcontact.experiment.errors import Problems, key_path, shown, suggestion
 from warpcontact.experiment.own import OwnFiles
+from warpcontact.integrators import Integrator
 from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
 from warpcontact.kernels.outcomes.catalogue import OUTCOMES
 from warpcontact.kernels.outcomes.source import EACH, FOLDS
-from warpcontact.outcomes.watch import LASTING, POLICIES, Events, Stop
+from warpcontact.outcomes.observer import sources_of
+from warpcontact.outcomes.sources import Finder
+from warpcontact.outcomes.watch import LASTING, POLICIES, RESERVED, Events, Stop
 from warpcontact.scene import MAX_DISTANCE, MAX_SPEED
 
 if TYPE_CHECKING:
@@ -142,7 +149,7 @@ def outcome_model(value: Any, own: OwnFiles) -> type[OutcomeSettings]:
     raise ValueError(f".type must be {listed}, got {shown(given)}{suggestion(given, OUTCOMES)}")
 
 
-@functools.cache
+@cache
 def _settings_model(outcome: type[Outcome]) -> type[OutcomeSettings]:
     """Returns the model of the tables of a class of outcomes."""
     fields: dict[str, Any] = {}
@@ -172,3 +179,55 @@ def watching(settings: "Settings") -> dict[str, Any]:
         "events": None if settings.events is None else settings.events.make(),
         "quarantine": settings.quarantine.policy,
     }
+
+
+def check_watched(
+    model: Environments,
+    integrator: Integrator,
+    settings: "Settings",
+    problems: Problems,
+    unsound: Callable[[str], bool],
+) -> None:
+    """Checks that all that is to be watched is there.
+
+    Args:
+        model: The scene of the experiment, built.
+        integrator: What steps it.
+        settings: The experiment.
+        problems: Receives what is not.
+        unsound: Whether a reading is, or may be, of an element that has problems of its own.
+    """
+    part = model.parts[0]
+    finder = Finder(part, integrator.declare(part, Layout(part.device)))
+
+    def check(path: str, names: Iterable[str], find: Callable[[], Any]) -> None:
+        if any(unsound(name) for name in names):
+            return
+        try:
+            find()
+        except (KeyError, ValueError) as error:
+            problems.add(path, error.args[0])
+
+    for name, entry in settings.outcome.items():
+        path, outcome = key_path(["outcome", name]), entry.make()
+        if _named(path, name, problems):
+            check(path, [one.name for one in outcome.sources], partial(sources_of, finder, "", outcome))
+    for name, stop in settings.stop.items():
+        path, source = key_path(["stop", name]), stop.make().source
+        if _named(path, name, problems):
+            check(path, [source.name], partial(finder.find_number, "", source))
+    for i, name in enumerate(() if settings.events is None else settings.events.contacts):
+        check(f"events.contacts[{i}]", [f"{name}.penetration"], partial(finder.indicator, "", name))
+
+
+def _named(path: str, name: str, problems: Problems) -> bool:
+    """Checks the name of an outcome or a stop condition."""
+    if name in RESERVED:
+        problems.add(path, f": {name!r} is the name of what every result has; choose another")
+        return False
+    try:
+        checks.key("", name)
+    except ValueError as error:
+        problems.add(path, str(error))
+        return False
+    return True

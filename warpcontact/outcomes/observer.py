@@ -1,6 +1,5 @@
 """What a part of a model is watched by on its device: the memory of outcomes, conditions and events."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -83,7 +82,10 @@ class Observer:
         self._model: Model | None = None
         self._hard = hard
         finder = Finder(model, hard)
-        self.kept = [_kept(finder, name, outcome) for name, outcome in watch.outcomes.items()]
+        self.kept = [
+            Kept(name, outcome, sources_of(finder, f"outcomes[{name!r}]", outcome))
+            for name, outcome in watch.outcomes.items()
+        ]
         self._stops = [finder.find_number(f"stop[{name!r}]", one.source) for name, one in watch.stops.items()]
         names = () if watch.events is None else watch.events.contacts
         self.watched = [finder.indicator("events", name) for name in names]
@@ -111,8 +113,25 @@ class Observer:
         layout.array(PURPOSE, self, "resets", wp.int32, per_env())
 
     def begin(self, model: "Model") -> None:
-        """Takes the model, once everything is allocated."""
+        """Takes the model, once everything is allocated, and compiles outcomes, which may be a user's own.
+
+        Raises:
+            TypeError: If one does not compile.
+        """
         self._model = model
+        for kept in self.kept:
+            outcome = kept.outcome
+            forms, _ = self._look_at(kept, model.arrays.state)
+            try:
+                kernel = reduce.report(outcome.update, outcome.result, kept.length, forms)
+                kernel.module.load(self._device, block_dim=None if self._device.is_cuda else 1)
+            except Exception as error:
+                text = str(error).replace("\\n", "\n")
+                raise TypeError(
+                    f"outcomes[{kept.name!r}]: {type(outcome).__name__} does not compile: {text}\n"
+                    "m is the memory, a vector of float64, x a float64, or a vector of them of an outcome of a "
+                    "contact, time and dt are float64; constants are written as wp.float64(1.5)."
+                ) from error
 
     def stages(self, span: "Span", dt: "StepLength", state: Any) -> list[wp.Launch]:
         """Returns the launches that look at the ``state`` that a step begins from, before it is accepted."""
@@ -161,7 +180,7 @@ class Observer:
         form = seen.form(self._real)
         if self._model is None:
             return form, None
-        view = seen.view(SimpleNamespace(**{**vars(self._model.arrays), "state": state}))
+        view = seen.view(SimpleNamespace(**{**vars(self._model.arrays), "state": state, "hard": self._hard}))
         return form._replace(dtype=view.dtype), view
 
     def _look_at(self, kept: Kept, state: Any) -> tuple[tuple[Form, ...], list[Any]]:
@@ -204,15 +223,19 @@ class Observer:
         return results.numpy().reshape(model.envs, first.items, first.components).copy()
 
 
-def _kept(finder: Finder, name: str, outcome: Outcome) -> Kept:
-    owner = f"outcomes[{name!r}]"
+def sources_of(finder: Finder, owner: str, outcome: Outcome) -> tuple[Seen, ...]:
+    """Returns the sources of an outcome.
+
+    Raises:
+        KeyError: If there is no reading of a name.
+        ValueError: If one is not what is asked for; messages begin with ``owner``.
+    """
     try:
         outcome.check(finder.hard)
     except ValueError as error:
         raise ValueError(f"{owner}: {error}") from None
     find = finder.find if outcome.at_end else finder.find_in_step
-    seen: Sequence[Seen] = [find(owner, source) for source in outcome.sources]
-    return Kept(name, outcome, tuple(seen))
+    return tuple(find(owner, source) for source in outcome.sources)
 
 
 def _sight(kept: Kept) -> Any:

@@ -99,6 +99,8 @@ class Finder:
             self._readings = {**model.readings, **own}
             self._hard = hard.names
         self._meshed = {contact.name for contact in model.scene.contacts}
+        self._single = [contact.name for contact in (*model.scene.contacts, *model.scene.smooth_contacts)]
+        self._piled = {contact.name for contact in model.scene.mutual_contacts}
         self._bodies = {body.name for body in model.scene.bodies}
 
     @property
@@ -127,11 +129,10 @@ class Finder:
         if source.items != EACH and not reading.items:
             raise ValueError(f"{owner}: {source.name} is not of a set and takes no items, got {source.items!r}")
         element, _, quantity = source.name.rpartition(".")
-        by_impulses = self.hard and element in self._bodies and quantity in ("force", "torque")
         return Seen(
             source,
             reading,
-            in_step=IN_STEP.issuperset(reading.needs) and not by_impulses,
+            in_step=self._lives(source.name),
             searches=element in self._meshed and quantity in OF_NEAR,
             shown=element in self._hard,
             owner=owner,
@@ -178,20 +179,18 @@ class Finder:
         """
         quantity = "mode" if contact in self._hard else "penetration"
         name = f"{contact}.{quantity}"
-        reading = self._readings.get(name)
-        if reading is None or "piles" in reading.needs:
-            piled = f"{contact}.touching" in self._readings or reading is not None
-            what = "a mutual contact, the touches of which have no numbers" if piled else "not a contact"
-            known = [one for one in self._contacts() if self._lives(f"{one}.penetration")]
-            raise ValueError(
-                f"{owner}: {contact!r} is {what}; events are of {', '.join(map(repr, known)) or 'none here'}"
-            )
+        if contact not in self._single:
+            what = "not a contact"
+            if contact in self._piled:
+                what = "a mutual contact, the touches of which have no numbers"
+            known = ", ".join(map(repr, self._single)) or "none here"
+            raise ValueError(f"{owner}: {contact!r} is {what}; events are of {known}")
         return self.find_in_step(owner, Source(name))
 
-    def _contacts(self) -> list[str]:
-        ends = ".penetration"
-        return [name.removesuffix(ends) for name in self._readings if name.endswith(ends)]
-
     def _lives(self, name: str) -> bool:
+        """Whether a reading is there in every step; wrenches are without impulses until they are asked for."""
         reading: Any = self._readings.get(name)
+        element, _, quantity = name.rpartition(".")
+        if self._hard and element in self._bodies and quantity in ("force", "torque"):
+            return False
         return reading is not None and len(reading.shape) < 2 and IN_STEP.issuperset(reading.needs)
