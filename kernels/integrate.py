@@ -3,8 +3,18 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_FAILED, ENV_FROZEN, FREE, Work, structs
+from warpcontact.kernels import frames, quarantine
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    ENV_FAILED,
+    ENV_FROZEN,
+    ENV_HALTED,
+    ENV_STOPPED,
+    FREE,
+    NO_CAUSE,
+    Work,
+    structs,
+)
 
 
 @functools.cache
@@ -35,6 +45,8 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     rotated = frames.functions(real).rotated
     spin = _spin(real)
+    of_guard = quarantine.guard(real)
+    Guard, cause_of = of_guard.Guard, of_guard.cause_of
 
     @wp.kernel(module="unique", enable_backward=False)
     def semi_implicit_euler(
@@ -42,6 +54,7 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         model: Model,
+        guard: Guard,
         state_in: State,
         wrenches: Wrenches,
         state_out: State,
@@ -89,8 +102,11 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
             state_out.body_angular_velocity[env, body] = turning
             # One sum is finite only if every term is: squares have no opposite signs.
             sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(turning)
-            if not wp.isfinite(sizes):
-                status[env] = ENV_FAILED
+            if not sizes < guard.suspect[env, 0]:
+                cause = cause_of(position, velocity, turning, guard.limits[env, 0])
+                if cause != NO_CAUSE:
+                    status[env] = ENV_FAILED
+                    guard.cause[env] = cause
 
     return semi_implicit_euler
 
@@ -140,10 +156,10 @@ def change_step(real: type, moves: bool = False) -> wp.Kernel:
 
 @functools.cache
 def finish(real: type) -> wp.Kernel:
-    """Returns the kernel that ends a step: clocks go on, and failed environments stay where they were.
+    """Returns the kernel that ends a step: clocks go on; failed and halted environments stay where they were.
 
-    Both state buffers then hold the last accepted state of a failed environment, so a frozen
-    one needs no further work.
+    Both state buffers then hold the last accepted state of such an environment, so a frozen or stopped one needs
+    no further work.
     """
     t = structs(real)
     State = t.State
@@ -161,13 +177,13 @@ def finish(real: type) -> wp.Kernel:
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task
-            if status[env] == ENV_ACTIVE:
+            before = status[env]
+            if before == ENV_ACTIVE:
                 time[env] = time[env] + step[env, 0]
-            if status[env] != ENV_FAILED:
-                continue
-            for body in range(bodies):
-                copy_body(state_in, state_out, env, body)
-            status[env] = ENV_FROZEN
+            if before == ENV_FAILED or before == ENV_HALTED:  # noqa: SIM109
+                for body in range(bodies):
+                    copy_body(state_in, state_out, env, body)
+                status[env] = wp.where(before == ENV_FAILED, ENV_FROZEN, ENV_STOPPED)
 
     return finish_step
 

@@ -6,7 +6,7 @@ import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.memory import memory_struct
-from warpcontact.kernels.types import ENV_ACTIVE, structs
+from warpcontact.kernels.types import ENV_ACTIVE, NO_CAUSE, structs
 
 
 @functools.cache
@@ -25,6 +25,7 @@ def environments(real: type) -> wp.Kernel:
         sets: wp.int32,
         initial: State,
         status: wp.array(dtype=wp.int32),
+        cause: wp.array(dtype=wp.int32),
         time: wp.array(dtype=wp.float64),
         state: State,
         history: History,
@@ -35,6 +36,7 @@ def environments(real: type) -> wp.Kernel:
         if not mask[env]:
             return
         status[env] = ENV_ACTIVE
+        cause[env] = NO_CAUSE
         time[env] = wp.float64(0.0)
         for body in range(bodies):
             copy_body(initial, state, env, body)

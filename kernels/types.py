@@ -21,6 +21,14 @@ ENV_FAILED = 1  # turned non-finite in this step; its other bodies may be half w
 ENV_FROZEN = 2  # held at its last finite state
 ENV_CROSSED = 3  # a point crossed a surface in this step, which is to be taken again in parts
 ENV_WAITING = 4  # has taken this step, while others take it again
+ENV_HALTED = 5  # a stop condition holds at the state that this step would begin from
+ENV_STOPPED = 6  # held at that state
+
+# Why an environment was frozen.
+NO_CAUSE = 0
+NON_FINITE = 1
+TOO_FAST = 2
+TOO_FAR = 3
 
 # Status of a contact.
 OPEN = 0

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from warpcontact._version import __version__
 
 if TYPE_CHECKING:
-    from warpcontact import compare, integrators, meshes, unilateral
+    from warpcontact import compare, integrators, meshes, outcomes, unilateral
     from warpcontact.advice import ContactWarning
     from warpcontact.analysis import convergence, quantile_fan, sensitivity, write_fan
     from warpcontact.benchmark import BenchReport, bench
@@ -27,17 +27,20 @@ if TYPE_CHECKING:
     from warpcontact.kernels.frictions.base import Friction
     from warpcontact.kernels.laws.base import Law
     from warpcontact.kernels.motions.base import Motion
+    from warpcontact.kernels.outcomes.base import Outcome
     from warpcontact.kernels.smooth import shapes
     from warpcontact.kernels.smooth.patch import Patch
     from warpcontact.kernels.springs.base import Damper, Spring
     from warpcontact.meshes import Mesh, MeshError, MeshReport, SurfaceSamples, load_mesh, sample_surface
     from warpcontact.model import Model
+    from warpcontact.outcomes.watch import Events, Stop
+    from warpcontact.quarantine import QuarantineError
     from warpcontact.recorder import Recording
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
-    from warpcontact.status import ContactMode, CouplingStatus, LineStatus, Status
+    from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
     from warpcontact.usd import export_usd
 
 # Where each public name lives; a module stands for itself.
@@ -47,6 +50,7 @@ _HOME = {
     "Bushing": "warpcontact.couplings.elements",
     "Catenary": "warpcontact.couplings.elements",
     "CheckpointError": "warpcontact.checkpoint",
+    "Cause": "warpcontact.status",
     "Contact": "warpcontact.elements",
     "ContactCoupling": "warpcontact.contact_coupling",
     "ContactMode": "warpcontact.status",
@@ -54,6 +58,8 @@ _HOME = {
     "ContactWarning": "warpcontact.advice",
     "CouplingStatus": "warpcontact.status",
     "Damper": "warpcontact.kernels.springs.base",
+    "EnvironmentStatus": "warpcontact.status",
+    "Events": "warpcontact.outcomes.watch",
     "Experiment": "warpcontact.experiment",
     "ExperimentError": "warpcontact.experiment",
     "Friction": "warpcontact.kernels.frictions.base",
@@ -65,19 +71,22 @@ _HOME = {
     "MeshReport": "warpcontact.meshes",
     "Model": "warpcontact.model",
     "Motion": "warpcontact.kernels.motions.base",
+    "Outcome": "warpcontact.kernels.outcomes.base",
     "Patch": "warpcontact.kernels.smooth.patch",
     "Points": "warpcontact.elements",
+    "QuarantineError": "warpcontact.quarantine",
     "Recording": "warpcontact.recorder",
     "Run": "warpcontact.experiment",
     "Scene": "warpcontact.scene",
+    "Shape": "warpcontact.smooth.elements",
     "Simulation": "warpcontact.simulation",
+    "SmoothContact": "warpcontact.smooth.elements",
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
-    "Shape": "warpcontact.smooth.elements",
-    "SmoothContact": "warpcontact.smooth.elements",
     "SpringDamper": "warpcontact.couplings.elements",
     "Status": "warpcontact.status",
     "StoreError": "warpcontact.experiment",
+    "Stop": "warpcontact.outcomes.watch",
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
     "Template": "warpcontact.elements",
@@ -93,6 +102,7 @@ _HOME = {
     "meshes": "warpcontact.meshes",
     "motions": "warpcontact.kernels.motions",
     "open_run": "warpcontact.experiment",
+    "outcomes": "warpcontact.outcomes",
     "parameter": "warpcontact.kernels.formula",
     "quantile_fan": "warpcontact.analysis",
     "sample_surface": "warpcontact.meshes",
@@ -109,6 +119,7 @@ __all__ = [
     "Body",
     "Bushing",
     "Catenary",
+    "Cause",
     "CheckpointError",
     "Contact",
     "ContactCoupling",
@@ -117,6 +128,8 @@ __all__ = [
     "ContactWarning",
     "CouplingStatus",
     "Damper",
+    "EnvironmentStatus",
+    "Events",
     "Experiment",
     "ExperimentError",
     "Friction",
@@ -128,8 +141,10 @@ __all__ = [
     "MeshReport",
     "Model",
     "Motion",
+    "Outcome",
     "Patch",
     "Points",
+    "QuarantineError",
     "Recording",
     "Run",
     "Scene",
@@ -140,6 +155,7 @@ __all__ = [
     "Spring",
     "SpringDamper",
     "Status",
+    "Stop",
     "StoreError",
     "Surface",
     "SurfaceSamples",
@@ -157,6 +173,7 @@ __all__ = [
     "meshes",
     "motions",
     "open_run",
+    "outcomes",
     "parameter",
     "quantile_fan",
     "sample_surface",

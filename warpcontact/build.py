@@ -27,6 +27,7 @@ from warpcontact.model import Model
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.piles.pile import make_piles
+from warpcontact.quarantine import add_guard
 from warpcontact.readings import readings_of
 from warpcontact.scene import Body, Contact, Scene
 from warpcontact.smooth.contact_sets import make_smooth_sets
@@ -121,6 +122,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
         cache=_cache(t, layout, blocks.set_count, blocks.count, starts[-1], records),
+        guard=add_guard(scene, layout, parameters, t.real),
         status=None,
         time=None,
         instant=None,
@@ -177,7 +179,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         piles=piles,
         drives=drives,
         blocks=blocks,
-        readings=readings_of(scene, start_of, groups, contact_couplings, couplings, smooth, piles),
+        readings=readings_of(scene, t, start_of, groups, contact_couplings, couplings, smooth, piles),
         meshes=meshes,
     )
 

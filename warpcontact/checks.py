@@ -1,5 +1,6 @@
 """Checks of what a user hands in. Each error names the entry, the value and what is allowed."""
 
+import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -152,6 +153,31 @@ def new_name(kind: str, value: str | None, taken: Mapping[str, Any]) -> str:
     if value in taken or value == "scene":
         raise ValueError(f"name {value!r} of a {kind} is taken; every name in a scene is used once")
     return value
+
+
+def key(what: str, value: object) -> str:
+    """Returns ``value`` if it can be a name in a dictionary of names, or raises ``ValueError``."""
+    if not isinstance(value, str) or not _NAME.fullmatch(value):
+        raise ValueError(
+            f"{what}: a name must be letters, digits, _ and -, not starting with a digit, got {value!r}"
+        )
+    return value
+
+
+def look_up(kind: str, name: str, table: Mapping[str, Any]) -> Any:
+    """Returns the entry ``name``.
+
+    Raises:
+        KeyError: If there is none; the message says what may have been meant.
+    """
+    try:
+        return table[name]
+    except KeyError:
+        close = difflib.get_close_matches(name, table, n=1)
+        # Of an element that there is, its own names tell more than those of the whole scene.
+        own = [one for one in table if one.startswith(f"{name.partition('.')[0]}.")]
+        hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(own or table) or 'none'}"
+        raise KeyError(f"no {kind} {name!r}; {hint}") from None
 
 
 def element(value: Any) -> str:

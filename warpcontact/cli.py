@@ -181,6 +181,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from warpcontact.experiment import ExperimentError, StoreError
     from warpcontact.experiment.folder import EXPERIMENT, read_summary
     from warpcontact.experiment.folder import INTERRUPTED as INTERRUPTED_RUN
+    from warpcontact.quarantine import QuarantineError
 
     def warn(text: str) -> None:
         print(f"warning: {text}", file=sys.stderr, flush=True)
@@ -196,7 +197,7 @@ def _run(arguments: argparse.Namespace) -> int:
         folder = Path(arguments.out or f"results/{name}")
         with warnings.catch_warnings(), _blaming_option(arguments, experiment):
             # The summary says it.
-            warnings.filterwarnings("ignore", message=".* non-finite and are frozen", category=RuntimeWarning)
+            warnings.filterwarnings("ignore", message=".* and are frozen", category=RuntimeWarning)
             result = experiment.run(
                 folder,
                 device=_device(arguments),
@@ -209,7 +210,7 @@ def _run(arguments: argparse.Namespace) -> int:
                 on_stage=_say,
                 on_warning=warn,
             )
-    except (ExperimentError, StoreError) as error:
+    except (ExperimentError, StoreError, QuarantineError) as error:
         return _fail(str(error))
     except KeyboardInterrupt:
         if folder is None or (read_summary(folder) or {}).get("state") != INTERRUPTED_RUN:

@@ -1,6 +1,5 @@
 """What can be done with many environments of one scene, on whatever devices they are."""
 
-import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Set
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ import warp as wp
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from warpcontact.checks import Array
+from warpcontact.checks import Array, look_up
 from warpcontact.couplings.catenaries import CatenarySet
 from warpcontact.couplings.elements import Catenary
 from warpcontact.devices import spread
@@ -168,7 +167,7 @@ class Environments(ABC):
                         f"no parameter {name!r}: the {type(formula).__name__} of {owner!r} was made "
                         f"without {quantity}; it has {', '.join(formula.parameters())}"
                     )
-        return _look_up("parameter", name, parameters)
+        return look_up("parameter", name, parameters)
 
     def varies(self, name: str) -> bool:
         """Whether each environment has a value of its own of parameter ``name``, be they equal or not."""
@@ -209,7 +208,7 @@ class Environments(ABC):
         Raises:
             KeyError: If there is none; the message suggests the nearest name.
         """
-        return _look_up("reading", name, self.parts[0].readings)
+        return look_up("reading", name, self.parts[0].readings)
 
     @property
     def reading_names(self) -> tuple[str, ...]:
@@ -302,7 +301,7 @@ class Environments(ABC):
 
     def _lines(self, name: str) -> "list[tuple[Model, CatenarySet, int]]":
         """Returns each part with the set that has the catenary, and its place there."""
-        _look_up("catenary", name, {one.name: one for one in self.scene.couplings if isinstance(one, Catenary)})
+        look_up("catenary", name, {one.name: one for one in self.scene.couplings if isinstance(one, Catenary)})
         return [
             (part, lines, item)
             for part in self.parts
@@ -364,7 +363,7 @@ class Environments(ABC):
             KeyError: If there is no such mutual contact.
             RuntimeError: If a list of partners was too short.
         """
-        _look_up("mutual contact", name, {contact.name: contact for contact in self.scene.mutual_contacts})
+        look_up("mutual contact", name, {contact.name: contact for contact in self.scene.mutual_contacts})
         self.evaluate()
         self.check_piles()
         return touching(
@@ -388,13 +387,18 @@ class Environments(ABC):
                     raise RuntimeError(problem)
 
     def health(self) -> Health:
-        """Returns which environments are frozen.
+        """Returns which environments are frozen, why and since when, and which are stopped.
 
         Raises:
             RuntimeError: If a list of partners of a mutual contact was too short.
         """
         self.check_piles()
-        return Health.of_status(np.concatenate([part.arrays.status.numpy() for part in self.parts]))
+        parts = self.parts
+        return Health.of(
+            np.concatenate([part.arrays.status.numpy() for part in parts]),
+            np.concatenate([part.arrays.guard.cause.numpy() for part in parts]),
+            np.concatenate([part.arrays.time.numpy() for part in parts]),
+        )
 
     def memory(self) -> Footprint:
         """Returns what the environments take of memory as they are, and a simulation that steps them.
@@ -416,14 +420,3 @@ class Environments(ABC):
             f"{first.contact_count + first.smooth_count} contacts, {self.precision} on "
             f"{', '.join(map(str, self.devices))}>"
         )
-
-
-def _look_up(kind: str, name: str, table: dict[str, Any]) -> Any:
-    try:
-        return table[name]
-    except KeyError:
-        close = difflib.get_close_matches(name, table, n=1)
-        # Of an element that there is, its own names tell more than those of the whole scene.
-        own = [one for one in table if one.startswith(f"{name.partition('.')[0]}.")]
-        hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(own or table) or 'none'}"
-        raise KeyError(f"no {kind} {name!r}; {hint}") from None

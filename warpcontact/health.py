@@ -1,11 +1,19 @@
-"""Which environments turned non-finite and were frozen."""
+"""Which environments failed and were frozen, why and when, and which were stopped."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.kernels.types import ENV_ACTIVE
+from warpcontact.kernels.types import ENV_FROZEN, ENV_STOPPED
+from warpcontact.status import Cause
+
+_WORDS = {
+    Cause.NON_FINITE: "turned non-finite",
+    Cause.TOO_FAST: "became faster than scene.max_speed",
+    Cause.TOO_FAR: "went beyond scene.max_distance",
+}
 
 
 @dataclass(frozen=True)
@@ -14,30 +22,63 @@ class Health:
 
     Attributes:
         envs: Number of environments.
-        frozen: Numbers of the environments whose state turned non-finite. They are held at the last state
-            before and cost no more time; ``reset`` revives them.
+        frozen: Numbers of the environments that failed. They are held at the last state before and cost no more
+            time; ``reset`` revives them.
+        causes: Why each of these failed, a ``Cause``; may be left out where nobody knows.
+        times: What its clock says: that of the state it is held at [s].
+        stopped: Numbers of the environments that a stop condition holds.
     """
 
     envs: int
     frozen: NDArray[np.int_]
+    causes: Sequence[Cause] = ()
+    times: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    stopped: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, np.intp))
 
     @classmethod
-    def of_status(cls, status: NDArray[np.int_], numbers: NDArray[np.int_] | None = None) -> "Health":
-        """Reads the status array of a model; ``numbers`` are those of its environments, if not from 0."""
-        frozen = np.flatnonzero(status != ENV_ACTIVE)
-        return cls(envs=len(status), frozen=frozen if numbers is None else numbers[frozen])
+    def of(
+        cls,
+        status: NDArray[np.int_],
+        cause: NDArray[np.int_],
+        time: NDArray[np.float64],
+        numbers: NDArray[np.int_] | None = None,
+    ) -> "Health":
+        """Reads the status, the causes and the clocks of all environments (envs,).
+
+        ``numbers`` are those of the environments, if not from 0.
+        """
+        numbers = np.arange(len(status)) if numbers is None else numbers
+        frozen = np.flatnonzero(status == ENV_FROZEN)
+        return cls(
+            envs=len(status),
+            frozen=numbers[frozen],
+            causes=tuple(Cause(int(one)) for one in cause[frozen]),
+            times=time[frozen],
+            stopped=numbers[status == ENV_STOPPED],
+        )
 
     @property
     def good(self) -> bool:
-        """Whether every environment is active."""
+        """Whether no environment failed."""
         return len(self.frozen) == 0
 
     def __str__(self) -> str:
+        active = self.envs - len(self.frozen) - len(self.stopped)
+        stopped = f"; {len(self.stopped)} are stopped" if len(self.stopped) else ""
         if self.good:
-            return f"all {self.envs} environments are active"
-        first = ", ".join(map(str, self.frozen[:8]))
-        more = ", …" if len(self.frozen) > 8 else ""
-        return (
-            f"{len(self.frozen)} of {self.envs} environments turned non-finite and are frozen at the last "
-            f"state before: {first}{more}"
-        )
+            every = "all" if not stopped else f"{active} of"
+            return f"{every} {self.envs} environments are active{stopped}"
+        if not self.causes:
+            return f"{len(self.frozen)} of {self.envs} environments failed and are frozen: {_listed(self.frozen)}"
+        causes = np.array(self.causes)
+        said = [
+            f"{np.count_nonzero(causes == cause)} of {self.envs} environments {words} and are frozen at the last "
+            f"state before: {_listed(self.frozen[causes == cause])}"
+            for cause, words in _WORDS.items()
+            if (causes == cause).any()
+        ]
+        return "; ".join(said) + stopped
+
+
+def _listed(numbers: NDArray[np.int_]) -> str:
+    return ", ".join(map(str, numbers[:8])) + (", …" if len(numbers) > 8 else "")

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping, Set
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -17,6 +17,8 @@ from warpcontact.drives import Drive
 from warpcontact.environments import Environments
 from warpcontact.footprint import Need
 from warpcontact.groups import Group
+from warpcontact.kernels import measures
+from warpcontact.kernels.motions.measures import coordinates
 from warpcontact.of_scene import MEASURES, SMOOTH, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.piles.pile import Pile
@@ -26,6 +28,9 @@ from warpcontact.schedule import Span, force_stages
 from warpcontact.smooth.contact_sets import SmoothSet
 from warpcontact.smooth.measures import measure
 from warpcontact.unilateral.hard_contacts import HardContacts
+
+if TYPE_CHECKING:
+    from warpcontact.outcomes.observer import Observer
 
 
 @dataclass(frozen=True)
@@ -125,10 +130,11 @@ class Model(Environments, OfScene):
         # Step of 0 [env, 0]: for the forces of an instant.
         self.no_step = broadcast(arrays.instant, envs)
         # Status [env] of environments that are all active: a frozen one can be measured as well.
-        self._all_active = broadcast(arrays.active, envs)
+        self.all_active = broadcast(arrays.active, envs)
         self._evaluation: tuple[int, list[Any]] = (-1, [])
-        # Contacts that the last simulation solves for impulses.
+        # Contacts that the last simulation solves for impulses, and what it watches.
         self.hard: HardContacts | None = None
+        self.observer: Observer | None = None
         # Whether any of them has a restitution.
         self.bounces = False
         # Whether forces from outside are written where they lie.
@@ -170,13 +176,22 @@ class Model(Environments, OfScene):
             self.bounces = bounces
             self.revision += 1
 
-    def attach(self, hard: HardContacts | None) -> None:
+    def attach(self, hard: HardContacts | None, observer: "Observer | None" = None) -> None:
         """Lets contacts be those of the simulation that is to step: ``hard`` ones, or all with their forces.
 
         Hard ones remember nothing then: what they do may be of before a reset, or of a step of another simulation.
+        The ``observer`` of what it watches likewise begins anew.
         """
         if hard is not self.hard:
             self._exchange(hard)
+        if observer is not self.observer:
+            self.observer = observer
+            if observer is not None:
+                self._observe_anew(observer)
+
+    @beside_captures()
+    def _observe_anew(self, observer: "Observer") -> None:
+        observer.restart(wp.full(self.envs, True, dtype=wp.bool, device=self.device))
 
     @beside_captures()
     def _exchange(self, hard: HardContacts | None) -> None:
@@ -230,6 +245,7 @@ class Model(Environments, OfScene):
                 self.blocks.set_count,
                 a.initial,
                 a.status,
+                a.guard.cause,
                 a.time,
                 a.state,
                 a.history,
@@ -261,6 +277,8 @@ class Model(Environments, OfScene):
             pile.restart(chosen, self.envs)
         if self.hard is not None:
             self.hard.restart(chosen)
+        if self.observer is not None:
+            self.observer.restart(chosen)
         if self.moves:
             self._start_motions(chosen)
 
@@ -282,7 +300,7 @@ class Model(Environments, OfScene):
     def _evaluate(self) -> None:
         if self._evaluation[0] != self.revision:
             everything = Span(self, 0, self.envs, cached=False, ordered=True, hard=self.hard)
-            stages = force_stages(everything, self.arrays.state, self.no_step, self._all_active)
+            stages = force_stages(everything, self.arrays.state, self.no_step, self.all_active)
             self._evaluation = (self.revision, stages)
         for launch in self._evaluation[1]:
             launch.launch()
@@ -324,19 +342,19 @@ class Model(Environments, OfScene):
         return self.layout.needs(self.envs) + needs_of(self.parameters, self._uploads, self.envs)
 
     def _measure_bodies(self) -> None:
-        from warpcontact.kernels import measures
-
-        a, shape = self.arrays, (self.envs, self.body_count)
-        kernel = measures.bodies(self.types.real)
-        wp.launch(kernel, dim=shape, inputs=[a.model, a.state], outputs=[a.bodies], device=self.device)
+        a = self.arrays
+        self._measure(measures.bodies(self.types.real), self.body_count, [a.model, a.state, a.bodies])
 
     def _measure_points(self) -> None:
-        from warpcontact.kernels import measures
+        a = self.arrays
+        inputs = [a.model, a.state, a.contacts, a.points]
+        self._measure(measures.points(self.types.real), self.contact_count, inputs)
 
-        a, shape = self.arrays, (self.envs, self.contact_count)
-        kernel = measures.points(self.types.real)
-        inputs = [a.model, a.state, a.contacts]
-        wp.launch(kernel, dim=shape, inputs=inputs, outputs=[a.points], device=self.device)
+    def _measure(self, kernel: wp.Kernel, items: int, inputs: list[Any]) -> None:
+        """Launches a kernel for all environments, the frozen ones too."""
+        everything = Span(self, 0, self.envs, cached=False, ordered=True)
+        for launch in everything.prepare(kernel, items, [self.all_active, *inputs]):
+            launch.launch()
 
     def _measure_reactions(self) -> None:
         from warpcontact.kernels.motions import driven, measures
@@ -354,11 +372,9 @@ class Model(Environments, OfScene):
         wp.launch(measures.reactions(real), dim=shape, inputs=inputs, outputs=[a.reactions], device=self.device)
 
     def _measure_coordinates(self) -> None:
-        from warpcontact.kernels.motions import measures
-
-        a, shape = self.arrays, (self.envs, self.body_count)
-        kernel = measures.coordinates(self.types.real)
-        wp.launch(kernel, dim=shape, inputs=[a.model, a.state], outputs=[a.coordinates], device=self.device)
+        a = self.arrays
+        inputs = [a.model, a.state, a.coordinates]
+        self._measure(coordinates(self.types.real), self.body_count, inputs)
 
     def _measure_contact_couplings(self) -> None:
         from warpcontact.kernels import contact_coupling

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.groups import Group
+from warpcontact.kernels import contact_coupling, measures
 from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.motions.measures import Coordinates, Reactions
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER
 from warpcontact.scene import Contact, Scene
 from warpcontact.status import Status
@@ -97,6 +99,7 @@ class Reading:
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
         codes: What its numbers stand for.
+        shape: Of a value: () of a number, (3,) of a vector.
     """
 
     name: str
@@ -107,6 +110,7 @@ class Reading:
     items: int = 0
     total: bool = False
     codes: type[IntEnum] | None = None
+    shape: tuple[int, ...] = ()
 
     @property
     def flags(self) -> dict[str, Any]:
@@ -123,8 +127,15 @@ class Reading:
         return values.sum(axis=axis) if self.total else values
 
 
+def shape_in(struct: Any, attribute: str) -> tuple[int, ...]:
+    """Returns the shape of the values of an array of a Warp struct, or of an instance of one."""
+    variables = struct.vars if hasattr(struct, "vars") else struct._cls.vars
+    return tuple(getattr(variables[attribute].type.dtype, "_shape_", ()))
+
+
 def readings_of(
     scene: Scene,
+    types: SimpleNamespace,
     start_of: Mapping[Contact, int],
     groups: Sequence[Group],
     contact_couplings: ContactCouplings,
@@ -136,6 +147,7 @@ def readings_of(
 
     Args:
         scene: The scene.
+        types: Structs of its arrays.
         start_of: Where a contact's values begin.
         groups: What its contacts are computed in.
         contact_couplings: Its contact couplings.
@@ -148,37 +160,55 @@ def readings_of(
     def add(name: str, unit: str, meaning: str, array: Callable[..., wp.array], **options: Any) -> None:
         table[name] = Reading(name, unit, meaning, array, **options)
 
-    def column(part: str, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:
-        return lambda arrays: getattr(getattr(arrays, part), attribute)[:, items]
+    structs = {
+        "state": types.State,
+        "wrenches": types.Wrenches,
+        "contacts": types.Contacts,
+        "history": types.History,
+        "reached": types.Reached,
+        "bodies": measures.Bodies,
+        "points": measures.Points,
+        "reactions": Reactions,
+        "coordinates": Coordinates,
+        "contact_couplings": contact_coupling.ContactCouplings,
+    }
+
+    def add_column(
+        name: str, unit: str, meaning: str, part: str, attribute: str, own: int | slice, **options: Any
+    ) -> None:
+        def array(arrays: SimpleNamespace) -> wp.array:
+            return getattr(getattr(arrays, part), attribute)[:, own]
+
+        add(name, unit, meaning, array, shape=shape_in(structs[part], attribute), **options)
 
     for body in scene.bodies:
         own, several = (body.index, 0) if body.single else (body.items, body.count)
-        place = column("bodies", "position", own)
-        add(f"{body.name}.position", "m", "centre of mass, world", place, needs=("bodies",), items=several)
+        options: dict[str, Any] = {"needs": ("bodies",), "items": several}
+        add_column(f"{body.name}.position", "m", "centre of mass, world", "bodies", "position", own, **options)
         for key, (attribute, unit, meaning) in _BODY_STATE.items():
-            add(f"{body.name}.{key}", unit, meaning, column("state", attribute, own), items=several)
+            add_column(f"{body.name}.{key}", unit, meaning, "state", attribute, own, items=several)
         for key, (attribute, unit, meaning) in _BODY_WRENCH.items():
-            array = column("wrenches", attribute, own)
-            add(f"{body.name}.{key}", unit, meaning, array, needs=("contacts",), items=several)
+            options = {"needs": ("contacts",), "items": several}
+            add_column(f"{body.name}.{key}", unit, meaning, "wrenches", attribute, own, **options)
         for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
-            array = column("bodies", attribute, own)
-            add(f"{body.name}.{key}", unit, meaning, array, needs=("bodies",), items=several)
+            options = {"needs": ("bodies",), "items": several}
+            add_column(f"{body.name}.{key}", unit, meaning, "bodies", attribute, own, **options)
         for key, (need, attribute, unit, meaning) in motion_readings(body.motion).items():
-            array = column(need, attribute, own)
             needs = ("contacts", need) if need == "reactions" else (need,)
-            add(f"{body.name}.{key}", unit, meaning, array, needs=needs, items=several)
+            options = {"needs": needs, "items": several}
+            add_column(f"{body.name}.{key}", unit, meaning, need, attribute, own, **options)
     for contact in scene.contacts:
         single = contact.points.single
         start = start_of[contact]
         items = start if single else slice(start, start + contact.count)
         count = 0 if single else contact.count
-        place = column("points", "position", items)
         meaning = "point K where the force acts, world"
-        add(f"{contact.name}.point", "m", meaning, place, needs=("points",), items=count)
+        options = {"needs": ("points",), "items": count}
+        add_column(f"{contact.name}.point", "m", meaning, "points", "position", items, **options)
         for key, (attribute, unit, meaning) in CONTACT_READINGS.items():
-            array = column("contacts", attribute, items)
             codes = Status if key == "status" else None
-            add(f"{contact.name}.{key}", unit, meaning, array, needs=("contacts",), items=count, codes=codes)
+            options = {"needs": ("contacts",), "items": count, "codes": codes}
+            add_column(f"{contact.name}.{key}", unit, meaning, "contacts", attribute, items, **options)
         group = next(group for group in groups if group.first <= start < group.first + group.count)
         for part, formula in contact.template.formulas.items():
             for key, memory in formula.memories.items():
@@ -193,13 +223,14 @@ def readings_of(
                     meaning,
                     lambda arrays, of=group.of_memory, part=part, key=key, own=own: of(part, key)[:, own],
                     items=count,
+                    shape=(3,) if memory.tangent else (),
                 )
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
-            add(f"{contact.name}.{key}", unit, meaning, column("history", attribute, items), items=count)
+            add_column(f"{contact.name}.{key}", unit, meaning, "history", attribute, items, items=count)
     for number, coupling in enumerate(contact_couplings.all):
         for key, (part, attribute, unit, meaning) in _COUPLING.items():
             options = {"needs": (part,)} if part == "contact_couplings" else {}
-            add(f"{coupling.name}.{key}", unit, meaning, column(part, attribute, number), **options)
+            add_column(f"{coupling.name}.{key}", unit, meaning, part, attribute, number, **options)
     for couplings_of_code in couplings:
         table.update((reading.name, reading) for reading in couplings_of_code.readings())
     for contacts_of_code in smooth:
@@ -207,8 +238,9 @@ def readings_of(
     for pile in piles:
         table.update((reading.name, reading) for reading in pile.readings())
     for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
-        array = column("bodies", attribute, slice(0, scene.bodies[-1].items.stop))
-        add(f"scene.{key}", unit, f"{meaning}, all bodies", array, needs=("bodies",), total=True)
+        everything = slice(0, scene.bodies[-1].items.stop)
+        options = {"needs": ("bodies",), "total": True}
+        add_column(f"scene.{key}", unit, f"{meaning}, all bodies", "bodies", attribute, everything, **options)
     return table
 
 

@@ -162,6 +162,13 @@ class _Ring:
             self.drained = self.taken
 
 
+def item_dimension(scene: Scene, element: str) -> str:
+    """Returns the name of the item axis of a set: sets of different size cannot share one."""
+    sizes = {points.count for points in scene.points if not points.single}
+    sizes |= {body.count for body in scene.bodies if not body.single}
+    return "item" if len(sizes) == 1 else f"{element}.item"
+
+
 def moved_elements(model: Environments) -> list[str]:
     """Returns the parameters of surfaces, shapes and points that are not those of the scene in environment 0."""
     scene = model.scene
@@ -271,17 +278,10 @@ class Recorder:
         for part in self.model.parts:
             part.prepare(self.needs)
 
-    def _item_dimension(self, element: str) -> str:
-        """Returns the name of the item axis of a set: sets of different size cannot share one."""
-        scene = self.model.scene
-        sizes = {points.count for points in scene.points if not points.single}
-        sizes |= {body.count for body in scene.bodies if not body.single}
-        return "item" if len(sizes) == 1 else f"{element}.item"
-
     def _parameter_variable(self, parameter: Parameter) -> dict[str, Any]:
         """Returns a parameter as a variable (env, …); that of an initial state has a name of its own."""
         name = parameter.name
-        dims = ["env"] + ([] if parameter.single else [self._item_dimension(name.partition(".")[0])])
+        dims = ["env"] + ([] if parameter.single else [item_dimension(self.model.scene, name.partition(".")[0])])
         if parameter.tail == (3, 3):
             dims += ["row", "column"]
         elif parameter.tail:
@@ -317,7 +317,7 @@ class Recorder:
         for channel in self.channels:
             reading = channel.reading
             element = reading.name.rpartition(".")[0]
-            dims = ["time", "env"] + ([self._item_dimension(element)] if reading.items else [])
+            dims = ["time", "env"] + ([item_dimension(self.model.scene, element)] if reading.items else [])
             values = frames[reading.name]
             if values.ndim == len(dims) + 2:
                 dims += ["row", "column"]

@@ -18,10 +18,11 @@ class Remarks:
         self._unfinished = model.unfinished_solves()
 
     def new(self) -> list[str]:
-        """Returns what there is to say about the time since then."""
-        return [*self._about_frozen(), *self._about_lines(), *self._about_unsolved(), *self._about_unfinished()]
+        """Returns what there is to say about the time since then, but for frozen environments."""
+        return [*self._about_lines(), *self._about_unsolved(), *self._about_unfinished()]
 
-    def _about_frozen(self) -> list[str]:
+    def about_frozen(self) -> list[str]:
+        """Returns what there is to say if more environments are frozen than then."""
         health = self.model.health()
         return [str(health)] if len(health.frozen) > self._frozen else []
 

@@ -50,15 +50,31 @@ _LISTS = (
 )
 
 
+#: What an environment may do before it is put into quarantine.
+MAX_SPEED = limits("m/s", above=0.0, may_be_infinite=True)
+MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
+
+
 class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
     """Bodies, surfaces, shapes, points, contacts and couplings of one environment; ``build`` makes many of it.
 
     Args:
         gravity: Acceleration of gravity, world axes [m/s²].
+        max_speed: A centre of mass that gets faster fails the step, and the environment is put into quarantine
+            [m/s].
+        max_distance: Likewise one that gets farther from the origin [m].
     """
 
-    def __init__(self, gravity: ArrayLike = (0.0, 0.0, -9.81)) -> None:
+    def __init__(
+        self,
+        gravity: ArrayLike = (0.0, 0.0, -9.81),
+        *,
+        max_speed: float = math.inf,
+        max_distance: float = math.inf,
+    ) -> None:
         self.gravity = checks.numbers("gravity", gravity, (3,), limits("m/s²"))
+        self.max_speed = float(checks.numbers("max_speed", max_speed, (), MAX_SPEED))
+        self.max_distance = float(checks.numbers("max_distance", max_distance, (), MAX_DISTANCE))
         self.bodies: list[Body] = []
         self.surfaces: list[Surface] = []
         self.points: list[Points] = []

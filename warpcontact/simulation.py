@@ -4,11 +4,12 @@ import contextlib
 import os
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
+import xarray as xr
 from numpy.typing import ArrayLike
 
 from warpcontact import checkpoint, checks
@@ -19,8 +20,12 @@ from warpcontact.crew import Crew, available_threads
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
+from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.model import Model, State
+from warpcontact.outcomes.report import events_of, outcomes_of
+from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.parameters import rounded
+from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.recorder import Recorder, Recording
 from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
@@ -47,8 +52,16 @@ class Simulation:
             on the CPU it does in any case, whatever the number of threads.
         distance_cache: Whether what is known of distances from earlier steps saves work; results are the same.
         graphs: Whether steps are captured and replayed, without a word from Python; results are the same.
+        outcomes: What to sum up of readings while stepping, ``wc.outcomes``, by name; see ``outcomes()``.
+        stop: Conditions that stop an environment, by name; the first in order wins.
+        events: The contacts of which to write down when they are made and lost; see ``events()``.
+        quarantine: What becomes of an environment that turns non-finite or goes beyond ``scene.max_speed`` or
+            ``scene.max_distance``: ``"freeze"`` holds it at its last good state, ``"reset"`` puts it back to its
+            initial one, ``"raise"`` raises a ``QuarantineError``; the last two look every ``CADENCE`` steps.
 
     Raises:
+        KeyError: If there is no reading of a name.
+        ValueError: If an argument is not allowed.
         MemoryError: If stepping takes more memory than there is.
     """
 
@@ -63,6 +76,10 @@ class Simulation:
         deterministic: bool = False,
         distance_cache: bool = True,
         graphs: bool = True,
+        outcomes: Mapping[str, Outcome] | None = None,
+        stop: Mapping[str, Stop] | None = None,
+        events: Events | None = None,
+        quarantine: str = "freeze",
     ) -> None:
         integrator = SemiImplicitEuler() if integrator is None else integrator
         if not isinstance(model, Environments):
@@ -88,15 +105,24 @@ class Simulation:
         self.deterministic = bool(deterministic)
         self.distance_cache = bool(distance_cache)
         self.graphs = bool(graphs)
+        self.watch = Watch.of(outcomes, stop, events, quarantine)
         # Whether the first step has nothing to warn of any more.
         self.advised = False
         launched = ", or take graphs=False" if any(device.is_cpu for device in model.devices) else ""
         require(self._stepping, model.envs, "to step them, ", launched if self.graphs else "")
-        self._buffers = [Buffers(part, integrator, self.dt, self.crossing_steps) for part in model.parts]
+        self._buffers = [
+            Buffers(part, integrator, self.dt, self.crossing_steps, self.watch) for part in model.parts
+        ]
+        self._observers = [own.observer for own in self._buffers if own.observer is not None]
+        if self._observers:
+            model.make_measures(self._observers[0].needs)
+            self.distance_cache = self.distance_cache and not self._observers[0].searches
         for part, buffers in zip(model.parts, self._buffers, strict=True):
             buffers.allocate(part.envs)
             if buffers.hard is not None:
                 buffers.hard.begin(part, buffers.times.whole.dynamic)
+            if buffers.observer is not None:
+                buffers.observer.begin(part)
         self._attach()
         self._prepared: tuple[tuple[int, ...], Crew | None] = ((), None)
 
@@ -123,7 +149,7 @@ class Simulation:
     def _attach(self) -> None:
         """Lets readings tell what this simulation does with contacts, not another one of the same model."""
         for part, buffers in zip(self.model.parts, self._buffers, strict=True):
-            part.attach(buffers.hard)
+            part.attach(buffers.hard, buffers.observer)
 
     def advice(self) -> list[str]:
         """Returns what there is to say about the model as it is, and this step for it.
@@ -174,7 +200,29 @@ class Simulation:
             threads=self.threads,
             distance_cache=self.distance_cache,
             graphs=self.graphs,
+            outcomes=self.watch.outcomes,
+            stop=self.watch.stops,
+            events=self.watch.events,
+            quarantine=self.watch.quarantine,
         )
+
+    def outcomes(self) -> xr.Dataset:
+        """Returns the outcomes so far, the current state included (env[, item][, axis]).
+
+        Beside them ``status``, ``cause`` of being frozen, ``end_time``, the time of each environment, how many
+        ``resets`` it had by the quarantine, and what it was ``stopped_by``, if there are conditions.
+        """
+        self._attach()
+        return outcomes_of(self.model, self.watch, self._observers)
+
+    def events(self) -> xr.Dataset:
+        """Returns when contacts were made and lost, up to the last step (env, event).
+
+        Raises:
+            ValueError: If no events are watched.
+        """
+        self._attach()
+        return events_of(self.model, self.watch, self._observers)
 
     def reset(self, env_mask: ArrayLike | None = None) -> None:
         """Puts environments back to their initial state, with empty history.
@@ -188,6 +236,7 @@ class Simulation:
         """Takes ``count`` steps without recording.
 
         Raises:
+            QuarantineError: If an environment failed and the quarantine is to raise.
             RuntimeError: If a list of partners of a mutual contact was too short. On a GPU that is said by what
                 waits for it, such as a reading or the end of a run.
         """
@@ -208,10 +257,20 @@ class Simulation:
         if crew is None or prepared != revisions:
             crew = Crew(self._slices(), self.threads)
             self._prepared = (revisions, crew)
-        before = [part.elapsed for part in model.parts]
-        for done in crew.step(count):
-            for part, elapsed in zip(model.parts, before, strict=True):
-                part.elapsed = elapsed + done * self.dt
+        done = 0
+        while done < count:
+            some = count - done
+            if self.watch.quarantine != "freeze":
+                some = min(some, CADENCE - self.steps % CADENCE)
+            before = [part.elapsed for part in model.parts]
+            for taken in crew.step(some):
+                for part, elapsed in zip(model.parts, before, strict=True):
+                    part.elapsed = elapsed + taken * self.dt
+            done += some
+            if self.watch.quarantine == "raise":
+                raise_failed(model)
+            elif self.watch.quarantine == "reset" and self.steps % CADENCE == 0:
+                reset_failed(model, self._observers)
         # A GPU is still at work, and is asked when it is waited for.
         if all(device.is_cpu for device in model.devices):
             model.check_piles()
@@ -302,7 +361,7 @@ class Simulation:
             for done in self.advance(recorder, steps, stride, start=start):
                 bar.update(done - before)
                 before = done
-        for sentence in remarks.new():
+        for sentence in (*remarks.about_frozen(), *remarks.new()):
             warnings.warn(sentence, RuntimeWarning, stacklevel=2)
         health = self.model.health()
         return recorder.finish(

@@ -13,6 +13,8 @@ import warp as wp
 from warpcontact.arrays import Layout, broadcast, per_env
 from warpcontact.captures import beside_captures, capturing
 from warpcontact.integrators import Integrator
+from warpcontact.outcomes.observer import Observer
+from warpcontact.outcomes.watch import Watch
 from warpcontact.schedule import (
     Span,
     StepLength,
@@ -49,22 +51,30 @@ class Buffers:
         integrator: The scheme.
         dt: Length of a step [s].
         parts: Parts into which a step with a crossing is divided.
+        watch: What to watch meanwhile.
 
     Attributes:
         layout: What is to lie on the device.
         times: Lengths of steps.
         other: A second state. Steps go from the model's to it and back; between calls the state is in the model's.
         hard: The contacts that the scheme solves for impulses, ``None``: it has none.
+        observer: What watches it; ``None``: nothing does.
     """
 
     def __init__(
-        self, model: "Model | PartDraft", integrator: Integrator, dt: float = 0.0, parts: int = 1
+        self,
+        model: "Model | PartDraft",
+        integrator: Integrator,
+        dt: float = 0.0,
+        parts: int = 1,
+        watch: Watch | None = None,
     ) -> None:
         self.layout = Layout(model.device)
         nothing = StepLength(None, None, None)
         self.times = Times(nothing, nothing, None, None)
         self.other = self.layout.struct("stepping", model.types.State, per_env(model.body_count))
         self.hard = integrator.declare(model, self.layout)
+        self.observer = Observer(model, watch, self.layout, self.hard) if watch else None
         # Kept alive: the times share their memory.
         self._lengths = SimpleNamespace()
         part = dt / parts
@@ -122,6 +132,7 @@ class Slice:
         self.envs = span.count
         self.device = model.device
         self._parts = parts
+        self._observer = buffers.observer
         divides = model.sweeps and parts > 1
         self._mark = wp.zeros(1, dtype=wp.int32, device=model.device) if divides else None
         # Where the host looks at it.
@@ -142,17 +153,22 @@ class Slice:
         part, divide, resume = [], [], []
         if self._mark is not None:
             part = integrator.step_stages(span, times.part, state_in, state_out, None)
+            part += self._look(span, times.part, state_in)
             part += accept_stages(span, times.part, state_in, state_out)
             divide = integrator.change_stages(span, times.shorter, state_in)
             resume = integrator.change_stages(span, times.longer, state_out)
         return _Step(
             whole=integrator.step_stages(span, times.whole, state_in, state_out, self._mark)
+            + self._look(span, times.whole, state_in)
             + accept_stages(span, times.whole, state_in, state_out),
             part=part,
             divide=divide,
             resume=resume,
             back=adopt_stage(span, state_out, state_in),
         )
+
+    def _look(self, span: Span, dt: StepLength, state: Any) -> list[wp.Launch]:
+        return [] if self._observer is None else self._observer.stages(span, dt, state)
 
     def launches(self) -> list[list[wp.Launch]]:
         """Returns everything that is prepared."""

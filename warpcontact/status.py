@@ -1,4 +1,7 @@
-"""State of a contact, a coupling or a line, as ``<contact>.status`` and ``<coupling>.status`` report it."""
+"""State of an environment, a contact, a coupling or a line.
+
+Of the last three it is what ``<contact>.status`` and ``<coupling>.status`` report.
+"""
 
 from enum import IntEnum
 
@@ -67,3 +70,29 @@ class LineStatus(IntEnum):
     LOOSE = types.LINE_LOOSE
     DISABLED = types.LINE_DISABLED
     FAILED = types.LINE_FAILED
+
+
+class EnvironmentStatus(IntEnum):
+    """State of an environment between steps.
+
+    ACTIVE: it is stepped. FROZEN: a step failed, and it is held at the last state before; ``Cause`` says why.
+    STOPPED: it is held at the state at which a stop condition held.
+    """
+
+    ACTIVE = types.ENV_ACTIVE
+    FROZEN = types.ENV_FROZEN
+    STOPPED = types.ENV_STOPPED
+
+
+class Cause(IntEnum):
+    """Why an environment was frozen.
+
+    NONE: it was not. NON_FINITE: its state, or what was to lead to it, was no longer made of finite numbers.
+    TOO_FAST: a body was faster than ``scene.max_speed``. TOO_FAR: a body was farther from the origin than
+    ``scene.max_distance``.
+    """
+
+    NONE = types.NO_CAUSE
+    NON_FINITE = types.NON_FINITE
+    TOO_FAST = types.TOO_FAST
+    TOO_FAR = types.TOO_FAR

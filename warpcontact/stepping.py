@@ -1,7 +1,7 @@
 """What stepping takes beside the model: a second buffer of the state, and the prepared launches and graphs."""
 
 import ctypes
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import warp as wp
@@ -11,11 +11,13 @@ from warpcontact.captures import beside_captures
 from warpcontact.crew import available_threads
 from warpcontact.footprint import Footprint, Need, total
 from warpcontact.integrators import Integrator, SemiImplicitEuler
+from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.schedule import Span
 from warpcontact.slices import Buffers, Slice
 
 if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
+    from warpcontact.kernels.outcomes.base import Outcome
     from warpcontact.model import Model
 
 # Of the cache of a core that a slice may fill, and what a contact and a body take of it; measured.
@@ -71,6 +73,10 @@ def stepping_footprint(
     threads: int | None = None,
     distance_cache: bool = True,
     graphs: bool = True,
+    outcomes: "Mapping[str, Outcome] | None" = None,
+    stop: Mapping[str, Stop] | None = None,
+    events: Events | None = None,
+    quarantine: str = "freeze",
     varied: Collection[str] = (),
 ) -> Footprint:
     """Returns what a ``Simulation`` takes beside the model; the options are those of its class.
@@ -80,14 +86,22 @@ def stepping_footprint(
     """
     threads = available_threads() if threads is None else threads
     integrator = SemiImplicitEuler() if integrator is None else integrator
+    watch = Watch.of(outcomes, stop, events, quarantine)
     on_threads = on_cpu(shares)
     footprints = []
     for part, envs in shares:
-        buffers = Buffers(part, integrator)
+        buffers = Buffers(part, integrator, watch=watch)
+        observer = buffers.observer
         # Nothing is launched, so that a draft does as well.
         queued = part.device.is_cuda
         span = _Tally(
-            cast("Model", part), 0, 1, distance_cache, ordered=not queued, queued=queued, hard=buffers.hard
+            cast("Model", part),
+            0,
+            1,
+            distance_cache and not (observer and observer.searches),
+            ordered=not queued,
+            queued=queued,
+            hard=buffers.hard,
         )
         one = Slice(span, integrator, buffers, parts=crossing_steps, captured=graphs)
         size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
@@ -100,6 +114,10 @@ def stepping_footprint(
         grows = size / longest if part.device.is_cpu and on_threads > threads * length else 0.0
         launches = Need("launches", HOST, -(-envs // length) * size, grows)
         needs = [*buffers.layout.needs(envs), launches]
+        if observer is not None:
+            # What is there already is the model's.
+            missing = [name for name in observer.needs if getattr(part.arrays, name, True) is None]
+            needs += part.measures_needs(part.device, missing, envs)
         if buffers.hard is not None:
             needs.append(buffers.hard.material_need(part.parameters_by_name, envs, varied))
         footprints.append(Footprint(envs, str(part.device), tuple(needs)))

@@ -8,8 +8,20 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels import frames
-from warpcontact.kernels.types import BALL, HINGE, PLANAR, PRESCRIBED, SLIDER, TRANSLATION, BodyMotion, structs
+from warpcontact.kernels import frames, quarantine
+from warpcontact.kernels.types import (
+    BALL,
+    ENV_FAILED,
+    HINGE,
+    NO_CAUSE,
+    NON_FINITE,
+    PLANAR,
+    PRESCRIBED,
+    SLIDER,
+    TRANSLATION,
+    BodyMotion,
+    structs,
+)
 
 ONE = wp.constant(wp.float64(1.0))
 ZERO = wp.constant(wp.float64(0.0))
@@ -85,6 +97,8 @@ def functions(real: type) -> SimpleNamespace:
     frame = frames.functions(real)
     wide, narrow = frame.wide, frame.narrow
     rotated = frames.functions(wp.float64).rotated
+    of_guard = quarantine.guard(real)
+    Guard, cause_of = of_guard.Guard, of_guard.cause_of
 
     @wp.func
     def wide_matrix(m: mat33):
@@ -119,15 +133,22 @@ def functions(real: type) -> SimpleNamespace:
         state.body_angular_velocity[env, body] = narrow(w)
 
     @wp.func
-    def has_failed(wrenches: Wrenches, state: State, env: int, body: int):
-        """Whether a body got where no number says, or is under a load that is none, even if it does not yield."""
-        sizes = (
-            wp.length_sq(state.body_position[env, body])
-            + wp.length_sq(state.body_linear_velocity[env, body])
-            + wp.length_sq(state.body_angular_velocity[env, body])
-        )
+    def judge(
+        guard: Guard, wrenches: Wrenches, state: State, env: int, body: int, status: wp.array(dtype=wp.int32)
+    ):
+        """Lets the step fail if the body does, or is under a load that is no number, even if it does not yield."""
         loads = wp.length_sq(wrenches.force[env, body]) + wp.length_sq(wrenches.torque[env, body])
-        return not wp.isfinite(sizes) or wp.isnan(loads)
+        cause = cause_of(
+            state.body_position[env, body],
+            state.body_linear_velocity[env, body],
+            state.body_angular_velocity[env, body],
+            guard.limits[env, 0],
+        )
+        if wp.isnan(loads):
+            cause = NON_FINITE
+        if cause != NO_CAUSE:
+            status[env] = ENV_FAILED
+            guard.cause[env] = cause
 
     @wp.func
     def moved(
@@ -223,7 +244,8 @@ def functions(real: type) -> SimpleNamespace:
         narrow_quat=narrow_quat,
         put=put,
         set_velocity=set_velocity,
-        has_failed=has_failed,
+        judge=judge,
+        Guard=Guard,
         moved=moved,
         mobility=mobility,
         rotated=rotated,

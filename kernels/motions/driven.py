@@ -14,7 +14,7 @@ from warpcontact.kernels import frames
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.base import Motion
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_FAILED, BodyMotion, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, Work, structs
 
 # Differences in time from which a velocity and an acceleration are computed [s]: short against what moves bodies
 # that one can see, long against the rounding of float64.
@@ -100,7 +100,8 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     Coefficients = coefficients_struct(motion)
     f, own = bodies.functions(real), _functions(motion)
-    narrow_quat, put, set_velocity, has_failed = f.narrow_quat, f.put, f.set_velocity, f.has_failed
+    narrow_quat, put, set_velocity = f.narrow_quat, f.put, f.set_velocity
+    judge, Guard = f.judge, f.Guard
     turn_at, way_at, mean_velocities = own.turn_at, own.way_at, own.mean_velocities
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -110,6 +111,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
         step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
         time: wp.array(dtype=wp.float64),  # [env], before the step [s]
         model: Model,
+        guard: Guard,
         members: wp.array(dtype=wp.int32),  # [item] body
         coefficients: wp.array2d(dtype=Coefficients),  # [env, item]
         samples: wp.array2d(dtype=wp.float64),
@@ -135,8 +137,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
             put(state_out, env, body, motion.position, way_at(p, samples, after, motion, turn))
             state_out.body_orientation[env, body] = narrow_quat(turn * motion.orientation)
             set_velocity(state_out, env, body, v, w)
-            if has_failed(wrenches, state_out, env, body):
-                status[env] = ENV_FAILED
+            judge(guard, wrenches, state_out, env, body, status)
 
     return follow_motion
 

@@ -18,7 +18,6 @@ from warpcontact.kernels.motions.bodies import (
 from warpcontact.kernels.types import (
     BALL,
     ENV_ACTIVE,
-    ENV_FAILED,
     HINGE,
     PLANAR,
     PRESCRIBED,
@@ -40,7 +39,8 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     f = bodies.functions(real)
     wide, wide_matrix, wide_quat, moved = f.wide, f.wide_matrix, f.wide_quat, f.moved
-    put, set_velocity, has_failed, rotated = f.put, f.set_velocity, f.has_failed, f.rotated
+    put, set_velocity, rotated = f.put, f.set_velocity, f.rotated
+    judge, Guard = f.judge, f.Guard
 
     @wp.kernel(module="unique", enable_backward=False)
     def step_constrained(
@@ -48,6 +48,7 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         model: Model,
+        guard: Guard,
         members: wp.array(dtype=wp.int32),  # [item] body
         state_in: State,
         wrenches: Wrenches,
@@ -108,8 +109,7 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
             put(state_out, env, body, base, way)
             state_out.body_orientation[env, body] = orientation
             set_velocity(state_out, env, body, linear, angular)
-            if has_failed(wrenches, state_out, env, body):
-                status[env] = ENV_FAILED
+            judge(guard, wrenches, state_out, env, body, status)
 
     return step_constrained
 

@@ -110,9 +110,9 @@ def kernel(real: type) -> wp.Kernel:
 
 @functools.cache
 def read(real: type, Contacts: Any) -> wp.Kernel:
-    """Returns the kernel that shows what the last step did, where readings look. Launch with dim (env, item).
+    """Returns the kernel that shows what the last step of active environments did, where readings look.
 
-    ``Contacts`` is the struct of the arrays of its contacts.
+    Items: hard contacts. ``Contacts`` is the struct of the arrays of its contacts.
     """
     vec3 = structs(real).vec3
     records = record_structs(real)
@@ -120,6 +120,8 @@ def read(real: type, Contacts: Any) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def show_contacts(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         first: wp.int32,  # number of the first contact of the arrays
         items: wp.array(dtype=wp.int32),  # [item] those of the arrays that are hard
@@ -128,33 +130,36 @@ def read(real: type, Contacts: Any) -> wp.Kernel:
         contacts: Contacts,
         shown: Shown,
     ):
-        env, place = wp.tid()
-        item = items[place]
-        contact = first + item
-        impulse = vec3()
-        couple = vec3()
-        approach_speed = real(0.0)
-        slip_speed = real(0.0)
-        mode = wp.int32(MODE_OPEN)
-        along = real(0.0)
-        normal = vec3()
-        if memory.stamp[env, contact] == account.step[env]:
-            mode = memory.mode[env, contact]
-            if mode != MODE_OPEN:
-                impulse = memory.impulse[env, contact]
-                couple = memory.couple[env, contact]
-                normal = memory.normal[env, contact]
-                along = wp.dot(impulse, normal)
-                approach_speed = memory.approach_speed[env, contact]
-                slip_speed = memory.slip_speed[env, contact]
-        per_step = real(1.0) / step[env, 0]
-        shown.impulse[env, contact] = impulse
-        shown.mode[env, contact] = mode
-        contacts.normal_force[env, item] = per_step * along
-        contacts.friction_force[env, item] = per_step * (impulse - along * normal)
-        contacts.torque[env, item] = per_step * couple
-        contacts.approach_speed[env, item] = approach_speed
-        contacts.slip_speed[env, item] = slip_speed
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            item = items[task % work.items]
+            if status[env] != ENV_ACTIVE:
+                continue
+            contact = first + item
+            impulse = vec3()
+            couple = vec3()
+            approach_speed = real(0.0)
+            slip_speed = real(0.0)
+            mode = wp.int32(MODE_OPEN)
+            along = real(0.0)
+            normal = vec3()
+            if memory.stamp[env, contact] == account.step[env]:
+                mode = memory.mode[env, contact]
+                if mode != MODE_OPEN:
+                    impulse = memory.impulse[env, contact]
+                    couple = memory.couple[env, contact]
+                    normal = memory.normal[env, contact]
+                    along = wp.dot(impulse, normal)
+                    approach_speed = memory.approach_speed[env, contact]
+                    slip_speed = memory.slip_speed[env, contact]
+            per_step = real(1.0) / step[env, 0]
+            shown.impulse[env, contact] = impulse
+            shown.mode[env, contact] = mode
+            contacts.normal_force[env, item] = per_step * along
+            contacts.friction_force[env, item] = per_step * (impulse - along * normal)
+            contacts.torque[env, item] = per_step * couple
+            contacts.approach_speed[env, item] = approach_speed
+            contacts.slip_speed[env, item] = slip_speed
 
     return show_contacts
 

@@ -7,7 +7,7 @@ a free body keeps its angular momentum to rounding.
 import functools
 
 import warp as wp
-from warpcontact.kernels import frames
+from warpcontact.kernels import frames, quarantine
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.bodies import (
     arm_of,
@@ -23,6 +23,7 @@ from warpcontact.kernels.types import (
     ENV_FAILED,
     FREE,
     HINGE,
+    NO_CAUSE,
     PLANAR,
     PRESCRIBED,
     SLIDER,
@@ -272,7 +273,9 @@ def advance(real: type, moves: bool) -> wp.Kernel:
     rotated = frames.functions(real).rotated
     f = bodies.functions(real)
     wide, wide_matrix, wide_quat, moved = f.wide, f.wide_matrix, f.wide_quat, f.moved
-    put, set_velocity, has_failed = f.put, f.set_velocity, f.has_failed
+    put, set_velocity, judge = f.put, f.set_velocity, f.judge
+    of_guard = quarantine.guard(real)
+    Guard, cause_of = of_guard.Guard, of_guard.cause_of
 
     @wp.func
     def advance_constrained(
@@ -318,6 +321,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         theta: real,
         model: Model,
+        guard: Guard,
         state_in: State,
         middle: State,
         moving: Moving,
@@ -338,8 +342,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
                             model, state_in, middle, moving, state_out, env, body, wp.float64(dt),
                             wp.float64(theta),
                         )  # fmt: skip
-                    if has_failed(wrenches, state_out, env, body):
-                        status[env] = ENV_FAILED
+                    judge(guard, wrenches, state_out, env, body, status)
                     continue
             rest = real(1.0) - theta
             velocity = moving.linear[env, body]
@@ -375,7 +378,10 @@ def advance(real: type, moves: bool) -> wp.Kernel:
             state_out.body_angular_velocity[env, body] = turning
             # One sum is finite only if every term is: squares have no opposite signs.
             sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(turning)
-            if not wp.isfinite(sizes):
-                status[env] = ENV_FAILED
+            if not sizes < guard.suspect[env, 0]:
+                cause = cause_of(position, velocity, turning, guard.limits[env, 0])
+                if cause != NO_CAUSE:
+                    status[env] = ENV_FAILED
+                    guard.cause[env] = cause
 
     return go_whole_way

@@ -14,7 +14,7 @@ from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.kernels.types import WORLD
 from warpcontact.parameters import Field, pack
-from warpcontact.readings import Reading
+from warpcontact.readings import Reading, shape_in
 from warpcontact.status import CouplingStatus
 
 if TYPE_CHECKING:
@@ -153,11 +153,13 @@ class CouplingSet(ABC):
             for end, place in _ENDS:
                 meaning = f"force on what end {end} is fixed to, world"
                 array = _column_of_ends(2 * (self.first + item) + place)
-                yield Reading(f"{coupling.name}.force_{end}", "N", meaning, array, needs=("contacts",))
+                name = f"{coupling.name}.force_{end}"
+                yield Reading(name, "N", meaning, array, needs=("contacts",), shape=(3,))
             for quantity, (attribute, unit, meaning) in self.quantities.items():
                 array = self._column(attribute, item)
                 name, codes = f"{coupling.name}.{quantity}", self.codes if quantity == "status" else None
-                yield Reading(name, unit, meaning, array, needs=("contacts",), codes=codes)
+                shape = shape_in(self.results, attribute)
+                yield Reading(name, unit, meaning, array, needs=("contacts",), codes=codes, shape=shape)
 
     def _column(self, attribute: str, item: int) -> Callable[[SimpleNamespace], wp.array]:
         return lambda _: getattr(self.results, attribute)[:, item]

@@ -63,7 +63,7 @@ class Assembler:
     def scene(self, problems: Problems) -> Scene:
         """Returns a scene of all parts that can be added; ``problems`` receives why the others cannot."""
         settings = self.parts.settings
-        scene = Scene() if settings is None else Scene(gravity=settings.gravity)
+        scene = Scene() if settings is None else Scene(settings.gravity, **settings.quarantine.limits)
         self.made = {section: {} for section in self.parts.entries}
         add: dict[str, Callable[..., Any]] = {
             "body": lambda path, entry: self._body(scene, entry),

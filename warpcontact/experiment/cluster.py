@@ -16,7 +16,7 @@ from warpcontact.experiment.progress import INTERVAL, Bar, told
 from warpcontact.experiment.store import Commit, Ledger, Shard
 
 if TYPE_CHECKING:
-    from warpcontact.experiment.execute import Job, Outcome, Runs
+    from warpcontact.experiment.execute import Job, Runs
     from warpcontact.experiment.shards import ShardRunner
 
 # Cores that a shard gets on the CPU, at most: more of them are better used by more shards.
@@ -51,7 +51,7 @@ class Place:
         where = ("cuda:0" if device in ("auto", "cuda") else device) if self.gpus else "cpu"
         task = self.ray.remote(num_cpus=self.cores, num_gpus=self.gpus, max_retries=0)(run_shard)
 
-        def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> "Outcome":
+        def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> dict[str, str]:
             folder = str(job.folder.resolve())
             words = (folder, where, self.cores, job.every)
             return _Tasks(self.ray, task, words, list(left), bar, Path(folder)).run()
@@ -106,10 +106,10 @@ class _Tasks:
         self.tries = dict.fromkeys((shard.number for shard in left), 0)
         self.running: dict[Any, Shard] = {}
 
-    def run(self) -> "Outcome":
-        from warpcontact.experiment.execute import ATTEMPTS, Outcome
+    def run(self) -> dict[str, str]:
+        from warpcontact.experiment.execute import ATTEMPTS
 
-        outcome = Outcome()
+        failed = {}
         for shard in self.left:
             self._submit(shard)
         try:
@@ -125,11 +125,11 @@ class _Tasks:
                     elif self.tries[shard.number] < ATTEMPTS:
                         self._submit(shard)
                     else:
-                        outcome.failed[shard.name] = message
+                        failed[shard.name] = message
         except KeyboardInterrupt:
             self._stop()
             raise
-        return outcome
+        return failed
 
     def _submit(self, shard: Shard) -> None:
         self.tries[shard.number] += 1

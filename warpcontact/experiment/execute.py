@@ -6,7 +6,7 @@ import os
 import platform
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,10 @@ from warpcontact.experiment.plan import Plan
 from warpcontact.experiment.progress import Bar
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.shards import Frames, Interrupted, ShardRunner
+from warpcontact.experiment.shards import Frames, ShardRunner
 from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError, shards_of
 from warpcontact.experiment.toml import to_toml
+from warpcontact.quarantine import QuarantineError
 from warpcontact.scene import Scene
 
 #: How often a shard is tried.
@@ -79,19 +80,9 @@ class Job:
         return ShardRunner(model, self.settings, self.design, self.frames, self.folder, self.every, self.threads)
 
 
-@dataclass
-class Outcome:
-    """What became of the shards of one attempt to run them all.
-
-    Attributes:
-        failed: Why shards failed for the last time, by their names.
-    """
-
-    failed: dict[str, str] = field(default_factory=dict)
-
-
-#: Runs shards: those that are left, with their records, and the bar that is told.
-Runs = Callable[[Iterable[Shard], Mapping[int, Commit], Bar], Outcome]
+#: Runs shards: those that are left, with their records, and the bar that is told. Returns why some of them failed
+#: for the last time, by their names.
+Runs = Callable[[Iterable[Shard], Mapping[int, Commit], Bar], dict[str, str]]
 
 
 def start(runner: ShardRunner, job: Job) -> None:
@@ -165,12 +156,12 @@ def proceed(job: Job, run_shards: Runs) -> Run:
     try:
         with Bar(job.plan.envs, job.frames.steps, len(shards), job.progress) as bar:
             bar.begin(sum(shard.envs for shard in shards if _is_finished(commits, shard)), frozen)
-            outcome = run_shards(left, commits, bar)
+            failed = run_shards(left, commits, bar)
     except KeyboardInterrupt:
         files_of.write_summary(folder, summary | {"state": files_of.INTERRUPTED, "warnings": job.notices.lines})
         raise
-    if outcome.failed:
-        summary |= {"state": files_of.FAILED, "failed": outcome.failed, "warnings": job.notices.lines}
+    if failed:
+        summary |= {"state": files_of.FAILED, "failed": failed, "warnings": job.notices.lines}
         files_of.write_summary(folder, summary)
         return open_run(folder)
     return _end(job, summary)
@@ -179,8 +170,8 @@ def proceed(job: Job, run_shards: Runs) -> Run:
 def here(runner: ShardRunner, job: Job) -> Runs:
     """Returns what runs shards in this process, one after another."""
 
-    def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> Outcome:
-        outcome = Outcome()
+    def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> dict[str, str]:
+        failed = {}
         job.say(f"compiling for {', '.join(map(str, runner.model.devices))}")
         runner.warm_up()
         plan = job.plan
@@ -188,8 +179,8 @@ def here(runner: ShardRunner, job: Job) -> Runs:
         for shard in left:
             message = attempt(runner, shard, commits.get(shard.number), bar, alone=len(job.shards) == 1)
             if message is not None:
-                outcome.failed[shard.name] = message
-        return outcome
+                failed[shard.name] = message
+        return failed
 
     return run
 
@@ -209,7 +200,7 @@ def attempt(runner: ShardRunner, shard: Shard, commit: Commit | None, bar: Bar, 
             ended = runner.run(shard, commit, lambda done: bar.update(shard, done))
             bar.finish(shard, ended.frozen)
             return None
-        except (KeyboardInterrupt, StoreError):
+        except (KeyboardInterrupt, StoreError, QuarantineError):
             raise
         except OSError:
             raise  # a full disk is full for all
@@ -297,6 +288,3 @@ def _show(run: Run, job: Job) -> None:
     if usd_envs:
         export_usd(recording, run.folder / files_of.ANIMATION, envs=range(usd_envs))
     write_picture(run.folder / files_of.PICTURE, recording, settings.name, list(job.design.names))
-
-
-__all__ = ["Interrupted", "Job", "Outcome", "attempt", "check_resumable", "here", "proceed", "start"]

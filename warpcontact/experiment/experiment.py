@@ -17,6 +17,7 @@ from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
 from warpcontact.experiment.execute import Job, check_resumable, here, proceed, start
 from warpcontact.experiment.notices import Notices
+from warpcontact.experiment.observation import check_watched, watching
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.plan import Plan, make_plan, recording_size
 from warpcontact.experiment.probe import Probe, probe
@@ -349,10 +350,18 @@ class Experiment:
                 problems.refer(f"integrator.compliant[{i}]", name, "contact", known)
         if len(problems.lines) > before:
             return False
+        integrator = settings.integrator.make()
         try:
-            Simulation(model, settings.dt, settings.integrator.make())
+            Simulation(model, settings.dt, integrator)
         except ValueError as error:
             problems.add("integrator", f": {error}")
+            return False
+        check_watched(model, integrator, settings, problems, unsound)
+        if not problems:
+            try:
+                Simulation(model, settings.dt, integrator, **watching(settings))
+            except TypeError as error:  # a user's own outcome
+                problems.add("outcome", f": {error}")
         return len(problems.lines) == before
 
     @staticmethod

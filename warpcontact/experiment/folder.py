@@ -14,6 +14,7 @@ from warpcontact._version import __version__
 from warpcontact.durable import write_json
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh, own_class
 from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.observation import OutcomeSettings
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import FORMULA_SECTIONS, ROW_KEYS, Settings
 from warpcontact.experiment.store import CHECKPOINTS, COMMITS, DATA, STAGING
@@ -190,19 +191,25 @@ def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:
     names: dict[Path, str] = {}
     files: dict[str, bytes] = {}
 
+    def with_file(table: FormulaSettings | OutcomeSettings) -> Section:
+        file, cls = own_class(table.type)
+        if not file:
+            return table
+        found = own.file(file)
+        if found.path not in names:
+            names[found.path] = _free_name(found.path, names.values())
+            files[names[found.path]] = found.content
+        return table.model_copy(update={"type": f"{names[found.path]}:{cls}"})
+
     def renamed(entry: Section) -> Section:
         changes = {}
         for key, table in entry:
-            file, cls = own_class(table.type) if isinstance(table, FormulaSettings) else ("", "")
-            if file:
-                found = own.file(file)
-                if found.path not in names:
-                    names[found.path] = _free_name(found.path, names.values())
-                    files[names[found.path]] = found.content
-                changes[key] = table.model_copy(update={"type": f"{names[found.path]}:{cls}"})
+            if isinstance(table, FormulaSettings):
+                changes[key] = with_file(table)
         return entry.model_copy(update=changes)
 
-    sections = {name: tuple(map(renamed, getattr(settings, name))) for name in FORMULA_SECTIONS}
+    sections: dict[str, Any] = {name: tuple(map(renamed, getattr(settings, name))) for name in FORMULA_SECTIONS}
+    sections["outcome"] = {name: with_file(table) for name, table in settings.outcome.items()}
     whole = settings.model_copy(update=sections)
     moved = _with_rows_from(_with_meshes_from(whole, old, new), old, new)
     return Copy(moved, files, tuple(_external_files(settings, old)))

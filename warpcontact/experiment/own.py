@@ -1,4 +1,4 @@
-"""Formulas out of a user's own Python file, laws for instance, which an experiment names as ``FILE.py:CLASS``.
+"""Formulas, laws for instance, and outcomes out of a user's own Python file, named as ``FILE.py:CLASS``.
 
 Such a file is run as any module is that one imports. It has to lie inside of the folder of the experiment, so that
 an experiment from elsewhere runs nothing but what came with it. What is wrong with a file, or goes wrong in it, is
@@ -25,11 +25,12 @@ from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.kernels.smooth.base import Shape
 from warpcontact.kernels.springs import Damper, Spring
 
 #: What a user's class may be.
-KINDS: tuple[type[Formula], ...] = (Law, Friction, Spring, Damper, Motion, Shape)
+KINDS: tuple[type, ...] = (Law, Friction, Spring, Damper, Motion, Shape, Outcome)
 
 # Modules by file and content: experiments of an unchanged file share its classes, and so its compiled kernels.
 _MODULES: dict[tuple[Path, bytes], ModuleType] = {}
@@ -81,7 +82,7 @@ class OwnFiles:
             raise ValueError(self._failures[name])
         return self._files[name]
 
-    def find(self, file: str, name: str, *bases: type[Formula]) -> Any:
+    def find(self, file: str, name: str, *bases: type) -> Any:
         """Returns class ``name`` of a file.
 
         Args:
@@ -103,7 +104,7 @@ class OwnFiles:
             derived = " or ".join("wc.Patch" if base is Shape else f"wc.{base.__name__}" for base in bases)
             fact = f"a {_words(kinds)} and no {_words(bases)}" if kinds else f"no class derived from {derived}"
             raise ValueError(f": {name!r} in {file} is {fact}")
-        if lacking := given.missing_function():
+        if issubclass(given, Formula) and (lacking := given.missing_function()):
             arguments = ", ".join(given.arguments())
             raise ValueError(f": {name}.{lacking} in {file} must be a wp.func of ({arguments})")
         return given
@@ -154,11 +155,11 @@ class OwnFiles:
         return path
 
 
-def _words(bases: Iterable[type[Formula]]) -> str:
+def _words(bases: Iterable[type]) -> str:
     return " or ".join(base.__name__.lower() for base in bases)
 
 
-def _is_formula(value: object, bases: tuple[type[Formula], ...]) -> bool:
+def _is_formula(value: object, bases: tuple[type, ...]) -> bool:
     return isinstance(value, type) and issubclass(value, bases)
 
 
@@ -183,7 +184,7 @@ def _sentence(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def blame(error: BaseException, formula: type[Formula]) -> str:
+def blame(error: BaseException, formula: type) -> str:
     """Returns a sentence on an error in a user's ``formula``, with its line if it arose in its file."""
     path = Path(str(sys.modules[formula.__module__].__file__))
     return _described(error, path, path.name)

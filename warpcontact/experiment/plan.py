@@ -8,6 +8,7 @@ from warpcontact.available import HOST, Room
 from warpcontact.draft import Draft, PartDraft
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
+from warpcontact.experiment.observation import watching
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHUNK
 from warpcontact.footprint import (
@@ -113,7 +114,7 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
         writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, block) // 2)
         drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames)) if frames else 0
         stepping = {"integrator": settings.integrator.make(), "crossing_steps": settings.crossing_steps}
-        return draft.memory(envs, design.names, **stepping).with_needs(
+        return draft.memory(envs, design.names, **stepping, **watching(settings)).with_needs(
             [
                 *total(recording(part, own, block) for part, own in draft.shares(envs)).needs,
                 Need("values", HOST, envs * design.row_bytes, design.row_bytes),

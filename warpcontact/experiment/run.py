@@ -110,8 +110,9 @@ class Run:
     @property
     def health(self) -> Health:
         """Which environments are frozen, of those that are finished."""
-        status = self.outcome["status"]
-        return Health.of_status(status.values, status["env"].values)
+        outcome = self.outcome
+        status, cause, time, numbers = (outcome[name].values for name in ("status", "cause", "end_time", "env"))
+        return Health.of(status, cause, time, numbers)
 
     @property
     def reports(self) -> tuple[CouplingReport, ...]:

@@ -13,6 +13,7 @@ from warpcontact.build import PRECISIONS
 from warpcontact.contact_coupling import FACINGS
 from warpcontact.contact_range import CLOSEST, DAMPING_RATIO, SPEED, ContactRange
 from warpcontact.couplings import elements as coupling_limits
+from warpcontact.experiment import observation
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import (
     FileMesh,
@@ -360,20 +361,6 @@ class CatenarySettings(CouplingOptions):
     floor: Annotated[float | None, q.numbers((), allowed=coupling_limits.FLOOR)] = None
 
 
-class RecordSettings(Section):
-    """``[record]``: what is recorded how often."""
-
-    every: Annotated[float | None, q.time] = None
-    readings: Rows[str] | None = None
-    series: bool = True
-
-
-class OutputSettings(Section):
-    """``[output]``: what is written besides the recording."""
-
-    usd_envs: int = Field(default=16, ge=0)
-
-
 class Settings(Section):
     """A whole experiment file."""
 
@@ -404,8 +391,12 @@ class Settings(Section):
     sampling: SamplingSettings = Field(default_factory=SamplingSettings)
     correlation: Rows[CorrelationSettings] = ()
     integrator: IntegratorSettings = Field(default_factory=IntegratorSettings)
-    record: RecordSettings = Field(default_factory=RecordSettings)
-    output: OutputSettings = Field(default_factory=OutputSettings)
+    outcome: dict[str, observation.OutcomeTable] = Field(default_factory=dict)
+    stop: dict[str, observation.StopSettings] = Field(default_factory=dict)
+    events: observation.EventsSettings | None = None
+    quarantine: observation.QuarantineSettings = Field(default_factory=observation.QuarantineSettings)
+    record: observation.RecordSettings = Field(default_factory=observation.RecordSettings)
+    output: observation.OutputSettings = Field(default_factory=observation.OutputSettings)
 
 
 #: The sections that are lists, in the order in which a scene is made of them.
@@ -449,8 +440,10 @@ ROW_KEYS: dict[str, tuple[str, ...]] = {
 _SINGLE: dict[str, type[Section]] = {
     "sampling": SamplingSettings,
     "integrator": IntegratorSettings,
-    "record": RecordSettings,
-    "output": OutputSettings,
+    "events": observation.EventsSettings,
+    "quarantine": observation.QuarantineSettings,
+    "record": observation.RecordSettings,
+    "output": observation.OutputSettings,
 }
 #: The sections that are lists and no part of a scene.
 LISTS: dict[str, type[Section]] = {"correlation": CorrelationSettings}
@@ -465,6 +458,10 @@ def table_at(location: Sequence[str | int], raw: Any, own: OwnFiles) -> type[Sec
         return Settings
     if parts[0] == "variation":
         return SolidSphere if len(parts) > 2 else VariationSettings
+    if parts[0] == "stop":
+        return observation.StopSettings
+    if parts[0] == "outcome":
+        return observation.outcome_model(raw["outcome"][parts[1]], own)
     if len(parts) == 1:
         return (SECTIONS | _SINGLE | LISTS)[parts[0]]
     if parts[1] in _TABLES and parts[0] == "contact_coupling":

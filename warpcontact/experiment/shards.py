@@ -19,6 +19,7 @@ from warpcontact.advice import ContactWarning
 from warpcontact.contact_coupling_report import OUTCOMES
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
+from warpcontact.experiment.observation import watching
 from warpcontact.experiment.plan import kept
 from warpcontact.experiment.progress import Beacon
 from warpcontact.experiment.schema import Settings
@@ -147,9 +148,7 @@ class ShardRunner:
     def outcome(self) -> xr.Dataset:
         """Returns what became of each environment, (env, …)."""
         model = self.model
-        env = ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"})
-        status = np.concatenate([part.arrays.status.numpy() for part in model.parts])
-        found = xr.Dataset({"status": ("env", status)}, coords={"env": env})
+        found = self.simulation.outcomes()
         for coupling in model.scene.contact_couplings:
             for key in OUTCOMES:
                 name = f"{coupling.name}.{key}"
@@ -160,7 +159,7 @@ class ShardRunner:
 
     def events(self) -> xr.Dataset | None:
         """Returns the events (env, event); ``None``: none were asked for."""
-        return None
+        return None if self.settings.events is None else self.simulation.events()
 
     def run(self, shard: Shard, commit: Commit | None, progress: Callable[[int], None] | None = None) -> Commit:
         """Runs ``shard``, from its last commit on if there is one.
@@ -192,7 +191,7 @@ class ShardRunner:
                 progress(done)
 
         try:
-            with interruptions() as asked, _without_local_numbers():
+            with interruptions() as asked:
                 return attempt.run(asked, tell)
         finally:
             beacon.remove()
@@ -318,6 +317,7 @@ def make_simulation(model: Environments, settings: Settings, threads: int | None
         integrator=settings.integrator.make(),
         crossing_steps=settings.crossing_steps,
         threads=threads,
+        **watching(settings),
     )
 
 
@@ -352,11 +352,3 @@ def interruptions() -> Iterator[Asked]:
     finally:
         for number, handler in usual.items():
             signal.signal(number, handler)
-
-
-@contextlib.contextmanager
-def _without_local_numbers() -> Iterator[None]:
-    """Keeps a shard from reporting frozen environments by their numbers within it: the run does, of all."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".* non-finite and are frozen", category=RuntimeWarning)
-        yield

@@ -23,8 +23,9 @@ def to_toml(settings: Settings, comment: str) -> str:
     for section in (*SECTIONS, *LISTS):
         for entry in content[section]:
             lines += ["", f"[[{section}]]", *(_line(key, value) for key, value in entry.items())]
-    for table in ("variation", "sampling", "integrator", "record", "output"):
-        if content[table]:
+    tables = ("variation", "sampling", "integrator", "outcome", "stop", "events", "quarantine", "record", "output")
+    for table in tables:
+        if content.get(table):
             lines += ["", f"[{table}]", *(_line(key, value) for key, value in content[table].items())]
     return "\n".join(lines) + "\n"
 

@@ -164,7 +164,7 @@ class MoreauJean(Integrator):
             before, after = 2.0 * (0.5 - self.theta), 1.5 - self.theta
             for length, at, state in ((dt.half_clock, before, middle), (dt.clock, after, state_out)):
                 share = (at - INSTANT, at + INSTANT)
-                inputs = [status, length, a.time, a.model, *drive.inputs, *share, a.wrenches, state]
+                inputs = [status, length, a.time, a.model, a.guard, *drive.inputs, *share, a.wrenches, state]
                 launches += span.prepare(follow, drive.count, inputs)
         launches += force_stages(span, middle, h, status)
         launches += hard.collect_stages(span)
@@ -180,7 +180,8 @@ class MoreauJean(Integrator):
             inputs += [hard.tolerance, hard.restraint]
             launches += span.prepare(restrain.kernel(real), 1, inputs)
             launches += solve(hard.restraint.status)
-        inputs = [status, h, float(self.theta), a.model, state_in, middle, hard.moving, a.wrenches, state_out]
+        inputs = [status, h, float(self.theta), a.model, a.guard, state_in, middle, hard.moving, a.wrenches]
+        inputs.append(state_out)
         return launches + span.prepare(step.advance(real, moves), bodies, inputs)
 
     def _solve(self, span: Span, status: wp.array) -> list[wp.Launch]:

@@ -44,13 +44,14 @@ class SemiImplicitEuler(Integrator):
         model = span.model
         a, real = model.arrays, model.types.real
         launches = force_stages(span, state_in, dt.dynamic, a.status)
-        inputs = [a.status, dt.dynamic, a.model, state_in, a.wrenches, state_out]
+        inputs = [a.status, dt.dynamic, a.model, a.guard, state_in, a.wrenches, state_out]
         launches += span.prepare(integrate.semi_implicit_euler(real, model.moves), model.body_count, inputs)
         if model.moves:
-            inputs = [a.status, dt.dynamic, a.model, a.constrained, state_in, a.wrenches, state_out]
+            inputs = [a.status, dt.dynamic, a.model, a.guard, a.constrained, state_in, a.wrenches, state_out]
             launches += span.prepare(step.semi_implicit_euler(real), model.constrained_count, inputs)
         for drive in model.drives:
-            inputs = [a.status, dt.clock, a.time, a.model, *drive.inputs, 0.0, 1.0, a.wrenches, state_out]
+            inputs = [a.status, dt.clock, a.time, a.model, a.guard, *drive.inputs]
+            inputs += [0.0, 1.0, a.wrenches, state_out]
             launches += span.prepare(driven.follow(drive.motion, real), drive.count, inputs)
         if model.sweeps:
             marked = wp.zeros(1, dtype=wp.int32, device=model.device) if mark is None else mark

@@ -22,7 +22,7 @@ from warpcontact.kernels.types import FREE
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack
 from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.room import FEW, all_pairs, owned_of, partners_around
-from warpcontact.readings import Reading
+from warpcontact.readings import Reading, shape_in
 from warpcontact.smooth.elements import Shape
 
 if TYPE_CHECKING:
@@ -420,10 +420,12 @@ class Pile:
         """Iterates over what can be measured."""
         name, count = self.contact.name, self.contact.count
         for quantity, (attribute, unit, meaning) in _FOR_ALL.items():
-            yield Reading(f"{name}.{quantity}", unit, meaning, self._array(attribute), needs=("contacts", "piles"))
+            array, shape = self._array(attribute), shape_in(self.measured, attribute)
+            yield Reading(f"{name}.{quantity}", unit, meaning, array, needs=("contacts", "piles"), shape=shape)
         for quantity, (attribute, unit, meaning) in _FOR_EACH.items():
             array = self._array(attribute)
-            yield Reading(f"{name}.{quantity}", unit, meaning, array, needs=("contacts", "piles"), items=count)
+            shape, needs = shape_in(self.measured, attribute), ("contacts", "piles")
+            yield Reading(f"{name}.{quantity}", unit, meaning, array, needs=needs, items=count, shape=shape)
 
     def _array(self, attribute: str) -> Any:
         return lambda _: getattr(self.measured, attribute)

@@ -27,7 +27,7 @@ from warpcontact.kernels.smooth.records import (
 )
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.parameters import Field, pack
-from warpcontact.readings import CONTACT_READINGS, Reading
+from warpcontact.readings import CONTACT_READINGS, Reading, shape_in
 from warpcontact.smooth.elements import SmoothContact
 from warpcontact.smooth.measures import has_curvatures
 from warpcontact.smooth.shape_sets import ShapeSet
@@ -45,6 +45,11 @@ _RANGES = {
     "torsion_radius": limits_of.TORSION_RADIUS,
     "share": limits_of.SHARE,
     "enabled": limits_of.ENABLED,
+}
+_STRUCTS = {
+    "smooth_points": measures.Points,
+    "smooth_curvatures": measures.Curvatures,
+    "smooth_gradients": measures.Gradients,
 }
 # name: (array, unit, what it is), beside those of every contact
 _READINGS = {
@@ -305,11 +310,15 @@ class SmoothSet:
                 codes = Status if key == "status" else None
                 array = self._column(attribute, own)
                 name = f"{contact.name}.{key}"
-                yield Reading(name, unit, text, array, needs=("contacts",), items=several, codes=codes)
+                shape = shape_in(self.smooth, attribute)
+                options: dict[str, Any] = {"items": several, "codes": codes, "shape": shape}
+                yield Reading(name, unit, text, array, needs=("contacts",), **options)
             of_curvature = _CURVATURES | _GRADIENTS if has_curvatures(contact.kinds) else {}
             for key, (measure, attribute, unit, meaning) in (_MEASURES | of_curvature).items():
                 array = _measured(measure, attribute, _shifted(own, self.first))
-                yield Reading(f"{contact.name}.{key}", unit, meaning, array, needs=(measure,), items=several)
+                shape = shape_in(_STRUCTS[measure], attribute)
+                name = f"{contact.name}.{key}"
+                yield Reading(name, unit, meaning, array, needs=(measure,), items=several, shape=shape)
             if of_curvature:
                 yield from self._by_sizes(contact, _shifted(own, self.first), several)
             for part, formula in contact.formulas.items():
@@ -317,7 +326,8 @@ class SmoothSet:
                     frame = ", axes of its other shape" if memory.tangent else ""
                     meaning = f"{memory.meaning}, as of the last step{frame}"
                     array = self._remembered(part, key, own)
-                    yield Reading(f"{contact.name}.{part}.{key}", memory.unit, meaning, array, items=several)
+                    options = {"items": several, "shape": (3,) if memory.tangent else ()}
+                    yield Reading(f"{contact.name}.{part}.{key}", memory.unit, meaning, array, **options)
 
     def _by_sizes(self, contact: SmoothContact, items: int | slice, several: int) -> Iterator[Reading]:
         """Iterates over the derivatives of the gap by the sizes of both shapes."""
@@ -327,7 +337,8 @@ class SmoothSet:
                 meaning = f"derivative of the gap by {size} of {shape.name}"
                 array = _part(f"gap_by_sizes_{side}", first, width, items)
                 name = f"{contact.name}.gap_by_{size}_{side}"
-                yield Reading(name, "-", meaning, array, needs=("smooth_gradients",), items=several)
+                options: dict[str, Any] = {"items": several, "shape": () if width == 1 else (width,)}
+                yield Reading(name, "-", meaning, array, needs=("smooth_gradients",), **options)
                 first += width
 
     def _column(self, attribute: str, items: int | slice) -> Callable[[SimpleNamespace], wp.array]:

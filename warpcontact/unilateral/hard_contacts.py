@@ -217,6 +217,11 @@ class HardContacts:
         return self._number_of[contact]
 
     @property
+    def names(self) -> frozenset[str]:
+        """Names of the contacts that are hard."""
+        return frozenset(contact.name for contact in self._hard)
+
+    @property
     def rolls(self) -> bool:
         """Whether anything opposes rolling or spinning of a hard contact."""
         return any(contact.template.parts.rolls or contact.template.parts.twists for contact in self._hard)
@@ -272,17 +277,29 @@ class HardContacts:
         inputs = [chosen, int(everything), self._bodies, self.outcome, self.account, self.reactions]
         wp.launch(remember.forget(self._real), dim=len(chosen), inputs=inputs, device=self._device)
 
-    def show(self, model: "Model") -> None:
-        """Puts the last step where readings look; forces are the mean over it."""
-        a, device, real = model.arrays, self._device, self._real
-        known = [self.memory, self.account]
+    def show_stages(self, span: "Span", status: wp.array) -> list[wp.Launch]:
+        """Returns the launches that put the last step where readings of contacts look, but for those of piles.
+
+        ``status`` [env] says which environments are active.
+        """
+        a, real = span.model.arrays, self._real
         targets = [(self._mesh, remember.read(real, self._contacts), a.contacts)]
         for one, own in self._smooth:
             targets.append((own, remember.read(real, contact_structs(real).Smooth), one.smooth))
+        launches = []
         for own, kernel, target in targets:
-            if own.count:
-                inputs = [self._step, own.first, own.items, *known, target, self.shown]
-                wp.launch(kernel, dim=(model.envs, own.count), inputs=inputs, device=device)
+            inputs = [status, self._step, own.first, own.items, self.memory, self.account, target, self.shown]
+            launches += span.prepare(kernel, own.count, inputs)
+        return launches
+
+    def show(self, model: "Model") -> None:
+        """Puts the last step where readings look; forces are the mean over it."""
+        from warpcontact.schedule import Span
+
+        a, device, real = model.arrays, self._device, self._real
+        for launch in self.show_stages(Span(model, 0, model.envs, cached=False, ordered=True), model.all_active):
+            launch.launch()
+        known = [self.memory, self.account]
         for pile, _ in self._piles:
             inputs = [self._step, self._number_of[pile.contact], pile.shapes, pile.lists, *known, pile.touches]
             shape = (model.envs, pile.contact.count)
@@ -303,7 +320,7 @@ class HardContacts:
             several = 0 if single else contact.count
             name, array = f"{contact.name}.impulse", _shown("impulse", own)
             text = f"impulse of the last step on {on}, world"
-            yield Reading(name, "N·s", text, array, needs=("contacts",), items=several)
+            yield Reading(name, "N·s", text, array, needs=("contacts",), items=several, shape=(3,))
             name, array = f"{contact.name}.mode", _shown("mode", own)
             text = "whether it stuck or slipped in the last step"
             yield Reading(name, "-", text, array, needs=("contacts",), items=several, codes=ContactMode)

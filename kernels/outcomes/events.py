@@ -1,0 +1,65 @@
+"""Writes down when contacts are made and lost."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.outcomes.source import Form, value
+from warpcontact.kernels.types import ENV_ACTIVE, Work
+
+
+@wp.struct
+class Events:
+    """The last events of an environment, in a ring."""
+
+    touching: wp.array2d(
+        dtype=wp.int32
+    )  # [env, place] whether it did at the last state; places: items of contacts
+    count: wp.array(dtype=wp.int32)  # [env] events so far
+    time: wp.array2d(dtype=wp.float64)  # [env, slot] of the first state after it [s]
+    what: wp.array2d(dtype=wp.int32)  # [env, slot] 2 × place + 1 if the contact was made, + 0 if it was lost
+
+
+@functools.cache
+def kernel(form: Form) -> wp.Kernel:
+    """Returns the kernel that looks at the items of a contact, which touch where its source is above 0.
+
+    Items: one, so that events are in one order.
+    """
+    seen = value(form)
+    dtype = form.dtype
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def write_events(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        time: wp.array(dtype=wp.float64),  # [env] before the step [s]
+        first: wp.int32,  # place of the first item
+        a: wp.array3d(dtype=dtype),
+        events: Events,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if status[env] != ENV_ACTIVE:
+                continue
+            for item in range(a.shape[1]):
+                place = first + item
+                touches = wp.where(seen(a, env, item, 0) > wp.float64(0.0), 1, 0)
+                if touches != events.touching[env, place]:
+                    events.touching[env, place] = touches
+                    count = events.count[env]
+                    slot = count % events.time.shape[1]
+                    events.time[env, slot] = time[env]
+                    events.what[env, slot] = 2 * place + touches
+                    events.count[env] = count + 1
+
+    return write_events
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def restart(mask: wp.array(dtype=wp.bool), events: Events):
+    """Forgets events. Launch with dim env."""
+    env = wp.tid()
+    if mask[env]:
+        events.count[env] = 0
+        for place in range(events.touching.shape[1]):
+            events.touching[env, place] = 0

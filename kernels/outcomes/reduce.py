@@ -1,0 +1,136 @@
+"""Keeps outcomes: their memory advances once per accepted step, before the step, and is never looked at in it."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.outcomes.source import Form, array_types, values
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_FROZEN, Work
+
+
+@wp.struct
+class Sight:
+    """How an outcome looks at its first source: ``sign`` (x − ``limit``), above 0 where its condition holds."""
+
+    limit: wp.float64
+    sign: wp.float64
+    components: wp.int32  # of a result, of which an environment has one for each item
+
+
+@functools.cache
+def _seen(forms: tuple[Form, ...]) -> wp.Function:
+    """Returns the device function that gives what an outcome sees through its ``Sight``."""
+    see = values(forms)
+    type_0, type_1, type_2, type_3 = array_types(forms)
+    alone = len(forms) == 1
+
+    @wp.func
+    def seen(
+        sight: Sight,
+        a: wp.array3d(dtype=type_0),
+        b: wp.array3d(dtype=type_1),
+        c: wp.array3d(dtype=type_2),
+        d: wp.array3d(dtype=type_3),
+        env: int,
+        result: int,
+    ):
+        x = see(a, b, c, d, env, result // sight.components, result % sight.components)
+        if wp.static(alone):
+            x = sight.sign * (x - sight.limit)
+        return x
+
+    return seen
+
+
+@functools.cache
+def observe(update: wp.Function, length: int, forms: tuple[Form, ...]) -> wp.Kernel:
+    """Returns the kernel that shows an outcome the state that a step begins from; items: results.
+
+    Args:
+        update: Of the outcome.
+        length: Of its memory.
+        forms: Of its sources.
+    """
+    Memory = wp.types.vector(length=length, dtype=wp.float64)
+    seen = _seen(forms)
+    type_0, type_1, type_2, type_3 = array_types(forms)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def observe(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        time: wp.array(dtype=wp.float64),  # [env] before the step [s]
+        step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
+        sight: Sight,
+        a: wp.array3d(dtype=type_0),
+        b: wp.array3d(dtype=type_1),
+        c: wp.array3d(dtype=type_2),
+        d: wp.array3d(dtype=type_3),
+        memory: wp.array2d(dtype=Memory),  # [env, result]
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            number = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            x = seen(sight, a, b, c, d, env, number)
+            memory[env, number] = update(memory[env, number], x, time[env], step[env, 0])
+
+    return observe
+
+
+@functools.cache
+def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[Form, ...]) -> wp.Kernel:
+    """Returns the kernel that tells the results at the current state; items: results.
+
+    That state is seen over no time, and nothing of it is kept. Where an environment was frozen it led to a step
+    that has failed, and is only seen if it is finite.
+    """
+    Memory = wp.types.vector(length=length, dtype=wp.float64)
+    seen = _seen(forms)
+    type_0, type_1, type_2, type_3 = array_types(forms)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def report(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        time: wp.array(dtype=wp.float64),
+        sight: Sight,
+        a: wp.array3d(dtype=type_0),
+        b: wp.array3d(dtype=type_1),
+        c: wp.array3d(dtype=type_2),
+        d: wp.array3d(dtype=type_3),
+        memory: wp.array2d(dtype=Memory),
+        results: wp.array2d(dtype=wp.float64),  # [env, result]
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            number = task % work.items
+            x = seen(sight, a, b, c, d, env, number)
+            m = memory[env, number]
+            if status[env] != ENV_FROZEN or wp.isfinite(x):
+                m = update(m, x, time[env], wp.float64(0.0))
+            results[env, number] = result(m, time[env])
+
+    return report
+
+
+@functools.cache
+def restart(length: int) -> wp.Kernel:
+    """Returns the kernel that puts memories to their start. Launch with dim (env, result)."""
+    Memory = wp.types.vector(length=length, dtype=wp.float64)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def restart_memory(mask: wp.array(dtype=wp.bool), start: Memory, memory: wp.array2d(dtype=Memory)):
+        env, number = wp.tid()
+        if mask[env]:
+            memory[env, number] = start
+
+    return restart_memory
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def forget_count(mask: wp.array(dtype=wp.bool), counts: wp.array(dtype=wp.int32)):
+    """Sets counts to 0. Launch with dim env."""
+    env = wp.tid()
+    if mask[env]:
+        counts[env] = 0

@@ -1,0 +1,113 @@
+"""What outcomes, stop conditions and events look at: a number of a reading, out of (env, item, component)."""
+
+import functools
+from typing import NamedTuple
+
+import warp as wp
+
+#: What becomes of the items of a set.
+EACH, SUM, LARGEST, SMALLEST = "each", "sum", "max", "min"
+FOLDS = (EACH, SUM, LARGEST, SMALLEST)
+#: Most sources of an outcome.
+MOST = 4
+
+
+class Form(NamedTuple):
+    """How numbers of a source become one.
+
+    Attributes:
+        dtype: Of the array, a scalar.
+        norm: Whether it is the length of the vector.
+        items: One of ``FOLDS``.
+    """
+
+    dtype: type
+    norm: bool
+    items: str
+
+
+@functools.cache
+def value(form: Form) -> wp.Function:
+    """Returns the device function ``(array, env, item, component)`` of a source."""
+    dtype, norm = form.dtype, form.norm
+    folds, adds, highest = form.items != EACH, form.items == SUM, form.items == LARGEST
+
+    @wp.func
+    def one(array: wp.array3d(dtype=dtype), env: int, item: int, component: int):
+        if wp.static(norm):
+            total = wp.float64(0.0)
+            for other in range(array.shape[2]):
+                x = wp.float64(array[env, item, other])
+                total += x * x
+            return wp.sqrt(total)
+        return wp.float64(array[env, item, component])
+
+    @wp.func
+    def value(array: wp.array3d(dtype=dtype), env: int, item: int, component: int):
+        if wp.static(folds):
+            result = one(array, env, 0, component)
+            for other in range(1, array.shape[1]):
+                x = one(array, env, other, component)
+                if wp.static(adds):
+                    result += x
+                elif wp.static(highest):
+                    result = wp.where(x > result, x, result)
+                else:
+                    result = wp.where(x < result, x, result)
+            return result
+        return one(array, env, item, component)
+
+    return value
+
+
+@functools.cache
+def values(forms: tuple[Form, ...]) -> wp.Function:
+    """Returns the device function of four arrays that gives what an outcome sees, a number or a vector of them.
+
+    Of fewer sources the arrays of the others are not looked at.
+    """
+    of = [value(form) for form in forms]
+    count = len(forms)
+    of += of[:1] * (MOST - count)
+    value_0, value_1, value_2, value_3 = of
+    types = [form.dtype for form in forms] + [forms[0].dtype] * (MOST - count)
+    type_0, type_1, type_2, type_3 = types
+    Vector = wp.types.vector(length=max(2, count), dtype=wp.float64)
+
+    @wp.func
+    def number(
+        a: wp.array3d(dtype=type_0),
+        b: wp.array3d(dtype=type_1),
+        c: wp.array3d(dtype=type_2),
+        d: wp.array3d(dtype=type_3),
+        env: int,
+        item: int,
+        component: int,
+    ):
+        return value_0(a, env, item, component)
+
+    @wp.func
+    def vector(
+        a: wp.array3d(dtype=type_0),
+        b: wp.array3d(dtype=type_1),
+        c: wp.array3d(dtype=type_2),
+        d: wp.array3d(dtype=type_3),
+        env: int,
+        item: int,
+        component: int,
+    ):
+        x = Vector()
+        x[0] = value_0(a, env, item, component)
+        x[1] = value_1(b, env, item, component)
+        if wp.static(count > 2):
+            x[2] = value_2(c, env, item, component)
+        if wp.static(count > 3):
+            x[3] = value_3(d, env, item, component)
+        return x
+
+    return number if count == 1 else vector
+
+
+def array_types(forms: tuple[Form, ...]) -> list[type]:
+    """Returns the scalar types of the four arrays."""
+    return [form.dtype for form in forms] + [forms[0].dtype] * (MOST - len(forms))

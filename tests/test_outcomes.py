@@ -1,0 +1,378 @@
+"""Outcomes are what one would get from a recording of every step, and what closed forms say."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+from scenes import dropped_sphere, square
+
+import warpcontact as wc
+
+STIFFNESS, MASS = 1.0e4, 1.0
+SPEEDS = np.array([1.0, 2.0, 3.0])
+DT = 1.0e-5
+OMEGA = np.sqrt(STIFFNESS / MASS)
+# Steps until the slowest has come and gone, from 10 mm above.
+STEPS = 4500
+
+
+class Power(wc.Outcome):
+    """Mean of the third powers over time."""
+
+    memory = (0.0, 0.0)
+
+    @wp.func
+    def update(m: Any, x: Any, time: Any, dt: Any):
+        m[0] += x * x * x * dt
+        m[1] += dt
+        return m
+
+    @wp.func
+    def result(m: Any, time: Any):
+        return m[0] / m[1]
+
+
+def model_of(law, envs=3, precision="float64", device="cpu", **options):
+    model = dropped_sphere(law, mass=MASS, height=0.01, envs=envs, precision=precision, device=device, **options)
+    speeds = np.resize(SPEEDS, envs)
+    model["ball.linear_velocity"] = np.stack([0 * speeds, 0 * speeds, -speeds], axis=1)
+    return model
+
+
+ELASTIC = {
+    "peak": wc.outcomes.Max("touch.normal_force"),
+    "impulse": wc.outcomes.Integral("touch.normal_force"),
+    "deepest": wc.outcomes.Max("touch.penetration"),
+    "first": wc.outcomes.FirstTime("touch.penetration", above=0.0),
+    "time": wc.outcomes.Duration("touch.penetration", above=0.0),
+    "times": wc.outcomes.Count("touch.penetration", above=0.0),
+    "change": wc.outcomes.Change("ball.linear_momentum", component="z"),
+    "restitution": wc.outcomes.Restitution("touch"),
+    "work": wc.outcomes.Work("touch"),
+    "end": wc.outcomes.Final("ball.position"),
+}
+
+
+def test_an_elastic_bounce_is_that_of_a_half_sine():
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
+    sim = wc.Simulation(model, DT, outcomes=ELASTIC)
+    sim.step(STEPS)
+    found = sim.outcomes()
+    # In ω dt = 1e-3 the scheme is of second order for the motion: an error of 1e-6 in force and impulse. Where the
+    # contact begins within a step is known to one: v dt of depth, 1e-3 of a half sine's end, squared.
+    np.testing.assert_allclose(found["peak"], SPEEDS * MASS * OMEGA, rtol=1e-5)
+    np.testing.assert_allclose(found["deepest"], SPEEDS / OMEGA, rtol=1e-5)
+    np.testing.assert_allclose(found["impulse"], 2.0 * MASS * SPEEDS, rtol=1e-5)
+    np.testing.assert_allclose(found["change"], 2.0 * MASS * SPEEDS, rtol=1e-5)
+    np.testing.assert_allclose(found["restitution"], 1.0, rtol=1e-5)
+    np.testing.assert_allclose(found["first"], 0.01 / SPEEDS, atol=1.01 * DT)
+    np.testing.assert_allclose(found["time"], np.pi / OMEGA, atol=2.0 * DT)
+    np.testing.assert_array_equal(found["times"], 1.0)
+    energy = 0.5 * MASS * SPEEDS**2
+    np.testing.assert_allclose(found["work"] / energy, 0.0, atol=1e-5)
+    np.testing.assert_array_equal(found["end"], model.reading("ball.position"))
+    assert found["end"].dims == ("env", "axis")
+    assert found["impulse"].attrs["units"] == "N·s"
+    assert found["time"].attrs["units"] == "s"
+    assert found["peak"].attrs["long_name"] == "largest touch.normal_force"
+    assert (found["status"] == wc.EnvironmentStatus.ACTIVE).all()
+    np.testing.assert_allclose(found["end_time"], STEPS * DT, rtol=1e-12)
+
+
+@pytest.mark.parametrize("restitution", [0.3, 0.8])
+def test_restitution_and_work_are_those_of_a_damped_law(restitution):
+    law = wc.laws.KelvinVoigt(stiffness=STIFFNESS, restitution=restitution)
+    sim = wc.Simulation(model_of(law), DT, outcomes={key: ELASTIC[key] for key in ("restitution", "work")})
+    sim.step(STEPS)
+    found = sim.outcomes()
+    out = sim.model.reading("ball.linear_velocity")[:, 2]
+    # The force of the law is cut at zero before δ is, so the last state in contact has the speed of the end.
+    np.testing.assert_allclose(found["restitution"], out / SPEEDS, rtol=1e-3)
+    lost = 0.5 * MASS * (SPEEDS**2 - out**2)
+    # First and last step of the contact, where the force of the dashpot jumps, v dt of 1/ω v: 2 ω dt.
+    np.testing.assert_allclose(found["work"], lost, rtol=4.0 * OMEGA * DT)
+
+
+def recorded(quantities, envs=3, steps=400, dt=2.0e-4, **options):
+    law = wc.laws.HuntCrossley(stiffness=1.0e5, exponent=1.5, restitution=0.6)
+    friction = wc.frictions.Tanh(mu=0.4, velocity_scale=1e-2)
+    model = model_of(law, envs, "float32", gravity=(1.0, 0.0, -9.81), friction=friction)
+    return model, wc.Simulation(model, dt, **options).run(steps * dt, record=quantities, every=dt)
+
+
+# Not of the dashpot of a law that knows the step: a reading is of an instant.
+REDUCED = {
+    "Max": lambda x, t, dt: x.max(axis=0),
+    "Min": lambda x, t, dt: x.min(axis=0),
+    "Range": lambda x, t, dt: x.max(axis=0) - x.min(axis=0),
+    "Integral": lambda x, t, dt: (x[:-1] * dt).sum(axis=0),
+    "Mean": lambda x, t, dt: x[:-1].mean(axis=0),
+    "Rms": lambda x, t, dt: np.sqrt((x[:-1] ** 2).mean(axis=0)),
+    "Initial": lambda x, t, dt: x[0],
+    "Final": lambda x, t, dt: x[-1],
+    "Change": lambda x, t, dt: x[-1] - x[0],
+    "TimeOfMax": lambda x, t, dt: t[x.argmax(axis=0)],
+}
+
+
+def test_every_reduction_is_that_of_a_recording_of_every_step():
+    names = ["ball.position", "ball.linear_velocity", "ball.kinetic_energy", "touch.gap", "scene.linear_momentum"]
+    _, recording = recorded(names)
+    outcomes = {
+        f"{kind}_{i}": getattr(wc.outcomes, kind)(name) for kind in REDUCED for i, name in enumerate(names)
+    }
+    outcomes["speed"] = wc.outcomes.Max("ball.linear_velocity", component="norm")
+    outcomes["low"] = wc.outcomes.Duration("ball.position", component="z", below=0.104)
+    outcomes["dips"] = wc.outcomes.Count("ball.position", component="z", below=0.104)
+    outcomes["fall"] = wc.outcomes.FirstTime("ball.linear_velocity", component="z", above=0.5)
+    outcomes["own"] = Power("touch.gap")
+    model, again = recorded(names, outcomes=outcomes)
+    # To be watched changes no state.
+    for name in names:
+        np.testing.assert_array_equal(again[name], recording[name], err_msg=name)
+    sim = wc.Simulation(model, 2.0e-4, outcomes=outcomes)
+    sim.reset()
+    sim.step(400)
+    found = sim.outcomes()
+    time = recording["time"].to_numpy()
+    dt = 2.0e-4
+    for kind, reduced in REDUCED.items():
+        for i, name in enumerate(names):
+            expected = reduced(recording[name].to_numpy().astype(float), time, dt)
+            # Sums in another order.
+            np.testing.assert_allclose(
+                found[f"{kind}_{i}"], expected, rtol=1e-12, atol=1e-12, err_msg=f"{kind} {name}"
+            )
+    velocity = recording["ball.linear_velocity"].to_numpy().astype(float)
+    np.testing.assert_allclose(found["speed"], np.linalg.norm(velocity, axis=-1).max(axis=0), rtol=1e-14)
+    below = recording["ball.position"].to_numpy()[..., 2] < 0.104
+    np.testing.assert_allclose(found["low"], below[:-1].sum(axis=0) * dt, rtol=1e-12)
+    starts = below & ~np.concatenate([np.zeros_like(below[:1]), below[:-1]])
+    np.testing.assert_array_equal(found["dips"], starts.sum(axis=0))
+    rises = velocity[..., 2] > 0.5
+    np.testing.assert_allclose(found["fall"], time[rises.argmax(axis=0)], rtol=1e-12)
+    gap = recording["touch.gap"].to_numpy().astype(float)[:-1]
+    np.testing.assert_allclose(found["own"], (gap**3).mean(axis=0), rtol=1e-12, atol=1e-15)
+
+
+SOME = {
+    "peak": wc.outcomes.Max("touch.normal_force"),
+    "work": wc.outcomes.Work("touch"),
+    "far": wc.outcomes.Max("touch.gap"),
+    "path": wc.outcomes.Integral("ball.linear_velocity", component="norm"),
+}
+WATCH = {
+    "outcomes": SOME,
+    "stop": {"high": wc.Stop("ball.position", component="z", above=0.108, lasting=2e-3)},
+    "events": wc.Events(["touch"], most=3),
+}
+
+
+def bits(envs=5, steps=600, first=0, count=None, device="cpu", **options):
+    law = wc.laws.HuntCrossley(stiffness=1.0e5, exponent=1.5, restitution=0.6)
+    count = envs if count is None else count
+    model = model_of(law, count, "float32", device=device, gravity=(0.0, 0.0, -9.81))
+    speeds = np.linspace(0.5, 3.0, envs)[first : first + count]
+    model["ball.linear_velocity"] = np.stack([0 * speeds, 0 * speeds, -speeds], axis=1)
+    sim = wc.Simulation(model, 1.0e-4, **WATCH, **options)
+    # In two pieces, odd ones.
+    sim.step(steps // 3 + 1)
+    sim.step(steps - steps // 3 - 1)
+    both = {f"outcome {name}": values.to_numpy() for name, values in sim.outcomes().items()}
+    return both | {f"event {name}": values.to_numpy() for name, values in sim.events().items()}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"threads": 2}, {"graphs": False}, {"device": ["cpu", "cpu"]}, {"distance_cache": False}],
+    ids=str,
+)
+def test_results_are_the_same_bits_however_they_are_stepped(options):
+    expected, found = bits(envs=9, threads=1), bits(envs=9, **options)
+    assert expected.keys() == found.keys()
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values, err_msg=name)
+    assert (expected["outcome stopped_by"] == 0).any()
+
+
+def test_an_environment_has_the_same_results_alone():
+    expected, found = bits(envs=7), bits(envs=7, first=3, count=1)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values[3:4], err_msg=name)
+
+
+def test_a_reset_starts_outcomes_of_those_environments_anew():
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
+    outcomes = {key: ELASTIC[key] for key in ("peak", "first", "times")}
+    sim = wc.Simulation(model, 1e-4, outcomes=outcomes, events=wc.Events(["touch"], most=2))
+    sim.step(400)
+    before = sim.outcomes()
+    sim.reset(np.array([False, True, False]))
+    after = sim.outcomes()
+    assert after["peak"][1] == 0.0
+    assert np.isnan(after["first"][1])
+    assert after["times"][1] == 0.0
+    assert np.isnan(sim.events()["time"][1]).all()
+    sim.step(400)
+    again = sim.outcomes()
+    for name in outcomes:
+        assert after[name][0] == before[name][0]
+        assert again[name][1] == before[name][1]
+
+
+def test_sets_have_a_result_for_each_item_or_for_what_becomes_of_them():
+    scene = wc.Scene(gravity=(0.0, 0.0, -9.81))
+    ground = scene.add_surface(square(), name="ground")
+    box = scene.add_body(mass=1.0, inertia=(0.01,) * 3, position=(0, 0, 0.099), name="box")
+    corners = scene.add_points(box, [(x, y, -0.1) for x in (-0.1, 0.1) for y in (-0.1, 0.1)], name="corners")
+    law = wc.laws.KelvinVoigt(stiffness=2.0e3, damping=10.0)
+    scene.add_contact(corners, ground, wc.Template(law=law), name="feet")
+    model = scene.build(envs=2)
+    folds = ("each", "sum", "max", "min")
+    outcomes = {key: wc.outcomes.Integral("feet.normal_force", items=key) for key in folds}
+    outcomes["normal"] = wc.outcomes.Final("feet.normal")
+    sim = wc.Simulation(model, 1e-4, outcomes=outcomes)
+    sim.step(20)
+    found = sim.outcomes()
+    assert found["each"].dims == ("env", "item")
+    assert found["normal"].dims == ("env", "item", "axis")
+    np.testing.assert_allclose(found["each"].sum("item"), found["sum"], rtol=1e-12)
+    # All four carry alike.
+    np.testing.assert_allclose(found["sum"], 4.0 * found["max"], rtol=1e-4)
+    assert (found["min"] <= found["max"]).all()
+
+
+def test_the_longest_gap_needs_no_cache_and_is_right():
+    # Far contacts are not looked at in every step, but for an outcome that asks for their gap.
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
+    sim = wc.Simulation(model, 1e-4, outcomes={"far": wc.outcomes.Max("touch.gap")})
+    assert not sim.distance_cache
+    sim.step(1500)
+    position = sim.model.reading("ball.position")[:, 2]
+    np.testing.assert_allclose(sim.outcomes()["far"], position - 0.1, rtol=1e-6)
+
+
+def test_hard_contacts_have_impulses_and_forces_in_every_step():
+    scene = wc.Scene()
+    ground = scene.add_surface(square(), name="ground")
+    ball = scene.add_body(mass=2.0, inertia=(0.01,) * 3, position=(0, 0, 0.3), name="ball")
+    rigid = wc.Template(law=wc.laws.Rigid(restitution=0.5))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, rigid, radius=0.1, name="touch")
+    model = scene.build(envs=2, precision="float64")
+    dt = 1.0e-3
+    outcomes = {
+        "blow": wc.outcomes.Max("touch.impulse", component="z"),
+        "peak": wc.outcomes.Max("touch.normal_force"),
+        "total": wc.outcomes.Integral("touch.normal_force"),
+        "loss": wc.outcomes.Final("scene.impact_loss"),
+        "moved": wc.outcomes.Change("ball.linear_momentum", component="z"),
+    }
+    steps = 280
+    sim = wc.Simulation(
+        model, dt, wc.integrators.MoreauJean(), outcomes=outcomes, events=wc.Events(["touch"], most=4)
+    )
+    recording = sim.run(steps * dt, record=["touch.impulse", "touch.normal_force"], every=dt)
+    found, events = sim.outcomes(), sim.events()
+    impulse = recording["touch.impulse"].to_numpy()[..., 2]
+    force = recording["touch.normal_force"].to_numpy()
+    np.testing.assert_array_equal(found["blow"], impulse.max(axis=0))
+    np.testing.assert_array_equal(found["peak"], force.max(axis=0))
+    # The force of a state is the mean over the step before, which is summed up with the step after.
+    np.testing.assert_allclose(found["total"], (force[:-1] * dt).sum(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(found["total"], found["moved"] + 2.0 * 9.81 * steps * dt, rtol=1e-9)
+    np.testing.assert_array_equal(found["loss"], model.reading("scene.impact_loss"))
+    first = recording["time"].to_numpy()[(impulse > 0.0).argmax(axis=0)]
+    np.testing.assert_allclose(events["time"][:, 0], first, rtol=1e-12)
+    with pytest.raises(ValueError, match=r"Restitution: 'touch' is a hard contact.*touch\.law\.restitution"):
+        wc.Simulation(model, dt, wc.integrators.MoreauJean(), outcomes={"e": wc.outcomes.Restitution("touch")})
+    force = wc.outcomes.Max("ball.force", component="z")
+    with pytest.raises(ValueError, match=r"ball\.force is not there in every step, and may only be Final"):
+        wc.Simulation(model, dt, wc.integrators.MoreauJean(), outcomes={"f": force})
+
+
+def test_smooth_contacts_and_springs_are_watched_alike():
+    scene = wc.Scene()
+    ball = scene.add_body(mass=1.0, inertia=(4e-3,) * 3, position=(0, 0, 0.11), name="ball")
+    template = wc.Template(law=wc.laws.Hooke(stiffness=STIFFNESS))
+    shapes = scene.add_shape(ball, wc.shapes.Sphere(0.1)), scene.add_shape(None, wc.shapes.Plane())
+    scene.add_smooth_contact(*shapes, template, name="tap")
+    hook, centre = scene.add_point(None, (0, 0, 0.5)), scene.add_point(ball, (0, 0, 0))
+    scene.add_spring_damper(hook, centre, stiffness=20.0, rest_length=0.3, name="spring")
+    model = scene.build(envs=2)
+    names = ["tap.normal_force", "tap.penetration", "tap.gap", "spring.length", "spring.force"]
+    outcomes = {f"largest_{i}": wc.outcomes.Max(name) for i, name in enumerate(names)}
+    sim = wc.Simulation(model, 1e-4, outcomes=outcomes, events=wc.Events(["tap"]))
+    recording = sim.run(0.08, record=names, every=1e-4)
+    found = sim.outcomes()
+    for i, name in enumerate(names):
+        np.testing.assert_allclose(found[f"largest_{i}"], recording[name].max("time"), rtol=1e-6, err_msg=name)
+    touches = recording["tap.penetration"].to_numpy() > 0.0
+    first = recording["time"].to_numpy()[touches.argmax(axis=0)]
+    np.testing.assert_allclose(sim.events()["time"][:, 0], first, rtol=1e-12)
+
+
+def test_the_memory_of_what_is_watched_is_counted():
+    plain, watched = (
+        wc.Simulation(model_of(wc.laws.Hooke(stiffness=STIFFNESS), envs=64), 1e-4, **options)
+        for options in ({}, {"outcomes": ELASTIC, "events": wc.Events(["touch"], most=10)})
+    )
+    before, after = plain.memory(), watched.memory()
+    assert "outcomes" not in {need.purpose for need in before.needs}
+    # Of each result its numbers, two at least, in float64; of events a time and a code each, and a little more.
+    results = dict.fromkeys(ELASTIC, 1) | {"end": 3}
+    numbers = sum(results[name] * max(2, len(one.memory)) for name, one in ELASTIC.items())
+    least = 64 * (8 * numbers + 10 * 12)
+    counted = sum(need.size for need in after.needs if need.purpose == "outcomes")
+    assert least <= counted <= least + 64 * 16
+    # As much as is there: the same layouts make it.
+    kept = watched.model.parts[0].observer.kept
+    assert sum(one.memory.capacity for one in kept) == 64 * 8 * numbers
+
+
+@pytest.mark.parametrize(
+    ("outcome", "problem"),
+    [
+        (
+            lambda: wc.outcomes.Max("touch.nrmal_force"),
+            r"outcomes\['x'\]: no reading 'touch.nrmal_force'; did you",
+        ),
+        (lambda: wc.outcomes.Max("touch.gap", component="z"), r"touch\.gap has no components, got component='z'"),
+        (lambda: wc.outcomes.Max("ball.position", component="w"), r"has 'x', 'y', 'z', 'norm', got component='w'"),
+        (lambda: wc.outcomes.Max("touch.gap", items="sum"), r"is not of a set and takes no items, got 'sum'"),
+        (lambda: wc.outcomes.Max("touch.gap", items="all"), r"Max\.items must be one of 'each', 'sum'.*got 'all'"),
+        (lambda: wc.outcomes.Max("touch.gap", above=1.0), r"Max has no condition, and takes neither"),
+        (lambda: wc.outcomes.FirstTime("touch.gap"), r"FirstTime takes either above or below, got neither"),
+        (lambda: wc.outcomes.Count("touch.gap", above=np.nan), r"Count\.above must be finite, got nan"),
+    ],
+)
+def test_what_cannot_be_had_is_refused_by_name(outcome, problem):
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
+    with pytest.raises((ValueError, KeyError), match=problem):
+        wc.Simulation(model, 1e-4, outcomes={"x": outcome()})
+
+
+def test_names_of_every_result_are_taken():
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
+    with pytest.raises(ValueError, match="'status' is the name of what every result has"):
+        wc.Simulation(model, 1e-4, outcomes={"status": wc.outcomes.Max("touch.gap")})
+    with pytest.raises(TypeError, match=r"outcomes\['x'\] must be such as .*got the class Max; call it"):
+        wc.Simulation(model, 1e-4, outcomes={"x": wc.outcomes.Max})
+
+
+def test_an_own_outcome_that_does_not_compile_says_so():
+    class Broken(wc.Outcome):
+        @wp.func
+        def update(m: Any, x: Any, time: Any, dt: Any):
+            m[0] = x * 2.0
+            return m
+
+        @wp.func
+        def result(m: Any, time: Any):
+            return m[0]
+
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
+    with pytest.raises(TypeError, match=r"outcomes\['x'\]: Broken does not compile(.|\n)*wp\.float64\(1\.5\)"):
+        wc.Simulation(model, 1e-4, outcomes={"x": Broken("touch.gap")})
+    with pytest.raises(TypeError, match=r"Empty\.update must be a device function"):
+        type("Empty", (wc.Outcome,), {})

@@ -1,0 +1,171 @@
+"""What fails is held at its last good state with the cause and the time; nothing else notices."""
+
+import numpy as np
+import pytest
+from scenes import dropped_sphere
+
+import warpcontact as wc
+from warpcontact.quarantine import CADENCE
+
+DT = 1.0e-3
+
+
+def falling(envs=4, **options):
+    """Balls in free fall from rest, 100 m above a square."""
+    return dropped_sphere(
+        wc.laws.Hooke(stiffness=1e4),
+        gravity=(0.0, 0.0, -10.0),
+        height=100.0,
+        velocity=(0.0, 0.0, 0.0),
+        envs=envs,
+        **options,
+    )
+
+
+@pytest.mark.parametrize("integrator", [wc.integrators.SemiImplicitEuler(), wc.integrators.MoreauJean()])
+def test_limits_hold_an_environment_at_the_last_state_within_them(integrator):
+    model = falling(precision="float64")
+    model["scene.max_speed"] = [np.inf, 5.0, np.inf, 1e4]
+    model["scene.max_distance"] = [np.inf, np.inf, 99.0, 1e6]
+    sim = wc.Simulation(model, DT, integrator)
+    sim.step(1000)
+    health = model.health()
+    assert health.frozen.tolist() == [1, 2]
+    assert health.causes == (wc.Cause.TOO_FAST, wc.Cause.TOO_FAR)
+    # The ball starts 100.1 m away, too far from the first step on; 5 m/s are reached after half a second.
+    np.testing.assert_allclose(health.times, [0.5, 0.0], atol=1.5 * DT)
+    speed = -model.reading("ball.linear_velocity")[:, 2]
+    assert 5.0 - 2 * 10.0 * DT <= speed[1] <= 5.0
+    np.testing.assert_allclose(speed[[0, 3]], 10.0, rtol=1e-9)
+    said = str(health)
+    assert "1 of 4 environments became faster than scene.max_speed" in said
+    assert "1 of 4 environments went beyond scene.max_distance and are frozen at the last state before: 2" in said
+    found = sim.outcomes()
+    assert found["cause"].to_numpy().tolist() == [0, 2, 3, 0]
+    assert found["status"].to_numpy().tolist() == [0, 2, 2, 0]
+    np.testing.assert_array_equal(found["end_time"][1:3], health.times)
+
+
+def test_joints_and_functions_of_time_have_the_same_limits():
+    scene = wc.Scene(max_speed=2.0)
+    slider = wc.motions.Slider(axis=(0, 0, 1))
+    scene.add_body(mass=1.0, inertia=(0.1,) * 3, motion=slider, name="slider")
+    model = scene.build()
+    sim = wc.Simulation(model, DT)
+    sim.step(400)
+    health = model.health()
+    assert health.causes == (wc.Cause.TOO_FAST,)
+    np.testing.assert_allclose(health.times, 2.0 / 9.81, atol=1.5 * DT)
+
+
+def test_limits_are_ordinary_parameters():
+    scene = wc.Scene(max_speed=3.0, max_distance=7.0)
+    scene.add_body(mass=1.0, inertia=(0.1,) * 3, name="ball")
+    model = scene.build(envs=2)
+    assert model["scene.max_speed"].tolist() == [3.0, 3.0]
+    model["scene.max_distance"] = [1.0, np.inf]
+    assert model["scene.max_distance"].tolist() == [1.0, np.inf]
+    with pytest.raises(ValueError, match=r"scene\.max_speed\[1\] must be greater than 0, got -1 m/s"):
+        model["scene.max_speed"] = [1.0, -1.0]
+    with pytest.raises(ValueError, match="max_speed must be greater than 0, got 0 m/s"):
+        wc.Scene(max_speed=0.0)
+    # A square that float32 has no number for limits nothing, and is no error.
+    model["scene.max_speed"] = 1e30
+    wc.Simulation(model, DT).step()
+    assert model.health().good
+
+
+def test_one_that_turns_non_finite_leaves_a_thousand_as_they_are():
+    expected = falling(1000)
+    wc.Simulation(expected, DT).step(50)
+    model = falling(1000)
+    sim = wc.Simulation(model, DT, outcomes={"low": wc.outcomes.Min("ball.position", component="z")})
+    sim.step(20)
+    velocity = model.state.body_linear_velocity.numpy().copy()
+    velocity[500] = np.nan
+    model.state.body_linear_velocity.assign(velocity)
+    sim.step(30)
+    others = np.arange(1000) != 500
+    for name in ("position", "linear_velocity", "orientation"):
+        found, of = (one.reading(f"ball.{name}") for one in (model, expected))
+        np.testing.assert_array_equal(found[others], of[others])
+    health = model.health()
+    assert health.frozen.tolist() == [500]
+    assert health.causes == (wc.Cause.NON_FINITE,)
+    np.testing.assert_allclose(health.times, 20 * DT)
+    found = sim.outcomes()
+    # What was found before stays; that of the failed state is left out.
+    assert np.isfinite(found["low"]).all()
+    assert found["low"][500] > found["low"][499]
+
+
+def spinning_up(envs, first=0, **options):
+    """Environments that get too fast one after the other, from one of ``envs`` on."""
+    speeds = np.linspace(1.0, 3.0, 5)[first : first + envs]
+    model = falling(envs)
+    model["scene.max_speed"] = speeds
+    return wc.Simulation(model, DT, quarantine="reset", **options)
+
+
+OUTCOMES = {"low": wc.outcomes.Min("ball.position", component="z"), "first": wc.outcomes.Initial("ball.position")}
+
+
+def test_a_reset_environment_begins_again_and_is_counted():
+    sim = spinning_up(5, outcomes=OUTCOMES)
+    steps = 10 * CADENCE
+    sim.step(steps)
+    found = sim.outcomes()
+    # Each fails after v/g, at the next look is put back, and so on.
+    expected = []
+    for speed in np.linspace(1.0, 3.0, 5):
+        fails = int(np.floor(speed / 10.0 / DT + 1e-6)) + 1
+        expected.append(steps // (CADENCE * -(-fails // CADENCE)))
+    np.testing.assert_array_equal(found["resets"], expected)
+    assert (found["resets"] > 0).all()
+    assert (found["end_time"] < steps * DT).all()
+    # Outcomes are of the time since.
+    fallen = found["low"].to_numpy() - 100.1
+    np.testing.assert_allclose(fallen, -0.5 * 10.0 * found["end_time"] ** 2, atol=0.03)
+    # Those that a user resets start at none.
+    sim.reset(np.array([True, False, False, False, False]))
+    assert sim.outcomes()["resets"].to_numpy().tolist() == [0, *expected[1:]]
+
+
+def test_when_it_looks_does_not_depend_on_how_steps_are_asked_for():
+    results = []
+    for pieces in ([500], [1, 63, 64, 100, 272], [7] * 71 + [3]):
+        sim = spinning_up(5, outcomes=OUTCOMES)
+        for count in pieces:
+            sim.step(count)
+        results.append((sim.outcomes(), sim.model.reading("ball.position")))
+    for found, position in results[1:]:
+        np.testing.assert_array_equal(position, results[0][1])
+        for name in found:
+            np.testing.assert_array_equal(found[name], results[0][0][name])
+
+
+def test_an_environment_is_reset_alike_alone():
+    many, alone = spinning_up(5, outcomes=OUTCOMES), spinning_up(1, first=2, outcomes=OUTCOMES)
+    for sim in (many, alone):
+        sim.step(500)
+    for name, values in alone.outcomes().items():
+        np.testing.assert_array_equal(values, many.outcomes()[name][2:3])
+
+
+def test_raising_names_the_first_environment_with_its_time_and_cause():
+    model = falling()
+    model["scene.max_speed"] = [np.inf, 3.0, 2.0, 2.0]
+    model.first_env = 100
+    sim = wc.Simulation(model, DT, quarantine="raise")
+    with pytest.raises(
+        wc.QuarantineError, match=r"environment 102 failed at 0\.2 s: TOO_FAST, and 1 more"
+    ) as caught:
+        sim.step(1000)
+    assert (caught.value.env, caught.value.cause, caught.value.count) == (102, wc.Cause.TOO_FAST, 2)
+    # It looks every so many steps; the others have come no farther.
+    assert sim.steps == CADENCE * -(-201 // CADENCE)
+
+
+def test_other_policies_are_refused():
+    with pytest.raises(ValueError, match="quarantine must be one of 'freeze', 'reset', 'raise', got 'explode'"):
+        wc.Simulation(falling(1), DT, quarantine="explode")

@@ -1,0 +1,196 @@
+"""A stop condition holds an environment at the first state at which it holds, and no other is touched."""
+
+import numpy as np
+import pytest
+from scenes import dropped_sphere, square
+
+import warpcontact as wc
+
+DT = 1.0e-3
+
+
+def falling(envs=4, precision="float64", device="cpu"):
+    """Balls in free fall from different heights above a square."""
+    model = dropped_sphere(
+        wc.laws.KelvinVoigt(stiffness=1e4, damping=20.0),
+        gravity=(0.0, 0.0, -9.81),
+        velocity=(0.0, 0.0, 0.0),
+        envs=envs,
+        precision=precision,
+        device=device,
+    )
+    model["ball.position"] = np.stack([[0.0, 0.0, z] for z in np.linspace(0.2, 0.5, envs)])
+    return model
+
+
+def landed(**options):
+    return wc.Stop("ball.position", component="z", below=0.15, **options)
+
+
+def test_an_environment_is_held_bitwise_at_the_first_state_at_which_the_condition_holds():
+    model = falling()
+    sim = wc.Simulation(model, DT, stop={"landed": landed()})
+    recording = wc.Simulation(falling(), DT).run(0.5, record=["ball.linear_velocity"], every=DT)
+    position, time = recording["ball.position"].to_numpy(), recording["time"].to_numpy()
+    first = (position[..., 2] < 0.15).argmax(axis=0)
+    sim.step(333)
+    at_stop = {name: model.reading(f"ball.{name}") for name in ("position", "linear_velocity", "orientation")}
+    sim.step(100)
+    for name, values in at_stop.items():
+        np.testing.assert_array_equal(model.reading(f"ball.{name}"), values)
+    each = np.arange(model.envs)
+    np.testing.assert_array_equal(at_stop["position"], position[first, each])
+    velocity = recording["ball.linear_velocity"].to_numpy()
+    np.testing.assert_array_equal(at_stop["linear_velocity"], velocity[first, each])
+    found = sim.outcomes()
+    # Clocks are sums of steps.
+    np.testing.assert_allclose(found["end_time"], time[first], rtol=1e-12)
+    assert (found["status"] == wc.EnvironmentStatus.STOPPED).all()
+    np.testing.assert_array_equal(found["stopped_by"], 0)
+    assert found["stopped_by"].attrs["flag_meanings"] == "landed"
+    health = model.health()
+    assert health.good
+    assert health.stopped.tolist() == [0, 1, 2, 3]
+    assert str(health) == "0 of 4 environments are active; 4 are stopped"
+
+
+def test_both_buffers_of_the_state_hold_it():
+    # Stopped after an odd and an even number of steps, whatever buffer that ends in.
+    model = falling()
+    sim = wc.Simulation(model, DT, stop={"landed": landed()})
+    seen = []
+    for _ in range(400):
+        sim.step()
+        seen.append(model.reading("ball.position"))
+    seen = np.array(seen)
+    held = seen[..., 2] < 0.15
+    for env in range(model.envs):
+        own = seen[held[:, env], env]
+        assert len(own) > 1
+        assert (own == own[0]).all()
+
+
+def test_lasting_conditions_begin_anew_after_a_break():
+    model = falling()
+    lasting = 0.15
+    sim = wc.Simulation(model, DT, stop={"rest": landed(lasting=lasting)})
+    recording = wc.Simulation(falling(), DT).run(2.0, every=DT)
+    low = recording["ball.position"].to_numpy()[..., 2] < 0.15
+    run = np.zeros(model.envs, int)
+    expected = np.full(model.envs, -1)
+    for number, holds in enumerate(low):
+        run = np.where(holds, run + 1, 0)
+        # n steps after the first of n + 1 states.
+        expected[(expected < 0) & (run > round(lasting / DT))] = number
+    sim.step(2000)
+    np.testing.assert_array_equal(np.round(sim.outcomes()["end_time"] / DT), expected)
+    assert (low.argmax(axis=0) < expected - round(lasting / DT)).any(), "no break to begin anew after"
+
+
+def test_the_first_condition_in_order_wins_and_outcomes_keep_their_results():
+    model = falling()
+    stops = {
+        "never": wc.Stop("ball.position", component="z", above=9.0),
+        "deep": wc.Stop("touch.normal_force", above=0.0),
+        "low": wc.Stop("touch.penetration", above=0.0),
+    }
+    outcomes = {
+        "fall": wc.outcomes.Change("ball.position", component="z"),
+        "n": wc.outcomes.Count("touch.penetration", above=0.0),
+    }
+    sim = wc.Simulation(model, DT, stop=stops, outcomes=outcomes, events=wc.Events(["touch"]))
+    sim.step(500)
+    found = sim.outcomes()
+    np.testing.assert_array_equal(found["stopped_by"], 1)
+    assert found["stopped_by"].attrs["flag_meanings"] == "never deep low"
+    # The state at the end is seen as well.
+    np.testing.assert_array_equal(found["n"], 1.0)
+    np.testing.assert_allclose(found["fall"], model.reading("ball.position")[:, 2] - np.linspace(0.2, 0.5, 4))
+    np.testing.assert_array_equal(sim.events()["time"][:, 0], found["end_time"])
+    sim.step(100)
+    again = sim.outcomes()
+    for name in found:
+        np.testing.assert_array_equal(again[name], found[name])
+
+
+def test_a_reset_lets_a_stopped_environment_go_on():
+    model = falling()
+    sim = wc.Simulation(model, DT, stop={"landed": landed(lasting=0.01)})
+    sim.step(400)
+    before = sim.outcomes()
+    sim.reset(np.array([True, False, False, False]))
+    after = sim.outcomes()
+    assert after["status"].to_numpy().tolist() == [0, 6, 6, 6]
+    assert after["stopped_by"].to_numpy().tolist() == [-1, 0, 0, 0]
+    sim.step(400)
+    np.testing.assert_array_equal(sim.outcomes()["end_time"], before["end_time"])
+
+
+def test_others_are_not_touched():
+    both = wc.Simulation(falling(), DT, stop={"high": wc.Stop("ball.position", component="z", above=0.45)})
+    alone = wc.Simulation(falling(), DT)
+    for sim in (both, alone):
+        sim.step(300)
+    expected = alone.model.reading("ball.position")
+    found = both.model.reading("ball.position")
+    np.testing.assert_array_equal(found[:3], expected[:3])
+    assert both.outcomes()["status"].to_numpy().tolist() == [0, 0, 0, 6]
+    assert found[3, 2] == 0.5
+
+
+def test_hard_contacts_stop_as_well():
+    scene = wc.Scene()
+    ground = scene.add_surface(square(), name="ground")
+    ball = scene.add_body(mass=1.0, inertia=(0.01,) * 3, position=(0, 0, 0.3), name="ball")
+    rigid = wc.Template(law=wc.laws.Rigid(restitution=0.5))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, rigid, radius=0.1, name="touch")
+    model = scene.build(envs=2)
+    stop = {"hit": wc.Stop("touch.impulse", component="norm", above=0.0)}
+    sim = wc.Simulation(model, DT, wc.integrators.MoreauJean(), stop=stop)
+    sim.step(400)
+    found = sim.outcomes()
+    # The impact is at √(2 · 0.2 m / g); the state after the step with the impulse is the first to know of it.
+    np.testing.assert_allclose(found["end_time"], np.sqrt(0.4 / 9.81), atol=2.0 * DT)
+    assert (model.reading("ball.linear_velocity")[:, 2] > 0.9).all()
+
+
+def test_divided_steps_stop_once():
+    scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
+    ground = scene.add_surface(square(), name="ground")
+    ball = scene.add_body(
+        mass=1.0, inertia=(0.01,) * 3, position=(0, 0, 0.05), linear_velocity=(0, 0, -20.0), name="ball"
+    )
+    template = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, name="touch", swept=True)
+    model = scene.build(envs=2, precision="float64")
+    model["ball.linear_velocity"] = [(0, 0, -20.0), (0, 0, -30.0)]
+    outcomes = {
+        "impulse": wc.outcomes.Integral("touch.normal_force"),
+        "time": wc.outcomes.Duration("ball.position", component="z", above=-9.0),
+    }
+    stop = {"up": wc.Stop("ball.position", component="z", above=0.1)}
+    sim = wc.Simulation(model, DT, crossing_steps=20, outcomes=outcomes, stop=stop)
+    sim.step(200)
+    found = sim.outcomes()
+    # A step or a part of one is summed up once: times are those of the clocks, and impulses turn the ball round,
+    # but for ω dt / 4 of them by which the velocity of a step differs from that of a part of it.
+    np.testing.assert_allclose(found["time"], found["end_time"], rtol=1e-9)
+    gained = model.reading("ball.linear_velocity")[:, 2] - [-20.0, -30.0]
+    np.testing.assert_allclose(found["impulse"], gained, rtol=0.05)
+    assert (found["status"] == wc.EnvironmentStatus.STOPPED).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "problem"),
+    [
+        (lambda: wc.Stop("ball.position", below=0.1), r"stop\['x'\]: ball\.position is a vector; say which"),
+        (lambda: wc.Stop("ball.positon", below=0.1), r"stop\['x'\]: no reading 'ball\.positon'; did you mean"),
+        (lambda: wc.Stop("touch.gap"), "Stop takes either above or below, got neither"),
+        (lambda: wc.Stop("touch.gap", above=1, below=0), "got above=1 and below=0"),
+        (lambda: wc.Stop("touch.gap", below=0, lasting=-1), "lasting must be at least 0, got -1 s"),
+        (lambda: wc.Stop(3, below=0), r"Stop\.of must be the name of a reading"),
+    ],
+)
+def test_what_cannot_be_looked_at_is_refused(make, problem):
+    with pytest.raises((KeyError, TypeError, ValueError), match=problem):
+        wc.Simulation(falling(1), DT, stop={"x": make()})

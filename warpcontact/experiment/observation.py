@@ -1,0 +1,234 @@
+"""What an experiment watches while it runs, and what it records and writes of that."""
+
+import inspect
+from collections.abc import Callable, Iterable
+from functools import cache, partial
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
+
+from pydantic import Field, PlainValidator, SerializeAsAny, ValidationInfo, create_model, model_validator
+
+from warpcontact import checks
+from warpcontact.arrays import Layout
+from warpcontact.checks import limits
+from warpcontact.environments import Environments
+from warpcontact.experiment import quantities as q
+from warpcontact.experiment.catalogue import Section, own_class
+from warpcontact.experiment.errors import Problems, key_path, shown, suggestion
+from warpcontact.experiment.own import OwnFiles
+from warpcontact.integrators import Integrator
+from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
+from warpcontact.kernels.outcomes.catalogue import OUTCOMES
+from warpcontact.kernels.outcomes.source import EACH, FOLDS
+from warpcontact.outcomes.observer import sources_of
+from warpcontact.outcomes.sources import Finder
+from warpcontact.outcomes.watch import LASTING, POLICIES, RESERVED, Events, Stop
+from warpcontact.scene import MAX_DISTANCE, MAX_SPEED
+
+if TYPE_CHECKING:
+    from warpcontact.experiment.schema import Settings
+
+_NUMBER = limits("-")
+_COMPONENT = Annotated[str | None, q.one_of(tuple(COMPONENTS))]
+_ITEMS = Annotated[str, q.one_of(FOLDS)]
+_LIMIT = Annotated[float | None, q.numbers((), allowed=_NUMBER)]
+
+
+class OutcomeSettings(Section):
+    """An entry of ``[outcome]``: its class, of the library or as ``FILE.py:CLASS``, and of what it is."""
+
+    outcome: ClassVar[type[Outcome]]
+    type: str
+    of: str = Field(min_length=1, description="the name of a reading, or of a contact")
+
+    def make(self) -> Outcome:
+        """Returns the outcome."""
+        return self.outcome(self.of, **self.model_dump(exclude={"type", "of"}, exclude_none=True))
+
+    @model_validator(mode="after")
+    def _complete(self) -> "OutcomeSettings":
+        try:
+            self.make()
+        except (TypeError, ValueError) as error:  # above and below
+            raise ValueError(f": {error}") from None
+        return self
+
+
+class StopSettings(Section):
+    """An entry of ``[stop]``."""
+
+    of: str = Field(min_length=1, description="the name of a reading")
+    component: _COMPONENT = None
+    items: _ITEMS = EACH
+    above: _LIMIT = None
+    below: _LIMIT = None
+    lasting: Annotated[float, q.numbers((), allowed=LASTING)] = 0.0
+
+    def make(self) -> Stop:
+        """Returns the condition."""
+        return Stop(self.of, **self.model_dump(exclude={"of"}, exclude_none=True))
+
+    @model_validator(mode="after")
+    def _one_limit(self) -> "StopSettings":
+        try:
+            self.make()
+        except ValueError as error:
+            raise ValueError(f": {error}") from None
+        return self
+
+
+class EventsSettings(Section):
+    """``[events]``: the contacts of which it is written down when they are made and lost."""
+
+    contacts: Annotated[tuple[str, ...], Field(strict=False)] = Field(description="a list of names of contacts")
+    most: int = Field(default=32, ge=1)
+
+    def make(self) -> Events:
+        """Returns the events."""
+        return Events(self.contacts, self.most)
+
+    @model_validator(mode="after")
+    def _some(self) -> "EventsSettings":
+        try:
+            self.make()
+        except ValueError as error:
+            raise ValueError(f": {error}") from None
+        return self
+
+
+class RecordSettings(Section):
+    """``[record]``: what is recorded how often."""
+
+    every: Annotated[float | None, q.time] = None
+    readings: Annotated[tuple[str, ...], Field(strict=False)] | None = None
+    series: bool = True
+
+
+class OutputSettings(Section):
+    """``[output]``: what is written besides the recording."""
+
+    usd_envs: int = Field(default=16, ge=0)
+
+
+class QuarantineSettings(Section):
+    """``[quarantine]``: what makes an environment fail, and what becomes of it."""
+
+    policy: Annotated[str, q.one_of(POLICIES)] = "freeze"
+    max_speed: Annotated[float | None, q.numbers((), allowed=MAX_SPEED)] = None
+    max_distance: Annotated[float | None, q.numbers((), allowed=MAX_DISTANCE)] = None
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """Limits of the scene that there are, by their names."""
+        return self.model_dump(include={"max_speed", "max_distance"}, exclude_none=True)
+
+
+def outcome_model(value: Any, own: OwnFiles) -> type[OutcomeSettings]:
+    """Returns the model of an outcome as it stands in the file.
+
+    Args:
+        value: What is there.
+        own: Where classes are that are not of the library.
+
+    Raises:
+        ValueError: If there is none; the message continues the key.
+    """
+    listed = f"one of {', '.join(OUTCOMES)}, or FILE.py:CLASS"
+    if not isinstance(value, dict):
+        hint = f"; write {{ type = {value!r}, of = … }}" if value in OUTCOMES else ""
+        raise ValueError(f"must be a table, got {shown(value)}{hint}")
+    if "type" not in value:
+        raise ValueError(f".type is missing: {listed}")
+    given = value["type"]
+    if isinstance(given, str) and given in OUTCOMES:
+        return _settings_model(OUTCOMES[given])
+    file, name = own_class(given)
+    if file:
+        try:
+            return _settings_model(own.find(file, name, Outcome))
+        except ValueError as error:
+            raise ValueError(f".type{error}") from None
+    raise ValueError(f".type must be {listed}, got {shown(given)}{suggestion(given, OUTCOMES)}")
+
+
+@cache
+def _settings_model(outcome: type[Outcome]) -> type[OutcomeSettings]:
+    """Returns the model of the tables of a class of outcomes."""
+    fields: dict[str, Any] = {}
+    if not issubclass(outcome, OfContact):
+        fields = {"component": (_COMPONENT, None), "items": (_ITEMS, EACH)}
+    if outcome.conditional:
+        fields |= {"above": (_LIMIT, None), "below": (_LIMIT, None)}
+    model = create_model(f"{outcome.__name__}_settings", __base__=OutcomeSettings, **fields)
+    model.__doc__ = inspect.getdoc(outcome)
+    model.outcome = outcome
+    return model
+
+
+def _outcome(value: Any, info: ValidationInfo) -> OutcomeSettings:
+    own = cast(OwnFiles, info.context)
+    return outcome_model(value, own).model_validate(value, context=own)
+
+
+OutcomeTable = Annotated[SerializeAsAny[OutcomeSettings], PlainValidator(_outcome)]
+
+
+def watching(settings: "Settings") -> dict[str, Any]:
+    """Returns what a simulation of an experiment watches, as arguments of ``Simulation``."""
+    return {
+        "outcomes": {name: one.make() for name, one in settings.outcome.items()},
+        "stop": {name: one.make() for name, one in settings.stop.items()},
+        "events": None if settings.events is None else settings.events.make(),
+        "quarantine": settings.quarantine.policy,
+    }
+
+
+def check_watched(
+    model: Environments,
+    integrator: Integrator,
+    settings: "Settings",
+    problems: Problems,
+    unsound: Callable[[str], bool],
+) -> None:
+    """Checks that all that is to be watched is there.
+
+    Args:
+        model: The scene of the experiment, built.
+        integrator: What steps it.
+        settings: The experiment.
+        problems: Receives what is not.
+        unsound: Whether a reading is, or may be, of an element that has problems of its own.
+    """
+    part = model.parts[0]
+    finder = Finder(part, integrator.declare(part, Layout(part.device)))
+
+    def check(path: str, names: Iterable[str], find: Callable[[], Any]) -> None:
+        if any(unsound(name) for name in names):
+            return
+        try:
+            find()
+        except (KeyError, ValueError) as error:
+            problems.add(path, error.args[0])
+
+    for name, entry in settings.outcome.items():
+        path, outcome = key_path(["outcome", name]), entry.make()
+        if _named(path, name, problems):
+            check(path, [one.name for one in outcome.sources], partial(sources_of, finder, "", outcome))
+    for name, stop in settings.stop.items():
+        path, source = key_path(["stop", name]), stop.make().source
+        if _named(path, name, problems):
+            check(path, [source.name], partial(finder.find_number, "", source))
+    for i, name in enumerate(() if settings.events is None else settings.events.contacts):
+        check(f"events.contacts[{i}]", [f"{name}.penetration"], partial(finder.indicator, "", name))
+
+
+def _named(path: str, name: str, problems: Problems) -> bool:
+    """Checks the name of an outcome or a stop condition."""
+    if name in RESERVED:
+        problems.add(path, f": {name!r} is the name of what every result has; choose another")
+        return False
+    try:
+        checks.key("", name)
+    except ValueError as error:
+        problems.add(path, str(error))
+        return False
+    return True

@@ -1,0 +1,155 @@
+"""Outcomes and events as labelled data sets."""
+
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from warpcontact._version import __version__
+from warpcontact.environments import Environments
+from warpcontact.outcomes.observer import Kept, Observer
+from warpcontact.outcomes.watch import Watch
+from warpcontact.readings import AXES
+from warpcontact.recorder import item_dimension
+from warpcontact.status import Cause, EnvironmentStatus
+
+Variable = tuple[Sequence[str], NDArray[Any], Mapping[str, Any]]
+
+
+def outcomes_of(model: Environments, watch: Watch, observers: Sequence[Observer]) -> xr.Dataset:
+    """Returns the outcomes of a simulation so far; see ``Simulation.outcomes``.
+
+    Args:
+        model: The model, the current state of which is seen.
+        watch: What is watched.
+        observers: Those of its parts; none: nothing is watched.
+    """
+    variables: dict[str, Variable] = {}
+    if watch.outcomes:
+        needs = {*observers[0].needs}
+        model.make_measures(needs)
+        # All parts are at work before the first is waited for.
+        for part in model.parts:
+            part.prepare(needs)
+        model.check_piles()
+        for number, kept in enumerate(observers[0].kept):
+            values = np.concatenate([one.results(one.kept[number]) for one in observers])
+            variables[kept.name] = _outcome(model, kept, values)
+    parts = model.parts
+    status = np.concatenate([part.arrays.status.numpy() for part in parts]).astype(np.int8)
+    cause = np.concatenate([part.arrays.guard.cause.numpy() for part in parts]).astype(np.int8)
+    time = np.concatenate([part.arrays.time.numpy() for part in parts])
+    resets = np.zeros(model.envs, np.int32)
+    if observers:
+        resets = np.concatenate([one.resets.numpy() for one in observers])
+    variables["status"] = (["env"], status, {"long_name": "state of the environment", **_flags(EnvironmentStatus)})
+    variables["cause"] = (["env"], cause, {"long_name": "why it was frozen", **_flags(Cause)})
+    variables["end_time"] = (["env"], time, {"units": "s", "long_name": "time that it has come to"})
+    about = {"units": "-", "long_name": "times that it was put back to its initial state after it failed"}
+    variables["resets"] = (["env"], resets, about)
+    if watch.stops:
+        stopped = np.concatenate([one.stops.stopped_by.numpy() for one in observers]).astype(np.int16)
+        about = {"long_name": "condition that stopped it; −1: none", **_named(watch.stops)}
+        variables["stopped_by"] = (["env"], stopped, about)
+    if watch.events is not None:
+        count = np.concatenate([one.events.count.numpy() for one in observers])
+        about = {"units": "-", "long_name": "events that were not kept"}
+        variables["events_missed"] = (["env"], np.maximum(count - watch.events.most, 0), about)
+    return _dataset(model, variables)
+
+
+def events_of(model: Environments, watch: Watch, observers: Sequence[Observer]) -> xr.Dataset:
+    """Returns the events of a simulation so far; see ``Simulation.events``.
+
+    Args:
+        model: The model.
+        watch: What is watched.
+        observers: Those of its parts.
+
+    Raises:
+        ValueError: If no events are watched.
+    """
+    if watch.events is None:
+        raise ValueError("no events are watched: give the simulation events=wc.Events(['touch'])")
+    most = watch.events.most
+    first_places = np.array(observers[0].first_places)
+    count = np.concatenate([one.events.count.numpy() for one in observers])
+    # The oldest first.
+    order = (np.arange(most) + np.where(count > most, count, 0)[:, None]) % most
+    there = np.arange(most) < count[:, None]
+    time = np.concatenate([one.events.time.numpy() for one in observers])
+    what = np.concatenate([one.events.what.numpy() for one in observers])
+    time, what = (np.take_along_axis(values, order, axis=1) for values in (time, what))
+    place = what // 2
+    contact = np.searchsorted(first_places, place, side="right") - 1
+    dims = ["env", "event"]
+    named = _named(watch.events.contacts)
+    made = {"flag_values": [0, 1], "flag_meanings": "lost made"}
+    return _dataset(
+        model,
+        {
+            "time": (
+                dims,
+                np.where(there, time, np.nan),
+                {"units": "s", "long_name": "time of the first state after the event; NaN: no event"},
+            ),
+            "contact": (
+                dims,
+                np.where(there, contact, -1).astype(np.int16),
+                {"long_name": "contact; −1: no event", **named},
+            ),
+            "item": (
+                dims,
+                np.where(there, place - first_places[contact], -1).astype(np.int32),
+                {"long_name": "item of the contact; −1: no event"},
+            ),
+            "made": (
+                dims,
+                np.where(there, what % 2, -1).astype(np.int8),
+                {"long_name": "whether the contact was made or lost; −1: no event", **made},
+            ),
+        },
+    )
+
+
+def _outcome(model: Environments, kept: Kept, values: NDArray[np.float64]) -> Variable:
+    """Returns the results of an outcome (env, item, component) as a variable."""
+    first = kept.seen[0]
+    dims = ["env"]
+    if first.reading.items and first.source.items == "each":
+        dims.append(item_dimension(model.scene, first.reading.name.partition(".")[0]))
+    else:
+        values = values[:, 0]
+    if first.axis is None:
+        values = values[..., 0]
+    else:
+        dims.append(first.axis)
+    return dims, values, {"units": kept.outcome.unit(first.reading.unit), "long_name": kept.outcome.long_name}
+
+
+def _dataset(model: Environments, variables: Mapping[str, Variable]) -> xr.Dataset:
+    used = {dim for dims, _, _ in variables.values() for dim in dims}
+    coordinates: dict[str, Any] = {
+        "env": ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"})
+    }
+    coordinates |= {dim: (dim, np.array(labels, object)) for dim, labels in AXES.values() if dim in used}
+    attributes = {
+        "source": f"warpcontact {__version__}",
+        "device": ", ".join(map(str, model.devices)),
+        "precision": model.precision,
+    }
+    return xr.Dataset(dict(variables), coords=coordinates, attrs=attributes)
+
+
+def _flags(codes: type[IntEnum]) -> dict[str, Any]:
+    return {
+        "flag_values": [int(code) for code in codes],
+        "flag_meanings": " ".join(code.name for code in codes),
+    }
+
+
+def _named(names: Sequence[str] | Mapping[str, Any]) -> dict[str, Any]:
+    return {"flag_values": list(range(len(names))), "flag_meanings": " ".join(names)}
