@@ -99,7 +99,8 @@ class Finder:
             self._readings = {**model.readings, **own}
             self._hard = hard.names
         self._meshed = {contact.name for contact in model.scene.contacts}
-        self._single = [contact.name for contact in (*model.scene.contacts, *model.scene.smooth_contacts)]
+        self._single = [contact.name for contact in model.scene.contacts]
+        self._single += [contact.name for contact in model.scene.smooth_contacts]
         self._piled = {contact.name for contact in model.scene.mutual_contacts}
         self._bodies = {body.name for body in model.scene.bodies}
 
