@@ -173,7 +173,7 @@ def test_divided_steps_stop_once():
     sim.step(200)
     found = sim.outcomes()
     # A step or a part of one is summed up once: times are those of the clocks, and impulses turn the ball round,
-    # but for about ω dt of them, by which the velocity of a step differs from that of a part of it.
+    # but for about ω dt / 2 of them, by which the velocity of a step differs from that of a part of it.
     np.testing.assert_allclose(found["time"], found["end_time"], rtol=1e-9)
     gained = model.reading("ball.linear_velocity")[:, 2] - [-20.0, -30.0]
     np.testing.assert_allclose(found["impulse"], gained, rtol=0.05)
