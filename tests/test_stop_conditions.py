@@ -27,10 +27,11 @@ def landed(**options):
     return wc.Stop("ball.position", component="z", below=0.15, **options)
 
 
-def test_an_environment_is_held_bitwise_at_the_first_state_at_which_the_condition_holds():
-    model = falling()
+def test_an_environment_is_held_bitwise_at_the_first_state_at_which_the_condition_holds(device):
+    model = falling(device=device)
     sim = wc.Simulation(model, DT, stop={"landed": landed()})
-    recording = wc.Simulation(falling(), DT).run(0.5, record=["ball.linear_velocity"], every=DT)
+    free = wc.Simulation(falling(device=device), DT)
+    recording = free.run(0.5, record=["ball.linear_velocity"], every=DT)
     position, time = recording["ball.position"].to_numpy(), recording["time"].to_numpy()
     first = (position[..., 2] < 0.15).argmax(axis=0)
     sim.step(333)
