@@ -221,6 +221,19 @@ def test_a_reset_starts_outcomes_of_those_environments_anew():
         assert again[name][1] == before[name][1]
 
 
+def test_a_simulation_that_another_took_over_from_says_so_and_begins_anew():
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
+    first = wc.Simulation(model, 1e-4, outcomes={"peak": ELASTIC["peak"]})
+    first.step(450)  # until all have left the ground
+    second = wc.Simulation(model, 1e-4, outcomes={"peak": ELASTIC["peak"]})
+    with pytest.raises(RuntimeError, match="another simulation of the model has taken over since"):
+        first.outcomes()
+    second.step(1)
+    np.testing.assert_array_equal(second.outcomes()["peak"], 0.0)
+    first.step(1)
+    np.testing.assert_array_equal(first.outcomes()["peak"], 0.0)
+
+
 def test_sets_have_a_result_for_each_item_or_for_what_becomes_of_them():
     scene = wc.Scene(gravity=(0.0, 0.0, -9.81))
     ground = scene.add_surface(square(), name="ground")
