@@ -54,8 +54,8 @@ ELASTIC = {
 }
 
 
-def test_an_elastic_bounce_is_that_of_a_half_sine():
-    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
+def test_an_elastic_bounce_is_that_of_a_half_sine(device):
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS), device=device)
     sim = wc.Simulation(model, DT, outcomes=ELASTIC)
     sim.step(STEPS)
     found = sim.outcomes()
@@ -196,8 +196,8 @@ def test_results_are_the_same_bits_however_they_are_stepped(options):
     assert (expected["outcome stopped_by"] == 0).any()
 
 
-def test_an_environment_has_the_same_results_alone():
-    expected, found = bits(envs=7), bits(envs=7, first=3, count=1)
+def test_an_environment_has_the_same_results_alone(device):
+    expected, found = bits(envs=7, device=device), bits(envs=7, first=3, count=1, device=device)
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name], values[3:4], err_msg=name)
 
@@ -219,6 +219,19 @@ def test_a_reset_starts_outcomes_of_those_environments_anew():
     for name in outcomes:
         assert after[name][0] == before[name][0]
         assert again[name][1] == before[name][1]
+
+
+def test_a_simulation_that_another_took_over_from_says_so_and_begins_anew():
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
+    first = wc.Simulation(model, 1e-4, outcomes={"peak": ELASTIC["peak"]})
+    first.step(450)  # until all have left the ground
+    second = wc.Simulation(model, 1e-4, outcomes={"peak": ELASTIC["peak"]})
+    with pytest.raises(RuntimeError, match="another simulation of the model has taken over since"):
+        first.outcomes()
+    second.step(1)
+    np.testing.assert_array_equal(second.outcomes()["peak"], 0.0)
+    first.step(1)
+    np.testing.assert_array_equal(first.outcomes()["peak"], 0.0)
 
 
 def test_sets_have_a_result_for_each_item_or_for_what_becomes_of_them():
@@ -350,6 +363,25 @@ def test_what_cannot_be_had_is_refused_by_name(outcome, problem):
     model = model_of(wc.laws.Hooke(stiffness=STIFFNESS))
     with pytest.raises((ValueError, KeyError), match=problem):
         wc.Simulation(model, 1e-4, outcomes={"x": outcome()})
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_every_outcome_of_the_library_can_be_had(precision, device):
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS), precision=precision, device=device)
+    outcomes = {}
+    for name, kind in wc.outcomes.OUTCOMES.items():
+        condition = {"below": 0.105} if kind.conditional else {}
+        of_contact = issubclass(kind, wc.outcomes.OfContact)
+        outcomes[name] = kind("touch") if of_contact else kind("ball.position", component="z", **condition)
+    sim = wc.Simulation(model, 1e-4, outcomes=outcomes)
+    before = sim.outcomes()
+    assert np.isnan(before["Mean"]).all()
+    assert (before["Count"] == 0.0).all()
+    sim.step(450)
+    found = sim.outcomes()
+    for name in wc.outcomes.OUTCOMES:
+        assert np.isfinite(found[name]).all(), name
+    assert (found["Initial"] > found["Min"]).all()
 
 
 def test_names_of_every_result_are_taken():

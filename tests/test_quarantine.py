@@ -23,8 +23,8 @@ def falling(envs=4, **options):
 
 
 @pytest.mark.parametrize("integrator", [wc.integrators.SemiImplicitEuler(), wc.integrators.MoreauJean()])
-def test_limits_hold_an_environment_at_the_last_state_within_them(integrator):
-    model = falling(precision="float64")
+def test_limits_hold_an_environment_at_the_last_state_within_them(integrator, device):
+    model = falling(precision="float64", device=device)
     model["scene.max_speed"] = [np.inf, 5.0, np.inf, 1e4]
     model["scene.max_distance"] = [np.inf, np.inf, 99.0, 1e6]
     sim = wc.Simulation(model, DT, integrator)

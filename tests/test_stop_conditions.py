@@ -27,10 +27,11 @@ def landed(**options):
     return wc.Stop("ball.position", component="z", below=0.15, **options)
 
 
-def test_an_environment_is_held_bitwise_at_the_first_state_at_which_the_condition_holds():
-    model = falling()
+def test_an_environment_is_held_bitwise_at_the_first_state_at_which_the_condition_holds(device):
+    model = falling(device=device)
     sim = wc.Simulation(model, DT, stop={"landed": landed()})
-    recording = wc.Simulation(falling(), DT).run(0.5, record=["ball.linear_velocity"], every=DT)
+    free = wc.Simulation(falling(device=device), DT)
+    recording = free.run(0.5, record=["ball.linear_velocity"], every=DT)
     position, time = recording["ball.position"].to_numpy(), recording["time"].to_numpy()
     first = (position[..., 2] < 0.15).argmax(axis=0)
     sim.step(333)
@@ -173,7 +174,7 @@ def test_divided_steps_stop_once():
     sim.step(200)
     found = sim.outcomes()
     # A step or a part of one is summed up once: times are those of the clocks, and impulses turn the ball round,
-    # but for ω dt / 4 of them by which the velocity of a step differs from that of a part of it.
+    # but for about ω dt / 2 of them, by which the velocity of a step differs from that of a part of it.
     np.testing.assert_allclose(found["time"], found["end_time"], rtol=1e-9)
     gained = model.reading("ball.linear_velocity")[:, 2] - [-20.0, -30.0]
     np.testing.assert_allclose(found["impulse"], gained, rtol=0.05)

@@ -3,7 +3,7 @@
 Each stage reads what earlier ones wrote:
 
     travel → closest point → couplings → smooth contacts → contact force (one launch per law) → wrenches → piles
-    → integrate, motions → sweep → finish → history
+    → integrate, motions → sweep → outcomes → finish → history
 
 What an integrator does between forces and ``finish`` is its own: ``integrators/``.
 """

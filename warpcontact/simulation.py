@@ -211,8 +211,11 @@ class Simulation:
 
         Beside them ``status``, ``cause`` of being frozen, ``end_time``, the time of each environment, how many
         ``resets`` it had by the quarantine, and what it was ``stopped_by``, if there are conditions.
+
+        Raises:
+            RuntimeError: If another simulation of the model has taken over.
         """
-        self._attach()
+        self._require_watch()
         return outcomes_of(self.model, self.watch, self._observers)
 
     def events(self) -> xr.Dataset:
@@ -220,9 +223,19 @@ class Simulation:
 
         Raises:
             ValueError: If no events are watched.
+            RuntimeError: If another simulation of the model has taken over.
         """
-        self._attach()
+        self._require_watch()
         return events_of(self.model, self.watch, self._observers)
+
+    def _require_watch(self) -> None:
+        """Raises ``RuntimeError`` if the state is no longer what this simulation watched."""
+        watched = [part.observer for part in self.model.parts]
+        if self._observers and watched != self._observers:
+            raise RuntimeError(
+                "another simulation of the model has taken over since, and this one knows nothing of its steps; "
+                "when this one steps again, outcomes and events begin anew"
+            )
 
     def reset(self, env_mask: ArrayLike | None = None) -> None:
         """Puts environments back to their initial state, with empty history.

@@ -25,6 +25,8 @@ CACHE_BYTES = 512 * 1024
 CONTACT_BYTES = 300
 BODY_BYTES = 400
 LARGEST_SLICE = 128
+# Slices beyond this number are made larger instead: each is captured on its own, which takes tens of milliseconds.
+MOST_SLICES = 1024
 
 # What a prepared launch takes, a graph, and what is captured in it for each byte of the arguments of its launches,
 # which are kept with the places of all pointers among them; measured with Warp 1.19 (tests/test_memory_plan.py).
@@ -56,7 +58,8 @@ def slice_size(model: "Model | PartDraft", envs: int, on_cpu: int, threads: int)
         return envs
     per_slice = CONTACT_BYTES * (model.contact_count + model.smooth_count) + BODY_BYTES * model.body_count
     per_slice += sum(pile.bytes_near for pile in model.piles)
-    return max(1, min(CACHE_BYTES // per_slice, LARGEST_SLICE, -(-on_cpu // threads)))
+    largest = max(LARGEST_SLICE, -(-envs // MOST_SLICES))
+    return max(1, min(CACHE_BYTES // per_slice, largest, -(-on_cpu // threads)))
 
 
 def on_cpu(shares: Iterable[tuple["Model | PartDraft", int]]) -> int:
@@ -112,6 +115,8 @@ def stepping_footprint(
         # The first environments of each thread make its slice longer.
         longest = slice_size(part, envs, LARGEST_SLICE * threads, threads)
         grows = size / longest if part.device.is_cpu and on_threads > threads * length else 0.0
+        if length > LARGEST_SLICE:
+            grows = 0.0  # as many slices, and longer ones
         launches = Need("launches", HOST, -(-envs // length) * size, grows)
         needs = [*buffers.layout.needs(envs), launches]
         if observer is not None:

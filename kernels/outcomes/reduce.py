@@ -17,8 +17,8 @@ class Sight:
 
 
 @functools.cache
-def _seen(forms: tuple[Form, ...]) -> wp.Function:
-    """Returns the device function that gives what an outcome sees through its ``Sight``."""
+def _seen(forms: tuple[Form, ...], single: bool) -> wp.Function:
+    """Returns the device function that gives what an outcome sees through its ``Sight``; see ``observe``."""
     see = values(forms)
     type_0, type_1, type_2, type_3 = array_types(forms)
     alone = len(forms) == 1
@@ -33,7 +33,12 @@ def _seen(forms: tuple[Form, ...]) -> wp.Function:
         env: int,
         result: int,
     ):
-        x = see(a, b, c, d, env, result // sight.components, result % sight.components)
+        item = wp.int32(0)
+        component = wp.int32(0)
+        if wp.static(not single):
+            item = result // sight.components
+            component = result % sight.components
+        x = see(a, b, c, d, env, item, component)
         if wp.static(alone):
             x = sight.sign * (x - sight.limit)
         return x
@@ -42,16 +47,17 @@ def _seen(forms: tuple[Form, ...]) -> wp.Function:
 
 
 @functools.cache
-def observe(update: wp.Function, length: int, forms: tuple[Form, ...]) -> wp.Kernel:
+def observe(update: wp.Function, length: int, forms: tuple[Form, ...], single: bool) -> wp.Kernel:
     """Returns the kernel that shows an outcome the state that a step begins from; items: results.
 
     Args:
         update: Of the outcome.
         length: Of its memory.
         forms: Of its sources.
+        single: Whether an environment has one result: to divide takes longer than all the rest.
     """
     Memory = wp.types.vector(length=length, dtype=wp.float64)
-    seen = _seen(forms)
+    seen = _seen(forms, single)
     type_0, type_1, type_2, type_3 = array_types(forms)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -68,8 +74,11 @@ def observe(update: wp.Function, length: int, forms: tuple[Form, ...]) -> wp.Ker
         memory: wp.array2d(dtype=Memory),  # [env, result]
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
-            number = task % work.items
+            env = work.first + task
+            number = wp.int32(0)
+            if wp.static(not single):
+                env = work.first + task // work.items
+                number = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
             x = seen(sight, a, b, c, d, env, number)
@@ -86,7 +95,7 @@ def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[F
     that has failed, and is only seen if it is finite.
     """
     Memory = wp.types.vector(length=length, dtype=wp.float64)
-    seen = _seen(forms)
+    seen = _seen(forms, False)
     type_0, type_1, type_2, type_3 = array_types(forms)
 
     @wp.kernel(module="unique", enable_backward=False)

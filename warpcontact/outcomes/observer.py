@@ -152,7 +152,7 @@ class Observer:
             if kept.outcome.at_end:
                 continue
             forms, views = self._look_at(kept, state)
-            kernel = reduce.observe(kept.outcome.update, kept.length, forms)
+            kernel = reduce.observe(kept.outcome.update, kept.length, forms, kept.results == 1)
             inputs = [status, time, dt.clock, _sight(kept), *views, kept.memory]
             launches += span.prepare(kernel, kept.results, inputs)
         return launches
