@@ -1,7 +1,7 @@
 """Which environments failed and were frozen, why and when, and which were stopped."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +24,16 @@ class Health:
         envs: Number of environments.
         frozen: Numbers of the environments that failed. They are held at the last state before and cost no more
             time; ``reset`` revives them.
-        causes: Why each of these failed, a ``Cause``; may be left out where nobody knows.
+        causes: Why each of these failed, a ``Cause``.
         times: What its clock says: that of the state it is held at [s].
         stopped: Numbers of the environments that a stop condition holds.
     """
 
     envs: int
     frozen: NDArray[np.int_]
-    causes: Sequence[Cause] = ()
-    times: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    stopped: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, np.intp))
+    causes: Sequence[Cause]
+    times: NDArray[np.float64]
+    stopped: NDArray[np.int_]
 
     @classmethod
     def of(cls, status: NDArray[np.int_], cause: NDArray[np.int_], time: NDArray[np.float64]) -> "Health":
@@ -47,6 +47,24 @@ class Health:
             stopped=np.flatnonzero(status == ENV_STOPPED),
         )
 
+    @classmethod
+    def joined(cls, envs: int, parts: "Sequence[tuple[int, Health]]") -> "Health":
+        """Returns the health of ``envs`` environments from that of parts, each with the number of its first."""
+        known = [part for _, part in parts]
+        return cls(
+            envs=envs,
+            frozen=np.concatenate([np.zeros(0, np.intp), *(first + part.frozen for first, part in parts)]),
+            causes=tuple(cause for part in known for cause in part.causes),
+            times=np.concatenate([np.zeros(0), *(part.times for part in known)]),
+            stopped=np.concatenate([np.zeros(0, np.intp), *(first + part.stopped for first, part in parts)]),
+        )
+
+    def of_first(self, count: int) -> "Health":
+        """Returns the health of the first ``count`` environments alone."""
+        own = self.frozen < count
+        causes = tuple(cause for cause, kept in zip(self.causes, own, strict=True) if kept)
+        return Health(count, self.frozen[own], causes, self.times[own], self.stopped[self.stopped < count])
+
     @property
     def good(self) -> bool:
         """Whether no environment failed."""
@@ -58,8 +76,6 @@ class Health:
         if self.good:
             every = "all" if not stopped else f"{active} of"
             return f"{every} {self.envs} environments are active{stopped}"
-        if not self.causes:
-            return f"{len(self.frozen)} of {self.envs} environments failed and are frozen: {_listed(self.frozen)}"
         causes = np.array(self.causes)
         said = [
             f"{np.count_nonzero(causes == cause)} of {self.envs} environments {words} and are frozen at the last "

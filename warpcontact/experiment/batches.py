@@ -46,15 +46,15 @@ class Batches:
         self.values = {
             name: model.find_parameter(name).parse(values, plan.envs) for name, values in varied.items()
         }
-        self.frozen: list[int] = []
+        self._healths: list[tuple[int, Health]] = []  # batch by batch, with the number of its first environment
         self.reports: list[list[CouplingReport]] = []  # of the contact couplings, batch by batch
         self.wall_time = 0.0
         self._said: set[str] = set()
 
     @property
     def health(self) -> Health:
-        """Which environments turned non-finite, of those that ran so far, by their numbers among all."""
-        return Health(self.plan.envs, np.array(self.frozen, dtype=np.intp))
+        """Which environments failed or were stopped, of those that ran so far, by their numbers among all."""
+        return Health.joined(self.plan.envs, self._healths)
 
     def take(self, number: int) -> None:
         """Gives the model the values of batch ``number``, and puts it at the start."""
@@ -86,9 +86,10 @@ class Batches:
                 self.take(number)
                 self._advise()
                 result.add_to_recording(self._record(bar), path, new=number == 0)
-        result.complete_recording(path, {"frozen_environments": self.frozen})
-        if self.frozen:
-            warnings.warn(str(self.health), RuntimeWarning, stacklevel=2)
+        health = self.health
+        result.complete_recording(path, {"frozen_environments": health.frozen.tolist()})
+        if not health.good:
+            warnings.warn(str(health), RuntimeWarning, stacklevel=2)
 
     def _record(self, bar: object) -> Recording:
         """Runs the batch that was taken; returns the recording of its own environments."""
@@ -104,8 +105,7 @@ class Batches:
                 progress=bar,
             )
         self.wall_time += time.perf_counter() - start
-        frozen = model.health().frozen
-        self.frozen += (model.first_env + frozen[frozen < own]).tolist()
+        self._healths.append((model.first_env, model.health().of_first(own)))
         couplings = model.scene.contact_couplings
         self.reports.append([first_of(coupling.report(model), own) for coupling in couplings])
         recording.attrs |= {"name": settings.name, "seed": settings.seed}
@@ -125,7 +125,7 @@ class Batches:
 def _without_local_numbers() -> Iterator[None]:
     """Keeps a run from reporting frozen environments by their numbers within the batch."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".* non-finite and are frozen", category=RuntimeWarning)
+        warnings.filterwarnings("ignore", message=".* frozen at the last state before", category=RuntimeWarning)
         yield
 
 
