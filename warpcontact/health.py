@@ -1,7 +1,7 @@
 """Which environments failed and were frozen, why and when, and which were stopped."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +24,16 @@ class Health:
         envs: Number of environments.
         frozen: Numbers of the environments that failed. They are held at the last state before and cost no more
             time; ``reset`` revives them.
-        causes: Why each of these failed, a ``Cause``; may be left out where nobody knows.
+        causes: Why each of these failed, a ``Cause``.
         times: What its clock says: that of the state it is held at [s].
         stopped: Numbers of the environments that a stop condition holds.
     """
 
     envs: int
     frozen: NDArray[np.int_]
-    causes: Sequence[Cause] = ()
-    times: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    stopped: NDArray[np.int_] = field(default_factory=lambda: np.zeros(0, np.intp))
+    causes: Sequence[Cause]
+    times: NDArray[np.float64]
+    stopped: NDArray[np.int_]
 
     @classmethod
     def of(
@@ -68,8 +68,6 @@ class Health:
         if self.good:
             every = "all" if not stopped else f"{active} of"
             return f"{every} {self.envs} environments are active{stopped}"
-        if not self.causes:
-            return f"{len(self.frozen)} of {self.envs} environments failed and are frozen: {_listed(self.frozen)}"
         causes = np.array(self.causes)
         said = [
             f"{np.count_nonzero(causes == cause)} of {self.envs} environments {words} and are frozen at the last "
