@@ -5,6 +5,7 @@ again, from its last commit, and no other.
 """
 
 import time
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, Bar, told
-from warpcontact.experiment.store import Commit, Ledger, Shard
+from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError
 
 if TYPE_CHECKING:
     from warpcontact.experiment.execute import Job, Outcome, Runs
@@ -123,10 +124,11 @@ class _Tasks:
                         commit = Ledger(self.folder).commits()[shard.number]
                         self.bar.finish(shard, commit.frozen)
                     elif self.tries[shard.number] < ATTEMPTS:
+                        warnings.warn(f"{shard.name} is tried again: {message}", RuntimeWarning, stacklevel=2)
                         self._submit(shard)
                     else:
                         outcome.failed[shard.name] = message
-        except KeyboardInterrupt:
+        except BaseException:
             self._stop()
             raise
         return outcome
@@ -136,10 +138,20 @@ class _Tasks:
         self.running[self.task.remote(shard.number, *self.words)] = shard
 
     def _message(self, reference: Any) -> str | None:
-        """Returns why a task failed; ``None``: it did not."""
+        """Returns why a task failed; ``None``: it did not.
+
+        Raises:
+            OSError: If results cannot be written: a full disk is full for all.
+            StoreError: If what was committed was changed.
+        """
         try:
-            message: str | None = self.ray.get(reference)
-            return message
+            self.ray.get(reference)
+            return None
+        except self.ray.exceptions.RayTaskError as error:
+            cause = error.cause
+            if isinstance(cause, OSError | StoreError):
+                raise cause from None
+            return f"{type(cause).__name__}: {cause}"
         except self.ray.exceptions.RayError as error:
             return f"its worker was lost: {str(error).splitlines()[0]}"
 
@@ -164,10 +176,8 @@ class _Tasks:
 _RUNNERS: dict[tuple[str, str], "ShardRunner"] = {}
 
 
-def run_shard(number: int, folder: str, device: str, threads: int, every: float) -> str | None:
-    """Runs a shard of the run in a folder, in a worker; returns why it failed, ``None`` if it did not."""
-    import warnings
-
+def run_shard(number: int, folder: str, device: str, threads: int, every: float) -> None:
+    """Runs a shard of the run in a folder, in a worker."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
@@ -176,21 +186,17 @@ def run_shard(number: int, folder: str, device: str, threads: int, every: float)
     path = Path(folder)
     summary = read_summary(path) or {}
     key = (folder, str(summary.get("started")))
-    try:
-        # Who started the run has seen the warnings.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            if key not in _RUNNERS:
-                _RUNNERS.clear()
-                _RUNNERS[key] = _runner(path, summary, device, threads, every)
-            runner = _RUNNERS[key]
-            shard = shards_of(summary["envs"], summary["shard"])[number]
-            commit = runner.ledger.commits().get(number)
-            runner.ledger.recover(shard, commit or Commit(number))
-            runner.run(shard, commit)
-    except Exception as error:
-        return f"{type(error).__name__}: {error}"
-    return None
+    # Who started the run has seen the warnings.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if key not in _RUNNERS:
+            _RUNNERS.clear()
+            _RUNNERS[key] = _runner(path, summary, device, threads, every)
+        runner = _RUNNERS[key]
+        shard = shards_of(summary["envs"], summary["shard"])[number]
+        commit = runner.ledger.commits().get(number)
+        runner.ledger.recover(shard, commit or Commit(number))
+        runner.run(shard, commit)
 
 
 def _runner(folder: Path, summary: Mapping[str, Any], device: str, threads: int, every: float) -> "ShardRunner":
