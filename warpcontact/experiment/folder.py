@@ -132,7 +132,7 @@ def check_schema(folder: Path, summary: Mapping[str, Any]) -> None:
     for key in _TABLES:
         if not isinstance(summary.get(key, {}), dict):
             wrong.append(f"{key} must be a table, got {shown(summary[key])}")
-    if summary["state"] not in STATES:
+    if isinstance(summary["state"], str) and summary["state"] not in STATES:
         wrong.append(f"state must be one of {', '.join(STATES)}, got {shown(summary['state'])}")
     if not wrong:
         count = -(-summary["envs"] // summary["shard"])
@@ -147,7 +147,7 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
     try:
         summary = json.loads((folder / SUMMARY).read_bytes())
         return summary if str(summary["program"]).startswith("warpcontact ") else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
