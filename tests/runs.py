@@ -75,7 +75,7 @@ def study(folder, **replaced):
 
 
 def crowded(folder):
-    """Writes an experiment with lists of partners that are too short in environments 2 and 3, and returns its path."""
+    """Writes an experiment whose lists of partners are too short in environments 2 and 3; returns its path."""
     places = [[0.25 * i, 0.0, 0.0] for i in range(40)]
     path = folder / "crowded.toml"
     path.write_text(
@@ -100,7 +100,7 @@ name = "soft"
 law = {{ type = "Hooke", stiffness = 100.0 }}
 [[mutual_contact]]
 name = "pile"
-shapes = "grain"
+shapes = ["grain"]
 template = "soft"
 skin = 0.01
 partners = 1

@@ -68,7 +68,7 @@ def killed_at_random(out, study, moments, words, whole):
 @pytest.mark.parametrize("where", ["before", "between", "after"])
 def test_a_kill_at_a_commit_is_repaired(where, place, whole, tmp_path):
     out = tmp_path / "out"
-    kill = runs.ending_after(8, where)
+    kill = runs.ending_after(25, where)
     code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=kill)
     assert code == -signal.SIGKILL, err
     committed = runs.check_what_readers_see(out, whole)
@@ -83,7 +83,7 @@ def test_a_kill_at_a_commit_is_repaired(where, place, whole, tmp_path):
 
 def test_a_chunk_that_was_being_written_again_is_not_taken_for_the_committed_one(place, whole, tmp_path):
     out = tmp_path / "out"
-    kill = runs.ending_after(8)
+    kill = runs.ending_after(25)
     code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=kill)
     assert code == -signal.SIGKILL, err
     number, record = next(item for item in runs.records(out).items() if item[1]["frames"])
