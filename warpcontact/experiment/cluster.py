@@ -4,6 +4,7 @@ Ray places tasks and says which were lost; what counts is in the folder. A shard
 again, from its last commit, and no other.
 """
 
+import socket
 import time
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 # Cores that a shard gets on the CPU, at most: more of them are better used by more shards.
 CORES = 4
+# How long a cluster may take to answer [s].
+ANSWER = 10.0
 # Shards for each place that runs them, so that none waits long for the last.
 SHARDS_PER_PLACE = 4
 
@@ -78,10 +81,12 @@ def connect(address: bool | str) -> Place:
             options["address"] = address
         else:
             # Nobody else is to reach what was started for this run alone.
-            options["_node_ip_address"] = "127.0.0.1"
+            options |= {"address": "local", "_node_ip_address": "127.0.0.1"}
         try:
+            if isinstance(address, str):
+                _check_answers(address)
             ray.init(**options)
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except (OSError, ValueError, RuntimeError) as error:
             raise ExperimentError(f"--ray {address}", [f"no cluster of Ray can be reached: {error}"]) from None
     has = ray.cluster_resources()
     gpus, cores = int(has.get("GPU", 0)), max(1, int(has.get("CPU", 1)))
@@ -90,6 +95,13 @@ def connect(address: bool | str) -> Place:
     nodes = max(1, sum(1 for node in ray.nodes() if node["Alive"]))
     each = max(1, min(CORES, cores // nodes // 2))
     return Place(ray, cores=each, gpus=0, places=max(1, cores // each))
+
+
+def _check_answers(address: str) -> None:
+    """Raises ``OSError`` if nobody answers at an address: Ray itself would try for many minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER).close()
 
 
 class _Tasks:
