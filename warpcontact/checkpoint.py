@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,12 @@ if TYPE_CHECKING:
 #: Goes up when files of earlier versions can no longer be read as they are.
 SCHEMA = 1
 _HEADER = "header"
+
+# What a file that is damaged anywhere may raise; sizes in it may be anything, and so may ways of compression.
+_UNREADABLE = (
+    *(OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, RuntimeError, SyntaxError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -61,7 +68,7 @@ def read(path: Path) -> tuple[Arrays, dict[str, Any]]:
         schema = header["schema"]
     except FileNotFoundError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise CheckpointError(f"{path}: is no whole checkpoint: {error}") from None
     if schema != SCHEMA:
         raise CheckpointError(
@@ -126,11 +133,13 @@ def restore(simulation: "Simulation", arrays: Mapping[str, NDArray[Any]]) -> Non
         if found is None or found.dtype != np.uint8 or found.shape != array.shape:
             size = "is missing" if found is None else f"has {found.nbytes} bytes"
             raise CheckpointError(f"array {name!r} {size}, and {array.shape[0]} are expected")
+    parts = simulation.model.parts
+    for name in ("elapsed", "untouched"):
+        if name not in arrays or arrays[name].shape != (len(parts),):
+            raise CheckpointError(f"array {name!r} must have a value for each of {len(parts)} devices")
     for name, array in targets.items():
         array.assign(arrays[name])
-    for part, elapsed, untouched in zip(
-        simulation.model.parts, arrays["elapsed"], arrays["untouched"], strict=True
-    ):
+    for part, elapsed, untouched in zip(parts, arrays["elapsed"], arrays["untouched"], strict=True):
         part.elapsed, part.untouched = float(elapsed), bool(untouched)
 
 

@@ -179,7 +179,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     wp.config.log_level = wp.LOG_ERROR
     from warpcontact.experiment import ExperimentError, StoreError
-    from warpcontact.experiment.folder import EXPERIMENT, read_summary
+    from warpcontact.experiment.folder import DATA, EXPERIMENT, read_summary
     from warpcontact.experiment.folder import INTERRUPTED as INTERRUPTED_RUN
     from warpcontact.quarantine import QuarantineError
 
@@ -219,7 +219,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return INTERRUPTED
     except OSError as error:
         code = _fail(str(error))
-        if folder is not None and read_summary(folder) is not None:
+        if folder is not None and (folder / DATA).is_dir():
             print(f"warpcontact: what was committed is kept{_resume(folder)}", file=sys.stderr)
         return code
     print(result)

@@ -4,7 +4,9 @@ Ray places tasks and says which were lost; what counts is in the folder. A shard
 again, from its last commit, and no other.
 """
 
+import socket
 import time
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, Bar, told
-from warpcontact.experiment.store import Commit, Ledger, Shard
+from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError
 
 if TYPE_CHECKING:
     from warpcontact.experiment.execute import Job, Runs
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
 # Cores that a shard gets on the CPU, at most: more of them are better used by more shards.
 CORES = 4
+# How long a cluster may take to answer [s].
+ANSWER = 10.0
 # Shards for each place that runs them, so that none waits long for the last.
 SHARDS_PER_PLACE = 4
 
@@ -77,10 +81,12 @@ def connect(address: bool | str) -> Place:
             options["address"] = address
         else:
             # Nobody else is to reach what was started for this run alone.
-            options["_node_ip_address"] = "127.0.0.1"
+            options |= {"address": "local", "_node_ip_address": "127.0.0.1"}
         try:
+            if isinstance(address, str):
+                _check_answers(address)
             ray.init(**options)
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except (OSError, ValueError, RuntimeError) as error:
             raise ExperimentError(f"--ray {address}", [f"no cluster of Ray can be reached: {error}"]) from None
     has = ray.cluster_resources()
     gpus, cores = int(has.get("GPU", 0)), max(1, int(has.get("CPU", 1)))
@@ -89,6 +95,13 @@ def connect(address: bool | str) -> Place:
     nodes = max(1, sum(1 for node in ray.nodes() if node["Alive"]))
     each = max(1, min(CORES, cores // nodes // 2))
     return Place(ray, cores=each, gpus=0, places=max(1, cores // each))
+
+
+def _check_answers(address: str) -> None:
+    """Raises ``OSError`` if nobody answers at an address: Ray itself would try for many minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER).close()
 
 
 class _Tasks:
@@ -123,10 +136,11 @@ class _Tasks:
                         commit = Ledger(self.folder).commits()[shard.number]
                         self.bar.finish(shard, commit.frozen)
                     elif self.tries[shard.number] < ATTEMPTS:
+                        warnings.warn(f"{shard.name} is tried again: {message}", RuntimeWarning, stacklevel=2)
                         self._submit(shard)
                     else:
                         failed[shard.name] = message
-        except KeyboardInterrupt:
+        except BaseException:
             self._stop()
             raise
         return failed
@@ -136,10 +150,20 @@ class _Tasks:
         self.running[self.task.remote(shard.number, *self.words)] = shard
 
     def _message(self, reference: Any) -> str | None:
-        """Returns why a task failed; ``None``: it did not."""
+        """Returns why a task failed; ``None``: it did not.
+
+        Raises:
+            OSError: If results cannot be written: a full disk is full for all.
+            StoreError: If what was committed was changed.
+        """
         try:
-            message: str | None = self.ray.get(reference)
-            return message
+            self.ray.get(reference)
+            return None
+        except self.ray.exceptions.RayTaskError as error:
+            cause = error.cause
+            if isinstance(cause, OSError | StoreError):
+                raise cause from None
+            return f"{type(cause).__name__}: {cause}"
         except self.ray.exceptions.RayError as error:
             return f"its worker was lost: {str(error).splitlines()[0]}"
 
@@ -164,10 +188,8 @@ class _Tasks:
 _RUNNERS: dict[tuple[str, str], "ShardRunner"] = {}
 
 
-def run_shard(number: int, folder: str, device: str, threads: int, every: float) -> str | None:
-    """Runs a shard of the run in a folder, in a worker; returns why it failed, ``None`` if it did not."""
-    import warnings
-
+def run_shard(number: int, folder: str, device: str, threads: int, every: float) -> None:
+    """Runs a shard of the run in a folder, in a worker."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
@@ -176,21 +198,17 @@ def run_shard(number: int, folder: str, device: str, threads: int, every: float)
     path = Path(folder)
     summary = read_summary(path) or {}
     key = (folder, str(summary.get("started")))
-    try:
-        # Who started the run has seen the warnings.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            if key not in _RUNNERS:
-                _RUNNERS.clear()
-                _RUNNERS[key] = _runner(path, summary, device, threads, every)
-            runner = _RUNNERS[key]
-            shard = shards_of(summary["envs"], summary["shard"])[number]
-            commit = runner.ledger.commits().get(number)
-            runner.ledger.recover(shard, commit or Commit(number))
-            runner.run(shard, commit)
-    except Exception as error:
-        return f"{type(error).__name__}: {error}"
-    return None
+    # Who started the run has seen the warnings.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if key not in _RUNNERS:
+            _RUNNERS.clear()
+            _RUNNERS[key] = _runner(path, summary, device, threads, every)
+        runner = _RUNNERS[key]
+        shard = shards_of(summary["envs"], summary["shard"])[number]
+        commit = runner.ledger.commits().get(number)
+        runner.ledger.recover(shard, commit or Commit(number))
+        runner.run(shard, commit)
 
 
 def _runner(folder: Path, summary: Mapping[str, Any], device: str, threads: int, every: float) -> "ShardRunner":

@@ -1,11 +1,12 @@
 """A run from its start, or from where it stopped, to the end: its shards, and pictures of what they left."""
 
+import contextlib
 import datetime
 import hashlib
 import os
 import platform
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from warpcontact._version import __version__
+from warpcontact.durable import replacing
 from warpcontact.environments import Environments
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment import store
@@ -25,7 +27,7 @@ from warpcontact.experiment.plan import Plan
 from warpcontact.experiment.progress import Bar
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.shards import Frames, ShardRunner
+from warpcontact.experiment.shards import Frames, ShardRunner, terminations
 from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError, shards_of
 from warpcontact.experiment.toml import to_toml
 from warpcontact.quarantine import QuarantineError
@@ -94,13 +96,19 @@ def start(runner: ShardRunner, job: Job) -> None:
     # All of them, so that values that do not fit are found now; the first one last.
     for shard in reversed(job.shards):
         runner.take(shard)
+    with _naming(job.folder):
+        _make_folder(runner, job)
+
+
+def _make_folder(runner: ShardRunner, job: Job) -> None:
     folder, settings = job.folder, job.settings
     files_of.clear(folder)
     files_of.write_summary(folder, _first_summary(runner.model, job))
     comment = f"The experiment as warpcontact {__version__} ran it, with all defaults."
-    (folder / files_of.EXPERIMENT).write_text(to_toml(job.copy.settings, comment), encoding="utf-8")
-    for name, content in job.copy.files.items():
-        (folder / name).write_bytes(content)
+    text = to_toml(job.copy.settings, comment).encode()
+    for name, content in {files_of.EXPERIMENT: text, **job.copy.files}.items():
+        with replacing(folder / name) as file:
+            file.write(content)
     files_of.make_parts(folder)
     frames = job.frames
     attributes = {
@@ -136,11 +144,19 @@ def proceed(job: Job, run_shards: Runs) -> Run:
         Interrupted: If somebody pressed Ctrl-C; says how to go on.
         OSError: If there is no room on the disk, for instance; the last commits are kept.
     """
+    with _naming(job.folder), terminations():
+        return _proceed(job, run_shards)
+
+
+def _proceed(job: Job, run_shards: Runs) -> Run:
     folder = job.folder
     files_of.make_parts(folder)
     ledger = Ledger(folder)
-    ledger.check()
+    ledger.check(checkpoints=False)
     commits = ledger.commits()
+    # What a process tells of itself that is no more.
+    for path in (folder / files_of.PROGRESS).iterdir():
+        path.unlink()
     summary = (files_of.read_summary(folder) or {}) | {
         "state": files_of.UNFINISHED,
         "process": os.getpid(),
@@ -165,6 +181,17 @@ def proceed(job: Job, run_shards: Runs) -> Run:
         files_of.write_summary(folder, summary)
         return open_run(folder)
     return _end(job, summary)
+
+
+@contextlib.contextmanager
+def _naming(folder: Path) -> Iterator[None]:
+    """Lets errors that name no file, as that of a full disk, name the folder."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno is not None:
+            error.filename = str(folder)
+        raise
 
 
 def here(runner: ShardRunner, job: Job) -> Runs:

@@ -13,7 +13,7 @@ from typing import Any
 from warpcontact._version import __version__
 from warpcontact.durable import write_json
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh, own_class
-from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.errors import ExperimentError, shown
 from warpcontact.experiment.observation import OutcomeSettings
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import FORMULA_SECTIONS, ROW_KEYS, Settings
@@ -34,9 +34,18 @@ FINISHED = "finished"
 UNFINISHED = "unfinished"
 INTERRUPTED = "interrupted"
 FAILED = "failed"
+STATES = (FINISHED, UNFINISHED, INTERRUPTED, FAILED)
 
 #: In run.json: the SHA-256 of the copied files with laws, by their names.
 LAW_FILES = "law_files"
+
+# Entries of run.json that reading relies on.
+_WHOLE = ("envs", "shard", "shards", "block", "steps")
+_TIMES = ("dt", "duration")
+_TABLES = ("law_files", "failed", "contact_couplings")
+_TEXTS = ("state", "name", "device", "fingerprint")
+# More environments have no numbers on a device.
+_MOST = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ def check_new(folder: Path, overwrite: bool, files: Mapping[str, bytes]) -> None
         raise ExperimentError(
             str(folder), [f"holds {kind}; choose another folder, or overwrite it (--overwrite){resume}"]
         )
-    for name in files.keys() - _law_files(summary):
+    for name in files.keys() - law_files(summary):
         if os.path.lexists(folder / name):
             raise ExperimentError(str(folder), [f"holds a file {name!r} of its own, which the run would replace"])
 
@@ -102,13 +111,37 @@ def check_started(folder: Path) -> dict[str, Any]:
 
 
 def check_schema(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Raises ``ExperimentError`` unless a folder is of a schema that this version reads."""
-    schema = summary.get("schema")
+    """Raises ``ExperimentError`` unless a folder is of a schema that this version reads, and sound."""
+    schema, source = summary.get("schema"), str(folder / SUMMARY)
     if schema != SCHEMA:
         raise ExperimentError(
-            str(folder / SUMMARY),
-            [f"schema must be {SCHEMA}, got {schema!r}, written by {summary.get('program')}"],
+            source, [f"schema must be {SCHEMA}, got {shown(schema)}, written by {summary.get('program')}"]
         )
+    wrong = [f"{key} is missing" for key in (*_WHOLE, *_TIMES, *_TEXTS) if key not in summary]
+    if wrong:
+        raise ExperimentError(source, wrong)
+    for key in _WHOLE:
+        value = summary[key]
+        if not (isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MOST):
+            wrong.append(f"{key} must be a whole number from 1 to {_MOST}, got {shown(value)}")
+    for key in _TIMES:
+        value = summary[key]
+        if not (isinstance(value, int | float) and not isinstance(value, bool) and 0.0 < value < float("inf")):
+            wrong.append(f"{key} must be a time above 0 s, got {shown(value)}")
+    wrong += [
+        f"{key} must be a text, got {shown(summary[key])}" for key in _TEXTS if not isinstance(summary[key], str)
+    ]
+    for key in _TABLES:
+        if not isinstance(summary.get(key, {}), dict):
+            wrong.append(f"{key} must be a table, got {shown(summary[key])}")
+    if isinstance(summary["state"], str) and summary["state"] not in STATES:
+        wrong.append(f"state must be one of {', '.join(STATES)}, got {shown(summary['state'])}")
+    if not wrong:
+        count = -(-summary["envs"] // summary["shard"])
+        if summary["shards"] != count:
+            wrong.append(f"shards must be {count}, as envs and shard say, got {summary['shards']}")
+    if wrong:
+        raise ExperimentError(source, wrong)
 
 
 def read_summary(folder: Path) -> dict[str, Any] | None:
@@ -116,7 +149,7 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
     try:
         summary = json.loads((folder / SUMMARY).read_bytes())
         return summary if str(summary["program"]).startswith("warpcontact ") else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
@@ -126,10 +159,10 @@ def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
 
 
 def _has_commits(folder: Path) -> bool:
-    return any((folder / COMMITS).glob("*.json"))
+    return any((folder / COMMITS).glob("shard_*.json"))
 
 
-def _law_files(summary: Mapping[str, Any] | None) -> set[str]:
+def law_files(summary: Mapping[str, Any] | None) -> set[str]:
     """Returns the names of the files with laws that a run left behind."""
     listed = (summary or {}).get(LAW_FILES)
     names = listed if isinstance(listed, dict) else ()
@@ -162,7 +195,7 @@ def clear(folder: Path) -> None:
     """Makes ``folder``, or removes the files of the earlier run in it; others stay."""
     folder.mkdir(parents=True, exist_ok=True)
     own = (DATA, f"{DATA}.partial", STAGING, CHECKPOINTS, COMMITS, PROGRESS, ANIMATION, PICTURE, EXPERIMENT)
-    for name in (*own, *_law_files(read_summary(folder)), SUMMARY):
+    for name in (*own, *law_files(read_summary(folder)), SUMMARY):
         path = folder / name
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -94,7 +95,7 @@ class Beacon:
         # It is nobody's loss if it cannot be told.
         with contextlib.suppress(OSError):
             partial = self._path.with_suffix(".partial")
-            partial.write_text(json.dumps({"steps": steps, "time": time.time()}))
+            partial.write_text(json.dumps({"steps": steps, "time": time.time(), "process": os.getpid()}))
             partial.replace(self._path)
 
     def remove(self) -> None:

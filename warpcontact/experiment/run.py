@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from warpcontact.contact_coupling_report import CouplingReport, report_of
 from warpcontact.experiment import folder as files_of
-from warpcontact.experiment.errors import ExperimentError
-from warpcontact.experiment.store import CHUNK, COMMITS, DATA, GROUPS, ORDER, Ledger, Shard, StoreError, shards_of
+from warpcontact.experiment.errors import ExperimentError, shown
+from warpcontact.experiment.records import COMMITS, DATA, GROUPS, StoreError
+from warpcontact.experiment.store import CHUNK, ORDER, Ledger, Shard, shards_of
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
 from warpcontact.scene import Scene
@@ -130,7 +131,7 @@ class Run:
             "animation": files_of.ANIMATION,
             "picture": files_of.PICTURE,
         }
-        named |= {name: name for name in self.summary.get(files_of.LAW_FILES, {})}
+        named |= {name: name for name in files_of.law_files(self.summary)}
         return {kind: self.folder / name for kind, name in named.items() if (self.folder / name).exists()}
 
     @property
@@ -207,7 +208,9 @@ class Run:
         if not (self.folder / DATA / name).is_dir():
             what = {"series": "nothing over time: [record] series = false", "events": "no events"}[name]
             raise ValueError(f"{self.folder}: the run recorded {what}")
-        data = xr.open_zarr(self.folder / DATA, group=name, consolidated=False, chunks=None)
+        from warpcontact.experiment.committed import CommittedStore
+
+        data = xr.open_zarr(CommittedStore(self.folder / DATA), group=name, consolidated=False, chunks=None)
         order = data.attrs.pop(ORDER, None)
         if not isinstance(order, list) or set(order) != set(data.data_vars):
             raise StoreError(f"{self.folder / DATA / name}: must have the variables {order}, has {list(data)}")
@@ -233,7 +236,7 @@ class Run:
             f"{s['name']}: {s['envs']} environments × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s"
         )
         lines = [title]
-        if self.finished:
+        if "wall_time" in s:
             rate = f"{s['env_steps_per_second']:.3g} environment steps per second"
             lines.append(f"{s['wall_time']:.1f} s on {s['device']}{shards}, {rate}")
         else:
@@ -275,11 +278,25 @@ def open_run(path: str | PathLike[str], *, verify: bool = False) -> Run:
     if not (folder / COMMITS).is_dir():
         raise ExperimentError(str(folder), [f"folder {COMMITS} is missing, which says what counts"])
     try:
-        tomllib.loads((folder / files_of.EXPERIMENT).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        envs = tomllib.loads((folder / files_of.EXPERIMENT).read_text(encoding="utf-8")).get("envs")
+    except (OSError, ValueError, RecursionError) as error:
         raise ExperimentError(str(folder / files_of.EXPERIMENT), [f"cannot be read: {error}"]) from None
-    Ledger(folder).check(contents=verify)
-    return Run(folder, summary)
+    if envs != summary["envs"]:
+        raise ExperimentError(
+            str(folder / files_of.SUMMARY),
+            [f"envs must be {shown(envs)}, as in {files_of.EXPERIMENT}, got {summary['envs']}"],
+        )
+    ledger = Ledger(folder)
+    ledger.check(contents=verify)
+    run = Run(folder, summary)
+    commits = ledger.commits()
+    for shard in run.shards if summary["state"] == files_of.FINISHED else ():
+        if shard.number not in commits or not commits[shard.number].finished:
+            raise StoreError(
+                f"{folder / COMMITS / shard.name}.json: the run is finished, and there is no record of this shard "
+                "that says so; --resume runs it again"
+            )
+    return run
 
 
 def _columns(array: xr.DataArray) -> Iterator[tuple[list[str], NDArray[Any]]]:

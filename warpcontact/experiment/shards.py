@@ -6,13 +6,14 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from warpcontact import checkpoint
 from warpcontact.advice import ContactWarning
@@ -202,14 +203,29 @@ class ShardRunner:
         try:
             arrays, _ = checkpoint.read(path)
             frames = {key.removeprefix("frame/"): a for key, a in arrays.items() if key.startswith("frame/")}
+            times = arrays.get("times", np.zeros(0))
+            self._check_pending(commit, frames, times, recorder)
             checkpoint.restore(self.simulation, arrays)
-            times = arrays["times"]
         except (checkpoint.CheckpointError, FileNotFoundError) as error:
             warnings.warn(f"{shard.name} begins anew: {error}", RuntimeWarning, stacklevel=3)
             self.simulation.reset()
             return Commit(shard.number, wall_time=commit.wall_time)
         recorder.go_on_from(frames, times)
         return commit
+
+    def _check_pending(
+        self, commit: Commit, frames: Mapping[str, Any], times: NDArray[Any], recorder: Recorder
+    ) -> None:
+        """Raises ``CheckpointError`` unless these are the frames that were taken and not written by ``commit``."""
+        own, steps = self.frames, commit.steps
+        count = (steps // own.stride + 1 if own.count else 0) - commit.frames
+        expected = {name: ((count, *values.shape[1:]), values.dtype) for name, values in recorder.frames().items()}
+        found = {name: (values.shape, values.dtype) for name, values in frames.items()}
+        fits = steps < own.steps and commit.frames % own.block == 0 and 0 <= count < own.block
+        if not fits or times.shape != (count,) or found != expected:
+            path = self.folder / CHECKPOINTS / str(commit.checkpoint)
+            done = f"{steps} of {own.steps} steps and {commit.frames} of {own.count} frames"
+            raise checkpoint.CheckpointError(f"{path}: does not go on after {done}")
 
     def _advise(self, commit: Commit) -> None:
         """Warns as the first step of a simulation does, of what is not known from earlier shards."""
@@ -352,3 +368,21 @@ def interruptions() -> Iterator[Asked]:
     finally:
         for number, handler in usual.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def terminations() -> Iterator[None]:
+    """Lets the signal that ends a process do what Ctrl-C does."""
+    usual = signal.getsignal(signal.SIGTERM)
+    if threading.current_thread() is not threading.main_thread() or usual is None:
+        yield
+        return
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, usual)

@@ -3,6 +3,7 @@
     data.zarr/params, outcome, series, events    what readers see
     staging/<shard>/…                            chunks that are written and not committed
     checkpoint/<shard>-<steps>.npz               the state from which an unfinished shard goes on
+    commit/store.json                            what was there before the first shard: the empty arrays
     commit/<shard>.json                          what is committed of a shard: nothing else counts
 
 The arrays are made with their final shape before anything runs, and filled with NaN, or -1. A shard writes whole
@@ -12,11 +13,9 @@ ends a run at any moment leaves the last commit: ``Ledger.recover`` ends a move 
 record names. The bytes of all chunks follow from the experiment alone.
 """
 
-import hashlib
-import json
 import shutil
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,24 +24,27 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.durable import PARTIAL, sync, sync_folder, write_json
+from warpcontact.experiment.records import (
+    COMMITS,
+    DATA,
+    MADE,
+    Commit,
+    Files,
+    StoreError,
+    commits_in,
+    is_unchanged,
+    made_in,
+    measured,
+)
 
-DATA = "data.zarr"
 STAGING = "staging"
 CHECKPOINTS = "checkpoint"
-COMMITS = "commit"
-
-#: The groups, of parameters, outcomes, readings over time, and events.
-GROUPS = ("params", "outcome", "series", "events")
 
 #: Attribute of a group: its variables, in their order.
 ORDER = "variables"
 
 # Arrays are stored in pieces of about this size [bytes].
 CHUNK = 16 * 2**20
-
-
-class StoreError(ValueError):
-    """A folder of results that is damaged, or was changed by somebody else."""
 
 
 @dataclass(frozen=True)
@@ -73,31 +75,6 @@ class Shard:
 def shards_of(envs: int, size: int) -> list[Shard]:
     """Returns the shards of ``size`` environments that make up ``envs``; the last may be smaller."""
     return [Shard(k, first, min(first + size, envs)) for k, first in enumerate(range(0, envs, size))]
-
-
-@dataclass
-class Commit:
-    """What is committed of a shard.
-
-    Attributes:
-        shard: Number of the shard.
-        steps: How many steps were taken.
-        frames: How many frames of the series are in the store.
-        finished: Whether these are all, and the outcome is there.
-        checkpoint: Name of the file from which the shard goes on; ``None``: it is finished.
-        wall_time: How long it was stepped, over all attempts [s].
-        files: Size and SHA-256 of each file of the store that belongs to it, by its path.
-        frozen: How many of its environments are frozen.
-    """
-
-    shard: int
-    steps: int = 0
-    frames: int = 0
-    finished: bool = False
-    checkpoint: str | None = None
-    wall_time: float = 0.0
-    files: dict[str, tuple[int, str]] = field(default_factory=dict)
-    frozen: int = 0
 
 
 def create(
@@ -138,7 +115,10 @@ def create(
         group = zarr.open_group(partial, mode="r+", path=name)
         for key, variable in template.data_vars.items():
             _create_array(group, str(key), variable, sizes, template.sizes["env"], block)
-    sync(one for one in partial.rglob("*") if one.is_file())
+    files = [one for one in partial.rglob("*") if one.is_file()]
+    sync(files)
+    names = sorted(one.relative_to(partial).as_posix() for one in files)
+    write_json(path.parent / COMMITS / MADE, {"files": measured(partial, names)})
     for folder in (partial, *(one for one in partial.rglob("*") if one.is_dir())):
         sync_folder(folder)
     partial.rename(path)
@@ -192,15 +172,7 @@ class Ledger:
         Raises:
             StoreError: If one of them is damaged.
         """
-        found = {}
-        for path in sorted((self.folder / COMMITS).glob("shard_*.json")):
-            try:
-                commit = Commit(**json.loads(path.read_bytes()))
-                commit.files = {name: (int(size), str(sha)) for name, (size, sha) in commit.files.items()}
-                found[int(commit.shard)] = commit
-            except (OSError, ValueError, TypeError) as error:
-                raise StoreError(f"{path}: is no whole record of a commit: {error}") from None
-        return found
+        return commits_in(self.folder / COMMITS)
 
     def staging(self, shard: Shard) -> "Staging":
         """Returns where ``shard`` writes."""
@@ -217,24 +189,19 @@ class Ledger:
         root = self.folder / STAGING / shard.name
         staged = sorted(staged)
         sync(root / name for name in staged)
-        for name in staged:
-            content = (root / name).read_bytes()
-            commit.files[name] = (len(content), hashlib.sha256(content).hexdigest())
+        commit.files |= measured(root, staged)
         write_json(self.folder / COMMITS / f"{shard.name}.json", asdict(commit))
         self._publish(shard, staged)
-        for path in (self.folder / CHECKPOINTS).glob(f"{shard.name}-*"):
-            if path.name != commit.checkpoint:
-                path.unlink()
+        self._drop_checkpoints(shard, commit)
 
     def recover(self, shard: Shard, commit: Commit) -> None:
         """Ends what a commit began, and drops what was staged since."""
         root = self.folder / STAGING / shard.name
-        self._publish(shard, [name for name in commit.files if (root / name).is_file()])
+        # A shard that began anew may have been writing the same chunk again when it was ended.
+        self._publish(shard, [name for name, entry in commit.files.items() if is_unchanged(root / name, *entry)])
         if root.exists():
             shutil.rmtree(root)
-        for path in (self.folder / CHECKPOINTS).glob(f"{shard.name}-*"):
-            if path.name != commit.checkpoint:
-                path.unlink()
+        self._drop_checkpoints(shard, commit)
 
     def _publish(self, shard: Shard, names: Iterable[str]) -> None:
         root, target = self.folder / STAGING / shard.name, self.folder / DATA
@@ -246,26 +213,51 @@ class Ledger:
         for folder in sorted(folders):
             sync_folder(folder)
 
-    def check(self, *, contents: bool = False) -> None:
-        """Checks that every file that was committed is there, with its size, and if asked with its content.
+    def _drop_checkpoints(self, shard: Shard, commit: Commit) -> None:
+        for path in (self.folder / CHECKPOINTS).glob(f"{shard.name}-*"):
+            if path.name != commit.checkpoint:
+                path.unlink()
+
+    def check(self, *, contents: bool = False, checkpoints: bool = True) -> None:
+        """Checks that every file that was committed is there.
+
+        Args:
+            contents: Whether to read the files, and not only look at their sizes.
+            checkpoints: Whether those are asked for, too; a shard without one can begin anew.
 
         Raises:
             StoreError: If one is not; names it.
         """
-        for commit in self.commits().values():
-            if commit.checkpoint is not None and not (self.folder / CHECKPOINTS / commit.checkpoint).is_file():
-                raise StoreError(f"{self.folder / CHECKPOINTS / commit.checkpoint}: is missing")
-            for name, (size, sha) in commit.files.items():
-                path = self.folder / DATA / name
-                staged = self.folder / STAGING / f"shard_{commit.shard:06d}" / name
-                if staged.is_file():
-                    path = staged  # committed, and not moved yet
-                if not path.is_file():
-                    raise StoreError(f"{path}: is missing, and was committed")
-                if path.stat().st_size != size:
-                    raise StoreError(f"{path}: has {path.stat().st_size} bytes, and {size} were committed")
-                if contents and hashlib.sha256(path.read_bytes()).hexdigest() != sha:
-                    raise StoreError(f"{path}: was changed since it was committed")
+        if problem := self._problem_of(made_in(self.folder / COMMITS), "", contents):
+            raise StoreError(problem)
+        for number, found in self.commits().items():
+            commit: Commit | None = found
+            while commit is not None and (problem := self._problem(commit, contents, checkpoints)):
+                # The run may have gone on since the record was read.
+                again = self.commits().get(number)
+                if again == commit:
+                    raise StoreError(problem)
+                commit = again
+
+    def _problem(self, commit: Commit, contents: bool, checkpoints: bool) -> str | None:
+        path = self.folder / CHECKPOINTS / str(commit.checkpoint)
+        if checkpoints and commit.checkpoint is not None and not path.is_file():
+            return f"{path}: is missing, and was committed; --resume lets its shard begin anew"
+        return self._problem_of(commit.files, f"shard_{commit.shard:06d}", contents)
+
+    def _problem_of(self, files: Files, shard: str, contents: bool) -> str | None:
+        for name, (size, sha) in files.items():
+            # Committed, and not moved yet?
+            if shard and is_unchanged(self.folder / STAGING / shard / name, size, sha):
+                continue
+            path = self.folder / DATA / name
+            if not path.is_file():
+                return f"{path}: is missing, and was committed"
+            if path.stat().st_size != size:
+                return f"{path}: has {path.stat().st_size} bytes, and {size} were committed"
+            if contents and not is_unchanged(path, size, sha):
+                return f"{path}: was changed since it was committed"
+        return None
 
 
 class Staging:

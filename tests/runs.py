@@ -1,0 +1,227 @@
+"""A small experiment of several shards and blocks, processes that run it, and what their folders must hold."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+import warpcontact as wc
+
+STUDY = """\
+envs = 10
+duration = 0.2
+dt = 1e-3
+seed = 3
+[output]
+usd_envs = 0
+[[surface]]
+name = "ground"
+mesh = { shape = "grid", size = [4.0, 4.0] }
+[[body]]
+name = "ball"
+mass = 1.0
+inertia = [4e-3, 4e-3, 4e-3]
+position = [0.0, 0.0, 0.15]
+[[point]]
+name = "centre"
+body = "ball"
+position = [0.0, 0.0, 0.0]
+[[template]]
+name = "rubber"
+law = { type = "HuntCrossley", stiffness = 1e5, restitution = 0.7 }
+[[contact]]
+name = "touch"
+points = "centre"
+surface = "ground"
+template = "rubber"
+radius = 0.1
+[variation]
+"ball.mass" = { uniform = [0.5, 2.0] }
+"ball.linear_velocity" = { uniform = [[-1, -1, -1], [1, 1, 1]] }
+[record]
+every = 1e-3
+readings = ["touch.gap", "touch.normal_force", "touch.status"]
+"""
+
+# A frame of a shard of 4 takes some 200 bytes: blocks of about 20 frames.
+BLOCK = 4096
+
+# The command, with blocks that are as small as a test wants them.
+_COMMAND = """\
+import sys
+import warpcontact.experiment.plan as plan
+plan.BLOCK = int(sys.argv.pop(1))
+{first}
+from warpcontact.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def study(folder, **replaced):
+    """Writes the experiment into ``folder``, texts of it replaced, and returns its path."""
+    text = STUDY
+    for key, value in replaced.items():
+        line = next(line for line in text.splitlines() if line.startswith(f"{key} = "))
+        text = text.replace(line, f"{key} = {value}", 1)
+    path = folder / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def crowded(folder):
+    """Writes an experiment whose lists of partners are too short in environments 2 and 3; returns its path."""
+    places = [[0.25 * i, 0.0, 0.0] for i in range(40)]
+    path = folder / "crowded.toml"
+    path.write_text(
+        f"""\
+envs = 6
+duration = 0.02
+dt = 1e-3
+gravity = [0.0, 0.0, 0.0]
+[output]
+usd_envs = 0
+[[bodies]]
+name = "grains"
+mass = 1.0
+inertia = [0.01, 0.01, 0.01]
+positions = {places}
+[[shape]]
+name = "grain"
+body = "grains"
+form = {{ type = "Sphere", radius = 0.1 }}
+[[template]]
+name = "soft"
+law = {{ type = "Hooke", stiffness = 100.0 }}
+[[mutual_contact]]
+name = "pile"
+shapes = ["grain"]
+template = "soft"
+skin = 0.01
+partners = 1
+[variation]
+"grain.radius" = {{ values = [0.1, 0.1, 0.3, 0.3, 0.1, 0.1] }}
+""",
+        encoding="utf-8",
+    )
+    return path
+
+
+def begin(*words, first="", block=BLOCK, **options):
+    """Starts ``warpcontact run`` in a process; ``first`` is run before."""
+    code = _COMMAND.format(first=first)
+    command = [sys.executable, "-c", code, str(block), "run", *map(str, words)]
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | options
+    return subprocess.Popen(command, **options)
+
+
+def ended(process, timeout=300):
+    """Waits for a process; returns its exit code, and what it printed and complained of."""
+    out, err = process.communicate(timeout=timeout)
+    return process.returncode, out, err
+
+
+def run(*words, **options):
+    """Runs ``warpcontact run``; returns what ``ended`` does."""
+    return ended(begin(*words, **options))
+
+
+def wait_until(holds, process, timeout=300):
+    """Waits until ``holds()``, or the process has ended; returns whether it holds."""
+    deadline = time.monotonic() + timeout
+    while time.monotonic() < deadline:
+        if holds():
+            return True
+        if process.poll() is not None:
+            return holds()
+        time.sleep(0.002)
+    raise TimeoutError
+
+
+def records(folder):
+    """Returns the records of commits, by the number of the shard."""
+    found = {}
+    for path in (Path(folder) / "commit").glob("shard_*.json"):
+        content = json.loads(path.read_text())
+        found[content["shard"]] = content
+    return found
+
+
+def hashes(folder):
+    """Returns the SHA-256 of each file of the results."""
+    root = Path(folder) / "data.zarr"
+    files = (path for path in sorted(root.rglob("*")) if path.is_file())
+    return {path.relative_to(root).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def leftovers(folder):
+    """Returns the files that no finished run leaves behind."""
+    folder = Path(folder)
+    temporary = [path for part in ("staging", "checkpoint", "progress") for path in (folder / part).rglob("*")]
+    return [*temporary, *folder.rglob("*.partial*")]
+
+
+def kill(process):
+    """Kills a process, as a power cut would, and waits for its end."""
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+
+
+def check_what_readers_see(folder, reference):
+    """Checks that an unfinished run shows what is committed, with the values of the whole run."""
+    seen = wc.open_run(folder, verify=True)
+    str(seen)
+    whole = reference
+    committed = records(folder)
+    begun = [shard for shard in seen.shards if shard.number in committed]
+    finished = [shard for shard in begun if committed[shard.number]["finished"]]
+    assert seen.params["env"].values.tolist() == [env for s in begun for env in range(s.first, s.stop)]
+    assert seen.outcome["env"].values.tolist() == [env for s in finished for env in range(s.first, s.stop)]
+    assert seen.params.identical(whole.params.sel(env=seen.params["env"]))
+    assert seen.outcome.identical(whole.outcome.sel(env=seen.outcome["env"]))
+    for shard in begun:
+        envs = range(shard.first, shard.stop)
+        frames = committed[shard.number]["frames"]
+        for name, values in seen.series.sel(env=envs).data_vars.items():
+            expected = whole.series[name].sel(env=envs).values
+            np.testing.assert_array_equal(values.values[:frames], expected[:frames], err_msg=name)
+            rest = values.values[frames:]
+            assert (np.isnan(rest) if rest.dtype.kind == "f" else rest == -1).all(), name
+    return committed
+
+
+#: Lets a shard be committed after each piece of steps, however long that takes.
+EAGER = "import warpcontact.experiment.shards as shards; shards.CHECKPOINT_SHARE = 1e9"
+
+
+def ending_after(commits, where="after"):
+    """Returns what lets a process kill itself at a commit: ``before`` its record, ``between`` or ``after`` all."""
+    return f"""{EAGER}
+import os, signal
+from warpcontact.experiment import store
+left = [{commits}]
+commit, publish, write = store.Ledger.commit, store.Ledger._publish, store.write_json
+def end(where):
+    if left[0] == 1 and where == {where!r}:
+        os.kill(os.getpid(), signal.SIGKILL)
+def writing(path, content):
+    if path.name.startswith("shard_"):
+        end("before")
+    write(path, content)
+def publishing(self, shard, names):
+    names = list(names)
+    if len(names) > 1 and left[0] <= 1 and {where!r} == "between":
+        publish(self, shard, names[: len(names) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+    publish(self, shard, names)
+def committing(self, shard, record, staged):
+    commit(self, shard, record, staged)
+    end("after")
+    left[0] -= 1
+store.Ledger.commit, store.Ledger._publish, store.write_json = committing, publishing, writing
+"""

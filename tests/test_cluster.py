@@ -1,0 +1,143 @@
+"""Shards as tasks of a real local Ray: the same bytes, and of a killed worker exactly its shard is run again."""
+
+import json
+import os
+import signal
+import subprocess
+
+import pytest
+import runs
+
+import warpcontact as wc
+
+WORDS = ("--shard", 4, "--device", "cpu")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with the experiment, and its run without Ray in ``whole``."""
+    pytest.importorskip("ray")
+    folder = tmp_path_factory.mktemp("cluster")
+    code, _, err = runs.run(runs.study(folder), "--out", folder / "whole", *WORDS)
+    assert code == 0, err
+    return folder
+
+
+def warnings_of(folder):
+    return json.loads((folder / "run.json").read_text())["warnings"]
+
+
+def workers(folder):
+    """Returns the process at work on each shard, by its number."""
+    found = {}
+    for path in (folder / "progress").glob("shard_*.json"):
+        found[int(path.stem[-6:])] = json.loads(path.read_text())["process"]
+    return found
+
+
+def test_without_ray_there_is_one_clear_message(tmp_path):
+    blocked = "import sys; sys.modules['ray'] = None"
+    code, printed, err = runs.run(runs.study(tmp_path), "--out", tmp_path / "out", "--ray", first=blocked)
+    assert code == 2
+    assert printed == ""
+    assert "warpcontact: --ray: Ray is not installed: pip install 'warpcontact[ray]'" in err
+    assert "Traceback" not in err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_an_address_without_a_cluster_is_one_clear_message(place, tmp_path):
+    code, _, err = runs.run(place / "study.toml", "--out", tmp_path / "out", "--ray", "127.0.0.1:1")
+    assert code == 2, err
+    assert "--ray 127.0.0.1:1: no cluster of Ray can be reached" in err
+    assert "Traceback" not in err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_ray_leaves_the_same_bytes(place, tmp_path):
+    out = tmp_path / "out"
+    code, printed, err = runs.run(place / "study.toml", "--out", out, "--ray", *WORDS)
+    assert code == 0, err
+    assert "10 environments × 0.2 s in 200 steps" in printed
+    assert runs.hashes(out) == runs.hashes(place / "whole")
+    assert runs.leftovers(out) == []
+    assert wc.open_run(out, verify=True).digest() == wc.open_run(place / "whole").digest()
+
+
+@pytest.mark.slow
+def test_of_a_killed_worker_exactly_its_shard_is_run_again(tmp_path):
+    study, out = runs.study(tmp_path, envs=12, duration=8.0), tmp_path / "out"
+    code, _, err = runs.run(study, "--out", tmp_path / "whole", *WORDS)
+    assert code == 0, err
+    process = runs.begin(study, "--out", out, "--ray", *WORDS, "--checkpoint", 0.2)
+
+    def one_on_its_way():
+        done = runs.records(out)
+        return any(done.get(shard, {}).get("steps") and not done[shard]["finished"] for shard in workers(out))
+
+    assert runs.wait_until(one_on_its_way, process)
+    done = runs.records(out)
+    shard, pid = next(
+        (shard, pid) for shard, pid in workers(out).items() if shard in done and not done[shard]["finished"]
+    )
+    name = subprocess.run(["ps", "-o", "args=", "-p", str(pid)], capture_output=True, text=True, check=True).stdout
+    assert name.startswith("ray::")
+    others = {number: record for number, record in done.items() if record["finished"]}
+    os.kill(pid, signal.SIGKILL)
+    code, _, err = runs.ended(process)
+    assert code == 0, err
+    again = [line for line in warnings_of(out) if "is tried again" in line]
+    assert len(again) == 1, again
+    assert again[0].startswith(f"shard_{shard:06d} is tried again: its worker was lost: ")
+    assert f"warning: {again[0]}" in err
+    now = runs.records(out)
+    assert all(now[number] == record for number, record in others.items())
+    # It went on from its checkpoint: the time until then counts.
+    assert now[shard]["wall_time"] > done[shard]["wall_time"]
+    assert runs.hashes(out) == runs.hashes(tmp_path / "whole")
+    assert runs.leftovers(out) == []
+
+
+@pytest.mark.slow
+def test_a_shard_that_fails_three_times_on_a_cluster_is_reported_and_the_others_finish(place, tmp_path):
+    path, out = runs.crowded(tmp_path), tmp_path / "out"
+    code, printed, err = runs.run(path, "--out", out, "--ray", "--shard", 2)
+    assert code == 3, err
+    assert "shard_000001 failed: RuntimeError: pile: a shape had" in printed
+    assert "failed: 4 of 6 environments are finished in 3 shards" in printed
+    assert err.count("warning: shard_000001 is tried again: RuntimeError: pile: a shape had") == 1
+    assert wc.open_run(out, verify=True).outcome["env"].values.tolist() == [0, 1, 4, 5]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_who_asks_a_cluster_to_stop_can_go_on_without_it(number, tmp_path):
+    study, out = runs.study(tmp_path, envs=12, duration=8.0), tmp_path / "out"
+    code, _, err = runs.run(study, "--out", tmp_path / "whole", *WORDS)
+    assert code == 0, err
+    process = runs.begin(study, "--out", out, "--ray", *WORDS)
+    assert runs.wait_until(lambda: workers(out), process)
+    pids = list(workers(out).values())
+    process.send_signal(number)
+    code, _, err = runs.ended(process)
+    assert code == 130, err
+    assert f"warpcontact run --resume --out {out}" in err
+    assert not any(os.path.exists(f"/proc/{pid}") for pid in pids)
+    committed = runs.check_what_readers_see(out, wc.open_run(tmp_path / "whole"))
+    assert any(record["steps"] for record in committed.values())
+    code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")
+    assert code == 0, err
+    assert runs.hashes(out) == runs.hashes(tmp_path / "whole")
+
+
+@pytest.mark.slow
+def test_a_run_begun_in_one_process_goes_on_with_ray(place, tmp_path):
+    out = tmp_path / "out"
+    kill = runs.ending_after(25)
+    code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=kill)
+    assert code == -signal.SIGKILL, err
+    code, _, err = runs.run("--resume", "--out", out, "--device", "cpu", "--ray")
+    assert code == 0, err
+    assert runs.hashes(out) == runs.hashes(place / "whole")
+    assert runs.leftovers(out) == []

@@ -1,0 +1,271 @@
+"""Runs that are killed, interrupted or out of disk go on to the bytes of a run that nothing disturbed."""
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import runs
+
+import warpcontact as wc
+
+WORDS = ("--shard", 4, "--device", "cpu")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with the experiment, whose undisturbed run is in ``whole``."""
+    folder = tmp_path_factory.mktemp("resume")
+    code, _, err = runs.run(runs.study(folder), "--out", folder / "whole", *WORDS)
+    assert code == 0, err
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(place):
+    """The undisturbed run."""
+    return wc.open_run(place / "whole")
+
+
+def check_equal(folder, whole):
+    """Checks that a finished run has the bytes of ``whole``, and left nothing else behind."""
+    assert runs.hashes(folder) == runs.hashes(whole.folder)
+    assert runs.leftovers(folder) == []
+    run = wc.open_run(folder, verify=True)
+    assert run.summary["state"] == "finished"
+    assert run.digest() == whole.digest()
+
+
+def killed_at_random(out, study, moments, words, whole):
+    """Runs ``study`` with a kill after each of ``moments`` [s] of stepping; returns how many hit it."""
+    committed, hits = [], 0
+    for moment in moments:
+        resume = (out / "data.zarr").exists()
+        options = ["--resume"] if resume else ["--overwrite"]
+        process = runs.begin(study, "--out", out, *WORDS[2:], *words, *(() if resume else WORDS[:2]), *options)
+        # Importing and compiling takes most of the time, and is of no interest.
+        begun = runs.wait_until(lambda: any((out / "progress").glob("*.json")), process)
+        if begun and process.poll() is None:
+            try:
+                process.wait(moment)
+            except subprocess.TimeoutExpired:
+                hits += 1
+        runs.kill(process)
+        if process.returncode == 0:
+            break
+        if (out / "data.zarr").exists():
+            now = runs.check_what_readers_see(out, whole)
+            for number, record in committed[-1].items() if committed else ():
+                assert now[number]["steps"] >= record["steps"], "what was committed was lost"
+            committed.append(now)
+    return hits
+
+
+@pytest.mark.parametrize("where", ["before", "between", "after"])
+def test_a_kill_at_a_commit_is_repaired(where, place, whole, tmp_path):
+    out = tmp_path / "out"
+    kill = runs.ending_after(25, where)
+    code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=kill)
+    assert code == -signal.SIGKILL, err
+    committed = runs.check_what_readers_see(out, whole)
+    root = out / "data.zarr"
+    names = [name for record in committed.values() for name in record["files"]]
+    unmoved = [name for name in names if not (root / name).is_file()]
+    assert bool(unmoved) == (where == "between")
+    code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")
+    assert code == 0, err
+    check_equal(out, whole)
+
+
+def test_a_chunk_that_was_being_written_again_is_not_taken_for_the_committed_one(place, whole, tmp_path):
+    out = tmp_path / "out"
+    kill = runs.ending_after(25)
+    code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=kill)
+    assert code == -signal.SIGKILL, err
+    number, record = next(item for item in runs.records(out).items() if item[1]["frames"])
+    name = next(name for name in record["files"] if name.startswith("series/"))
+    half = out / "staging" / f"shard_{number:06d}" / name
+    half.parent.mkdir(parents=True, exist_ok=True)
+    half.write_bytes((out / "data.zarr" / name).read_bytes()[:-5])
+    runs.check_what_readers_see(out, whole)
+    wc.Experiment.from_toml(out / "experiment.toml").run(out, device="cpu", resume=True)
+    check_equal(out, whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("checkpoint", [0, 0.2])
+def test_25_kills_at_random_moments_lose_nothing_committed(checkpoint, tmp_path):
+    rng = random.Random(8 + int(10 * checkpoint))
+    study = runs.study(tmp_path, duration=2.0, envs=14)
+    code, _, err = runs.run(study, "--out", tmp_path / "whole", *WORDS)
+    assert code == 0, err
+    whole = wc.open_run(tmp_path / "whole")
+    # So that the last kills still find something to do.
+    moments = [rng.uniform(0.0, 0.04 * whole.summary["wall_time"]) for _ in range(25)]
+    out = tmp_path / "out"
+    hits = killed_at_random(out, study, moments, ("--checkpoint", checkpoint), whole)
+    assert hits >= (25 if checkpoint else 20)
+    code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")
+    assert code == 0, err
+    check_equal(out, whole)
+
+
+@pytest.mark.slow
+def test_kills_before_anything_was_kept_leave_a_folder_to_start_in(place, whole, tmp_path):
+    out = tmp_path / "out"
+    for _ in range(4):
+        process = runs.begin(place / "study.toml", "--out", out, *WORDS)
+        runs.wait_until(out.exists, process)
+        runs.kill(process)
+        if (out / "data.zarr").exists():
+            break
+        if out.exists() and any(out.iterdir()):
+            with pytest.raises(wc.ExperimentError, match=r"ended before anything was kept|there is no whole run"):
+                wc.open_run(out)
+    words = ["--resume"] if (out / "data.zarr").exists() else WORDS[:2]
+    code, _, err = runs.run(place / "study.toml", "--out", out, "--device", "cpu", *words)
+    assert code == 0, err
+    check_equal(out, whole)
+
+
+# Who asks to stop
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_who_asks_to_stop_is_told_how_to_go_on(number, place, whole, tmp_path):
+    out = tmp_path / "a folder"
+    process = runs.begin(place / "study.toml", "--out", out, *WORDS)
+    assert runs.wait_until(lambda: any((out / "progress").glob("*.json")), process)
+    process.send_signal(number)
+    code, _, err = runs.ended(process)
+    assert code == 130, err
+    assert "interrupted; what was done is kept in" in err
+    assert f"warpcontact run --resume --out '{out}'" in err
+    assert "Traceback" not in err
+    assert wc.open_run(out).summary["state"] == "interrupted"
+    committed = runs.check_what_readers_see(out, whole)
+    assert any(record["steps"] for record in committed.values())
+    code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")
+    assert code == 0, err
+    check_equal(out, whole)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+def test_asking_twice_ends_at_once_and_keeps_what_was_committed(place, whole, tmp_path):
+    out = tmp_path / "out"
+    # A first commit, then steps that end only when all of a block are taken.
+    process = runs.begin(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=runs.EAGER)
+    assert runs.wait_until(lambda: runs.records(out), process)
+    before = runs.records(out)
+    for _ in range(20):
+        process.send_signal(signal.SIGINT)
+    code, _, err = runs.ended(process)
+    assert code in (130, -signal.SIGINT), err
+    now = runs.check_what_readers_see(out, whole)
+    assert all(now[number]["steps"] >= record["steps"] for number, record in before.items())
+    code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")
+    assert code == 0, err
+    check_equal(out, whole)
+
+
+# Disks that are full
+
+
+@contextmanager
+def small_disk(path, size):
+    """Mounts a file system of ``size`` in memory."""
+    path.mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(path)]
+    if shutil.which("mount") is None or subprocess.run(words, capture_output=True, check=False).returncode:
+        pytest.skip("a file system may not be mounted here")
+    try:
+        yield path
+    finally:
+        subprocess.run(["umount", "-l", str(path)], check=True)
+
+
+@pytest.mark.parametrize("size", ["400k", pytest.param("550k", marks=pytest.mark.slow)])
+def test_a_full_disk_is_one_message_and_the_run_goes_on_once_there_is_room(size, place, whole, tmp_path):
+    with small_disk(tmp_path / "disk", size) as disk:
+        out = disk / "out"
+        code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, "--checkpoint", 0, first=runs.EAGER)
+        assert code == 2, err
+        assert "Traceback" not in err
+        assert f"No space left on device: '{out}" in err
+        assert f"what was committed is kept in {out}; go on with:\n    warpcontact run --resume --out {out}" in err
+        committed = runs.check_what_readers_see(out, whole)
+        assert committed
+        code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")  # still full
+        assert code == 2, err
+        assert runs.check_what_readers_see(out, whole).keys() >= committed.keys()
+        subprocess.run(["mount", "-o", "remount,size=8m", str(disk)], check=True)
+        code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")
+        assert code == 0, err
+        check_equal(out, whole)
+
+
+@pytest.mark.slow
+def test_a_disk_that_is_full_at_the_start_keeps_nothing(place, tmp_path):
+    with small_disk(tmp_path / "disk", "40k") as disk:
+        out = disk / "out"
+        code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS)
+        assert code == 2, err
+        assert f"No space left on device: '{out}" in err
+        assert "Traceback" not in err
+        assert "--resume" not in err
+        subprocess.run(["mount", "-o", "remount,size=8m", str(disk)], check=True)
+        code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS)
+        assert code == 0, err
+
+
+# Nothing that may differ changes the results
+
+
+@pytest.mark.parametrize("shard", [1, 7, 64])
+def test_results_do_not_depend_on_shards_and_threads(shard, place, whole, tmp_path):
+    experiment = wc.Experiment.from_toml(place / "study.toml")
+    for threads in (1, 2):
+        run = experiment.run(
+            tmp_path / f"{threads}",
+            device="cpu",
+            shard=shard,
+            threads=threads,
+            checkpoint=0.0 if threads == 1 else 60.0,
+        )
+        assert run.digest() == whole.digest()
+        assert run.series.identical(whole.series)
+
+
+def test_going_on_with_a_finished_run_changes_nothing(place, whole, tmp_path):
+    out = shutil.copytree(whole.folder, tmp_path / "out")
+    (out / "picture.png").unlink()
+    run = wc.Experiment.from_toml(place / "study.toml").run(out, device="cpu", resume=True)
+    assert run.summary["wall_time"] == whole.summary["wall_time"]
+    assert "picture" in run.files
+    check_equal(out, whole)
+
+
+# Shards that fail
+
+
+def test_a_shard_that_fails_three_times_is_reported_and_the_others_finish(tmp_path):
+    path, out = runs.crowded(tmp_path), tmp_path / "out"
+    for options in (["--shard", 2], ["--resume"]):
+        code, printed, err = runs.run(path, "--out", out, "--device", "cpu", *options)
+        assert code == 3, err
+        assert "shard_000001 failed: RuntimeError: pile: a shape had" in printed
+        assert "failed: 4 of 6 environments are finished in 3 shards" in printed
+        assert err.count("warning: shard_000001 is tried again: pile: a shape had") == 1
+        assert "Traceback" not in err
+        run = wc.open_run(out, verify=True)
+        assert run.summary["state"] == "failed"
+        assert list(run.summary["failed"]) == ["shard_000001"]
+        assert run.outcome["env"].values.tolist() == [0, 1, 4, 5]
+        assert np.isfinite(run.series["pile.contacts"].sel(env=[0, 1, 4, 5])).all()
+    assert runs.leftovers(out) == []

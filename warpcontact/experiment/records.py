@@ -1,0 +1,159 @@
+"""Records of what counts of a run, read as if somebody else had written them: nothing in them is trusted."""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from warpcontact.experiment.errors import shown
+
+DATA = "data.zarr"
+COMMITS = "commit"
+#: In ``COMMITS``: the files that the store was made with.
+MADE = "store.json"
+
+#: The groups, of parameters, outcomes, readings over time, and events.
+GROUPS = ("params", "outcome", "series", "events")
+
+#: Size [bytes] and SHA-256 of files of the store, by their path.
+Files = dict[str, tuple[int, str]]
+
+_RECORD = re.compile(r"shard_(?:\d{6}|[1-9]\d{6,})\.json")
+# Files of the store as records name them: nothing outside of it has such a name.
+_VARIABLE = rf"(?:{'|'.join(GROUPS)})/(?!\.\.?/)[^/\\\0]+"
+_CHUNK = re.compile(rf"{_VARIABLE}/c(?:/\d+)+")
+_MADE = re.compile(rf"(?:(?:{'|'.join(GROUPS)}|{_VARIABLE})/)?zarr\.json|{_VARIABLE}/c(?:/\d+)*")
+_SHA = re.compile(r"[0-9a-f]{64}")
+# Numbers beyond this fit into no array.
+_MOST = 2**63 - 1
+_COUNTS = ("steps", "frames", "frozen")
+
+
+class StoreError(ValueError):
+    """A folder of results that is damaged, or was changed by somebody else."""
+
+
+@dataclass
+class Commit:
+    """What is committed of a shard.
+
+    Attributes:
+        shard: Number of the shard.
+        steps: How many steps were taken.
+        frames: How many frames of the series are in the store.
+        finished: Whether these are all, and the outcome is there.
+        checkpoint: Name of the file from which the shard goes on; ``None``: it is finished.
+        wall_time: How long it was stepped, over all attempts [s].
+        files: Size [bytes] and SHA-256 of each file of the store that belongs to it, by its path.
+        frozen: How many of its environments are frozen.
+    """
+
+    shard: int
+    steps: int = 0
+    frames: int = 0
+    finished: bool = False
+    checkpoint: str | None = None
+    wall_time: float = 0.0
+    files: Files = field(default_factory=dict)
+    frozen: int = 0
+
+    @classmethod
+    def read(cls, path: Path) -> "Commit":
+        """Reads a record.
+
+        Raises:
+            StoreError: If it is cut off, or holds what no run writes; names the entry, the value and what is
+                allowed.
+        """
+        content = _content(path, [one.name for one in fields(cls)])
+        number = int(path.stem.rpartition("_")[2])
+        finished = content["finished"] is True
+        checkpoint, time = content["checkpoint"], content["wall_time"]
+        goes_on = isinstance(checkpoint, str) and re.fullmatch(rf"{path.stem}-\d{{12,}}\.npz", checkpoint)
+        is_time = isinstance(time, int | float) and not isinstance(time, bool) and 0.0 <= time < float("inf")
+        rules = {
+            "shard": (_is_count(content["shard"]) and content["shard"] == number, f"{number}, as in its name"),
+            **{key: (_is_count(content[key]), f"a whole number from 0 to {_MOST}") for key in _COUNTS},
+            "finished": (isinstance(content["finished"], bool), "true or false"),
+            "checkpoint": (
+                checkpoint is None if finished else bool(goes_on),
+                "null in a finished shard" if finished else f"the name of a file {path.stem}-<steps>.npz",
+            ),
+            "wall_time": (is_time, "a time of at least 0 s"),
+        }
+        for key, (holds, allowed) in rules.items():
+            if not holds:
+                raise StoreError(f"{path}: {key} must be {allowed}, got {shown(content[key])}")
+        return cls(**content | {"files": _files(path, content["files"], _CHUNK)})
+
+
+def commits_in(folder: Path) -> dict[int, Commit]:
+    """Returns the records of shards in a folder, by their numbers.
+
+    Raises:
+        StoreError: If one of them is damaged.
+    """
+    paths = sorted(path for path in folder.glob("shard_*.json") if _RECORD.fullmatch(path.name))
+    return {commit.shard: commit for commit in map(Commit.read, paths)}
+
+
+def made_in(folder: Path) -> Files:
+    """Returns the files that the store was made with, by the record of them in a folder.
+
+    Raises:
+        StoreError: If this is missing or damaged.
+    """
+    path = folder / MADE
+    return _files(path, _content(path, ["files"])["files"], _MADE)
+
+
+def measured(root: Path, names: Iterable[str]) -> Files:
+    """Returns what a record says of files below ``root``."""
+    contents = ((name, (root / name).read_bytes()) for name in names)
+    return {name: (len(content), hashlib.sha256(content).hexdigest()) for name, content in contents}
+
+
+def is_unchanged(path: Path, size: int, sha: str) -> bool:
+    """Whether a file is there, with this content."""
+    try:
+        return path.stat().st_size == size and hashlib.sha256(path.read_bytes()).hexdigest() == sha
+    except FileNotFoundError:
+        return False
+
+
+def _content(path: Path, entries: Iterable[str]) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        raise StoreError(f"{path}: is missing, which says what counts") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise StoreError(f"{path}: is no whole record of a commit: {error}") from None
+    if not isinstance(content, dict) or set(content) != set(entries):
+        got = sorted(content) if isinstance(content, dict) else content
+        raise StoreError(f"{path}: must have the entries {', '.join(entries)}, got {shown(got)}")
+    return content
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MOST
+
+
+def _files(path: Path, files: object, allowed: re.Pattern[str]) -> Files:
+    if not isinstance(files, dict):
+        raise StoreError(f"{path}: files must be a table, got {shown(files)}")
+    found: Files = {}
+    for name, entry in files.items():
+        if not allowed.fullmatch(name):
+            raise StoreError(f"{path}: files must name files that a run writes into {DATA}, got {shown(name)}")
+        match entry:
+            case [int(size), str(sha)] if _is_count(size) and _SHA.fullmatch(sha):
+                found[name] = (size, sha)
+            case _:
+                raise StoreError(
+                    f"{path}: files.{name} must be a size in bytes and a SHA-256 in 64 hexadecimal digits, "
+                    f"got {shown(entry)}"
+                )
+    return found
