@@ -70,11 +70,18 @@ def simulation(case, device, envs=3, **changes):
     model = make().build(envs=envs, device=device)
     body = model.scene.bodies[0].name
     model[f"{body}.linear_velocity"] = np.linspace((0.5, 0, -1), (1, 0, -2), envs)
-    return wc.Simulation(model, **(options | changes))
+    return wc.Simulation(model, deterministic=True, **(options | changes))
 
 
 def bits(sim):
-    return {name: values.tobytes() for name, values in checkpoint.state_of(sim).items()}
+    """All that steps write, but for the lists of a GPU, in which threads put themselves in any order."""
+    queued = ("waiting", "piles:head", "piles:link")
+    on_gpu = any(device.is_cuda for device in sim.model.devices)
+    return {
+        name: values.tobytes()
+        for name, values in checkpoint.state_of(sim).items()
+        if not (on_gpu and any(part in name for part in queued))
+    }
 
 
 @pytest.mark.parametrize("case", CASES)
