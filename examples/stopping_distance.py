@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> dict[str, float]:
     print(run)
     table = run.to_dataframe()
     speed, mu = table[f"{SPEED}.initial.x"], table[FRICTION]
-    # Two steps are those of touching and of coming to rest, in which a block goes up to 2 v dt.
+    # In two steps, those of touching and of coming to rest, the speed is off by at most μ g dt.
     error = float((table["distance"] - speed**2 / (2.0 * mu * GRAVITY)).abs().max())
 
     indices = wc.sensitivity(run, "distance")
