@@ -1,23 +1,10 @@
 """The examples run, and the numbers they end with are right."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from example_files import FOLDER, load
 
 import warpcontact as wc
-
-FOLDER = Path(__file__).resolve().parents[1] / "examples"
-
-
-def load(name):
-    spec = importlib.util.spec_from_file_location(f"example_{name}", FOLDER / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up by name
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_own_law_rebounds_as_its_closed_form_says(device, capsys):

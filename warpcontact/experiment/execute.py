@@ -304,11 +304,13 @@ def _end(job: Job, summary: dict[str, Any]) -> Run:
 
 def _show(run: Run, job: Job) -> None:
     """Writes what shows the results."""
+    from warpcontact.experiment.outcome_picture import write_outcome_picture
     from warpcontact.experiment.picture import write_picture
     from warpcontact.usd import export_usd
 
     settings = job.settings
     if not settings.record.series:
+        write_outcome_picture(run.folder / files_of.PICTURE, run.outcome, settings.name)
         return
     recording = run.recording
     usd_envs = min(settings.output.usd_envs, settings.envs)

@@ -1,0 +1,107 @@
+"""One picture of a run without series: how its outcomes are spread over the environments.
+
+Without a display, and without matplotlib's global state.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from warpcontact.outcomes.watch import RESERVED
+from warpcontact.status import EnvironmentStatus
+
+# More would be too small to read.
+MOST = 6
+COLUMNS = 3
+BINS = 60
+# Whole numbers that span no more than this have a bar each.
+WHOLE_BARS = 40
+QUANTILES = (0.05, 0.5, 0.95)
+
+
+def write_outcome_picture(path: Path, outcome: xr.Dataset, title: str) -> bool:
+    """Draws histograms of the first outcomes that are one number; frozen environments are left out and counted.
+
+    Args:
+        path: The .png file.
+        outcome: Outcomes and status of environments, as ``Simulation.outcomes`` returns them.
+        title: Title of the picture.
+
+    Returns:
+        Whether there was anything to draw, and the file was written.
+    """
+    drawn = list(_numbers(outcome))[:MOST]
+    if not drawn:
+        return False
+    frozen = outcome["status"].values == EnvironmentStatus.FROZEN
+    columns = min(len(drawn), COLUMNS)
+    rows = -(-len(drawn) // columns)
+    figure = Figure(figsize=(1.0 + 4.2 * columns, 0.8 + 3.2 * rows), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    left_out = f", {frozen.sum()} frozen left out" if frozen.any() else ""
+    figure.suptitle(f"{title}: {len(frozen)} environments{left_out}")
+    for i, (name, label, values) in enumerate(drawn):
+        axes = figure.add_subplot(rows, columns, i + 1)
+        _draw_histogram(axes, values[~frozen])
+        axes.set_title(name)
+        axes.set_xlabel(label, fontsize="small")
+        if i % columns == 0:
+            axes.set_ylabel("environments")
+    figure.savefig(path)
+    return True
+
+
+def _numbers(outcome: xr.Dataset) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+    """Iterates over the outcomes with one number for each environment: name, label of the axis, values."""
+    for name, array in outcome.data_vars.items():
+        if name in RESERVED or array.dims != ("env",):
+            continue
+        unit = array.attrs.get("units", "-")
+        about = str(array.attrs.get("long_name", name))
+        yield str(name), about if unit == "-" else f"{about} [{unit}]", array.values.astype(np.float64)
+
+
+def _draw_histogram(axes: Axes, values: NDArray[np.float64]) -> None:
+    """Draws values of environments; those that are not finite are told in words."""
+    finite = values[np.isfinite(values)]
+    if len(finite):
+        axes.hist(finite, bins=_bins(finite).tolist(), color="C0", alpha=0.75)
+        axes.xaxis.set_major_locator(MaxNLocator(5, integer=_counts(finite)))
+        marks = np.quantile(finite, QUANTILES)
+        for q, mark, line in zip(QUANTILES, marks, (":", "-", ":"), strict=True):
+            axes.axvline(mark, color="C1", linestyle=line, label=f"{100 * q:g} %: {mark:.4g}")
+        axes.legend(loc="best", fontsize="small", framealpha=0.7)
+    else:
+        axes.set(xticks=(), yticks=())
+    if len(finite) < len(values) or not len(values):
+        text = f"{len(values) - len(finite)} without a finite value" if len(values) else "all are frozen"
+        axes.text(0.02, 0.98, text, transform=axes.transAxes, va="top", fontsize="small", color="C3")
+    axes.set_axisbelow(True)
+    axes.grid(alpha=0.3)
+
+
+def _counts(values: NDArray[np.float64]) -> bool:
+    """Whether values are whole numbers, few enough for a bar each."""
+    # Beyond 2⁵¹ there are no numbers half between them.
+    small = np.abs(values).max() < 2.0**51
+    return bool(small and (values == np.round(values)).all() and np.ptp(values) <= WHOLE_BARS)
+
+
+def _bins(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns the edges of bars."""
+    low, high = float(values.min()), float(values.max())
+    if _counts(values):
+        return np.arange(low, high + 2.0) - 0.5
+    count = int(np.clip(np.sqrt(len(values)), 10, BINS))
+    # Values that differ by rounding alone are one bar, not what rounding looks like.
+    room = 1.0e-6 * max(abs(low), abs(high))
+    if high - low <= room:
+        low, high, count = low - room, high + room, 1
+    return np.linspace(low, high, count + 1)
