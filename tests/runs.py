@@ -122,7 +122,11 @@ def begin(*words, first="", block=BLOCK, **options):
 
 def ended(process, timeout=300):
     """Waits for a process; returns its exit code, and what it printed and complained of."""
-    out, err = process.communicate(timeout=timeout)
+    try:
+        out, err = process.communicate(timeout=timeout)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
     return process.returncode, out, err
 
 

@@ -67,7 +67,7 @@ def test_ray_leaves_the_same_bytes(place, tmp_path):
 
 @pytest.mark.slow
 def test_of_a_killed_worker_exactly_its_shard_is_run_again(tmp_path):
-    study, out = runs.study(tmp_path, envs=12, duration=8.0), tmp_path / "out"
+    study, out = runs.study(tmp_path, envs=12, duration=60.0, every=0.1), tmp_path / "out"
     code, _, err = runs.run(study, "--out", tmp_path / "whole", *WORDS)
     assert code == 0, err
     process = runs.begin(study, "--out", out, "--ray", *WORDS, "--checkpoint", 0.2)
@@ -113,7 +113,7 @@ def test_a_shard_that_fails_three_times_on_a_cluster_is_reported_and_the_others_
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_who_asks_a_cluster_to_stop_can_go_on_without_it(number, tmp_path):
-    study, out = runs.study(tmp_path, envs=12, duration=8.0), tmp_path / "out"
+    study, out = runs.study(tmp_path, envs=12, duration=60.0, every=0.1), tmp_path / "out"
     code, _, err = runs.run(study, "--out", tmp_path / "whole", *WORDS)
     assert code == 0, err
     process = runs.begin(study, "--out", out, "--ray", *WORDS)

@@ -201,6 +201,15 @@ def test_chunks_that_are_missing_or_cut_off_are_named(whole, copied):
         wc.open_run(folder)
 
 
+def test_a_shard_whose_record_was_removed_is_run_again(whole, copied):
+    folder = copied(whole)
+    flip(chunk_of(folder, "series/touch.gap", shard=1))
+    (folder / "commit" / "shard_000001.json").unlink()
+    wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
+    assert runs.hashes(folder) == runs.hashes(whole)
+    wc.open_run(folder, verify=True)
+
+
 @pytest.mark.parametrize("name", ["params/ball.mass", "outcome/status", "series/touch.gap"])
 def test_a_changed_bit_is_found_when_it_is_read_and_when_all_is_verified(name, whole, copied):
     folder = copied(whole)
