@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import ENV_ACTIVE, Work, structs
 
 
 @wp.struct
@@ -27,45 +27,60 @@ class Points:
 
 @functools.cache
 def bodies(real: type) -> wp.Kernel:
-    """Returns the kernel that measures each body. Launch with dim (env, body)."""
+    """Returns the kernel that measures each body of the active environments; items: bodies."""
     t = structs(real)
     Model, State = t.Model, t.State
     wide = frames.functions(real).wide
 
     @wp.kernel(module="unique", enable_backward=False)
-    def measure_bodies(model: Model, state: State, measured: Bodies):
-        env, body = wp.tid()
-        mass = wp.float64(model.body_mass[env, body])
-        p_W = wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
-        q_WB = state.body_orientation[env, body]
-        v_W = wide(state.body_linear_velocity[env, body])
-        w_W = state.body_angular_velocity[env, body]
-        spin_W = wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
-        turning = wp.dot(wide(w_W), wide(spin_W))
-        measured.position[env, body] = p_W
-        measured.kinetic_energy[env, body] = wp.float64(0.5) * (mass * wp.dot(v_W, v_W) + turning)
-        measured.potential_energy[env, body] = -mass * wp.dot(wide(model.gravity[env, 0]), p_W)
-        measured.linear_momentum[env, body] = mass * v_W
-        measured.angular_momentum[env, body] = wp.cross(p_W, mass * v_W) + wide(spin_W)
+    def measure_bodies(work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Bodies):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            body = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            mass = wp.float64(model.body_mass[env, body])
+            p_W = wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
+            q_WB = state.body_orientation[env, body]
+            v_W = wide(state.body_linear_velocity[env, body])
+            w_W = state.body_angular_velocity[env, body]
+            spin_W = wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
+            turning = wp.dot(wide(w_W), wide(spin_W))
+            measured.position[env, body] = p_W
+            measured.kinetic_energy[env, body] = wp.float64(0.5) * (mass * wp.dot(v_W, v_W) + turning)
+            measured.potential_energy[env, body] = -mass * wp.dot(wide(model.gravity[env, 0]), p_W)
+            measured.linear_momentum[env, body] = mass * v_W
+            measured.angular_momentum[env, body] = wp.cross(p_W, mass * v_W) + wide(spin_W)
 
     return measure_bodies
 
 
 @functools.cache
 def points(real: type) -> wp.Kernel:
-    """Returns the kernel that places the point of each contact. Launch with dim (env, contact)."""
+    """Returns the kernel that places the points of the contacts of the active environments; items: contacts."""
     t = structs(real)
     Model, State, Contacts = t.Model, t.State, t.Contacts
     wide = frames.functions(real).wide
 
     @wp.kernel(module="unique", enable_backward=False)
-    def measure_points(model: Model, state: State, contacts: Contacts, measured: Points):
-        env, contact = wp.tid()
-        point = model.contact_point[contact]
-        body = model.point_body[point]
-        origin_W = wide(model.point_anchor[env, point])
-        if body >= 0:
-            origin_W = wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
-        measured.position[env, contact] = origin_W + wide(contacts.arm[env, contact])
+    def measure_points(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        model: Model,
+        state: State,
+        contacts: Contacts,
+        measured: Points,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            contact = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            point = model.contact_point[contact]
+            body = model.point_body[point]
+            origin_W = wide(model.point_anchor[env, point])
+            if body >= 0:
+                origin_W = wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
+            measured.position[env, contact] = origin_W + wide(contacts.arm[env, contact])
 
     return measure_points

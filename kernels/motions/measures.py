@@ -5,7 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.motions import bodies, step
 from warpcontact.kernels.motions.bodies import momentum_of, turn_about
-from warpcontact.kernels.types import DRIVEN, FREE, HINGE, PLANAR, SLIDER, structs
+from warpcontact.kernels.types import DRIVEN, ENV_ACTIVE, FREE, HINGE, PLANAR, SLIDER, Work, structs
 
 
 @wp.struct
@@ -67,31 +67,37 @@ def reactions(real: type) -> wp.Kernel:
 
 @functools.cache
 def coordinates(real: type) -> wp.Kernel:
-    """Returns the kernel that measures how far each body moved. Launch with dim (env, body)."""
+    """Returns the kernel that measures how far each body of the active environments moved; items: bodies."""
     t = structs(real)
     Model, State = t.Model, t.State
     f = bodies.functions(real)
     wide, wide_quat = f.wide, f.wide_quat
 
     @wp.kernel(module="unique", enable_backward=False)
-    def measure_coordinates(model: Model, state: State, measured: Coordinates):
-        env, body = wp.tid()
-        motion = model.body_motion[env, body]
-        if motion.kind == HINGE or motion.kind == PLANAR:
-            q = wide_quat(state.body_orientation[env, body])
-            sine, cosine = turn_about(motion.axis, q, motion.orientation)
-            # q and −q are the same rotation.
-            if cosine < wp.float64(0.0):
-                sine = -sine
-                cosine = -cosine
-            measured.angle[env, body] = wp.float64(2.0) * wp.atan2(sine, cosine)
-            measured.angle_rate[env, body] = wp.dot(motion.axis, wide(state.body_angular_velocity[env, body]))
-        elif motion.kind == SLIDER:
-            way = wide(state.body_position[env, body]) - motion.position
-            way += wide(state.body_position_remainder[env, body])
-            measured.displacement[env, body] = wp.dot(motion.axis, way)
-            measured.displacement_rate[env, body] = wp.dot(
-                motion.axis, wide(state.body_linear_velocity[env, body])
-            )
+    def measure_coordinates(
+        work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Coordinates
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task // work.items
+            body = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            motion = model.body_motion[env, body]
+            if motion.kind == HINGE or motion.kind == PLANAR:
+                q = wide_quat(state.body_orientation[env, body])
+                sine, cosine = turn_about(motion.axis, q, motion.orientation)
+                # q and −q are the same rotation.
+                if cosine < wp.float64(0.0):
+                    sine = -sine
+                    cosine = -cosine
+                measured.angle[env, body] = wp.float64(2.0) * wp.atan2(sine, cosine)
+                measured.angle_rate[env, body] = wp.dot(motion.axis, wide(state.body_angular_velocity[env, body]))
+            elif motion.kind == SLIDER:
+                way = wide(state.body_position[env, body]) - motion.position
+                way += wide(state.body_position_remainder[env, body])
+                measured.displacement[env, body] = wp.dot(motion.axis, way)
+                measured.displacement_rate[env, body] = wp.dot(
+                    motion.axis, wide(state.body_linear_velocity[env, body])
+                )
 
     return measure_coordinates
