@@ -1,6 +1,7 @@
 """Who steps which slices of the environments: on the CPU the thread that is free, on GPUs their graphs."""
 
 import contextlib
+import functools
 import os
 import signal
 import threading
@@ -77,7 +78,7 @@ class Crew:
                     piece.ready_look(frames.needs)
             start = time.perf_counter()
             with _uninterrupted():
-                self._step_all(some, lambda piece, done=done, ways=ways: _step(piece, done, ways, frames))
+                self._step_all(some, functools.partial(_step, done=done, ways=ways, frames=frames))
                 took = time.perf_counter() - start
                 done += some
                 yield done
@@ -109,7 +110,7 @@ def _step_each(waiting: Iterator[Slice], work: Callable[[Slice], None]) -> None:
         work(piece)
 
 
-def _step(piece: Slice, done: int, ways: list[int], frames: Frames | None) -> None:
+def _step(piece: Slice, *, done: int, ways: list[int], frames: Frames | None) -> None:
     """Takes steps in a slice, ``done`` being those before, and looks at it wherever a frame is due."""
     for way in ways:
         piece.step(way)
