@@ -32,6 +32,13 @@ from warpcontact.unilateral.hard_contacts import HardContacts
 if TYPE_CHECKING:
     from warpcontact.outcomes.observer import Observer
 
+#: Needs of readings that tell of surfaces that are far away as well.
+OF_FAR = ("distances", "points", "contact_couplings", *SMOOTH)
+#: Needs that can be computed of some environments apart from the others.
+IN_PARTS = frozenset(("contacts", "distances", "bodies", "points", "coordinates"))
+#: What is 0 of a contact that does not touch.
+WITHOUT_CONTACT = ("penetration", "approach_speed", "normal_force", "friction_force", "slip_speed", "torque")
+
 
 @dataclass(frozen=True)
 class State:
@@ -131,7 +138,8 @@ class Model(Environments, OfScene):
         self.no_step = broadcast(arrays.instant, envs)
         # Status [env] of environments that are all active: a frozen one can be measured as well.
         self.all_active = broadcast(arrays.active, envs)
-        self._evaluation: tuple[int, list[Any]] = (-1, [])
+        # Launches of all environments by what they are for, as of a revision.
+        self._looks: tuple[int, dict[frozenset[str], list[wp.Launch]]] = (-1, {})
         # Contacts that the last simulation solves for impulses, and what it watches.
         self.hard: HardContacts | None = None
         self.observer: Observer | None = None
@@ -208,7 +216,10 @@ class Model(Environments, OfScene):
         near, ends = self.arrays.near, self.arrays.ends
         for array in (near.force, near.torque_1, near.torque_2, ends.force, ends.torque):
             array.zero_()
-        self._evaluation = (-1, [])
+        # Nor what they showed is what a contact says that does not touch.
+        for name in WITHOUT_CONTACT:
+            getattr(self.arrays.contacts, name).zero_()
+        self._looks = (-1, {})
 
     @property
     def parameters_by_name(self) -> Mapping[str, Parameter]:
@@ -297,29 +308,57 @@ class Model(Environments, OfScene):
                 device=self.device,
             )
 
-    def _evaluate(self) -> None:
-        if self._evaluation[0] != self.revision:
-            everything = Span(self, 0, self.envs, cached=False, ordered=True, hard=self.hard)
-            stages = force_stages(everything, self.arrays.state, self.no_step, self.all_active)
-            self._evaluation = (self.revision, stages)
-        for launch in self._evaluation[1]:
-            launch.launch()
-        if self.hard is not None:
-            self.hard.show(self)
+    def look(self, first: int, count: int, needs: Set[str]) -> list[wp.Launch]:
+        """Returns the launches that compute what readings need of some environments, of frozen ones too.
+
+        Forces are told of what may touch alone, unless a reading is of what is far away. What is known of
+        distances saves work; on a GPU it is for steps alone. ``measure_all`` does the rest.
+
+        Args:
+            first: The first environment.
+            count: How many.
+            needs: Those of the readings.
+        """
+        a, real = self.arrays, self.types.real
+        far, cached = not needs.isdisjoint(OF_FAR), self.device.is_cpu
+        span = Span(self, first, count, cached, ordered=True, hard=self.hard, complete=far or not cached)
+        launches = []
+        if far or "contacts" in needs:
+            launches += force_stages(span, a.state, self.no_step, self.all_active)
+        if "bodies" in needs:
+            inputs = [self.all_active, a.model, a.state, a.bodies]
+            launches += span.prepare(measures.bodies(real), self.body_count, inputs)
+        if "points" in needs:
+            inputs = [self.all_active, a.model, a.state, a.contacts, a.points]
+            launches += span.prepare(measures.points(real), self.contact_count, inputs)
+        if "coordinates" in needs:
+            inputs = [self.all_active, a.model, a.state, a.coordinates]
+            launches += span.prepare(coordinates(real), self.body_count, inputs)
+        return launches
+
+    def looks_in_parts(self, needs: Set[str]) -> bool:
+        """Whether ``look`` computes all that readings with ``needs`` are of, and nobody waits for a device."""
+        rest = self.hard is not None and not needs.isdisjoint(("contacts", *OF_FAR))
+        return self.device.is_cpu and not rest and needs <= IN_PARTS
 
     @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
         """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
-        if not needs.isdisjoint(("contacts", "points", "contact_couplings", *SMOOTH)):
-            self._evaluate()
-        if "bodies" in needs:
-            self._measure_bodies()
-        if "points" in needs:
-            self._measure_points()
+        if self._looks[0] != self.revision:
+            self._looks = (self.revision, {})
+        known, own = self._looks[1], frozenset(needs)
+        if own not in known:
+            known[own] = self.look(0, self.envs, own)
+        for launch in known[own]:
+            launch.launch()
+        self.measure_all(needs)
+
+    def measure_all(self, needs: Set[str]) -> None:
+        """Computes the rest of what readings need, after the launches of ``look`` for all environments."""
+        if self.hard is not None and not needs.isdisjoint(("contacts", *OF_FAR)):
+            self.hard.show(self)
         if "reactions" in needs:
             self._measure_reactions()
-        if "coordinates" in needs:
-            self._measure_coordinates()
         if "contact_couplings" in needs:
             self._measure_contact_couplings()
         for name in SMOOTH:
@@ -341,21 +380,6 @@ class Model(Environments, OfScene):
         """Returns what its arrays take, on the device and on the host."""
         return self.layout.needs(self.envs) + needs_of(self.parameters, self._uploads, self.envs)
 
-    def _measure_bodies(self) -> None:
-        a = self.arrays
-        self._measure(measures.bodies(self.types.real), self.body_count, [a.model, a.state, a.bodies])
-
-    def _measure_points(self) -> None:
-        a = self.arrays
-        inputs = [a.model, a.state, a.contacts, a.points]
-        self._measure(measures.points(self.types.real), self.contact_count, inputs)
-
-    def _measure(self, kernel: wp.Kernel, items: int, inputs: list[Any]) -> None:
-        """Launches a kernel for all environments, the frozen ones too."""
-        everything = Span(self, 0, self.envs, cached=False, ordered=True)
-        for launch in everything.prepare(kernel, items, [self.all_active, *inputs]):
-            launch.launch()
-
     def _measure_reactions(self) -> None:
         from warpcontact.kernels.motions import driven, measures
 
@@ -370,11 +394,6 @@ class Model(Environments, OfScene):
             )
         inputs, shape = [a.model, a.state, a.wrenches], (self.envs, self.body_count)
         wp.launch(measures.reactions(real), dim=shape, inputs=inputs, outputs=[a.reactions], device=self.device)
-
-    def _measure_coordinates(self) -> None:
-        a = self.arrays
-        inputs = [a.model, a.state, a.coordinates]
-        self._measure(coordinates(self.types.real), self.body_count, inputs)
 
     def _measure_contact_couplings(self) -> None:
         from warpcontact.kernels import contact_coupling
