@@ -6,6 +6,7 @@ from test_schedule import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
 from warpcontact import crew, stepping
+from warpcontact.looks import in_parts
 from warpcontact.model import WITHOUT_CONTACT
 from warpcontact.schedule import Span, force_stages
 
@@ -134,7 +135,7 @@ def test_frames_of_what_needs_all_environments_at_once(device):
     start(model)
     sim = wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean(), threads=2)
     needs = {*model.find_reading("lower.normal_force").needs}
-    assert not model.looks_in_parts(needs)
+    assert not in_parts(model.device, model.hard, needs)
     frames = []
 
     def take(part, own, number):
@@ -169,6 +170,7 @@ def test_forces_are_none_after_steps_that_remember_nothing_took_a_contact_away(d
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, law, radius=0.1, name="touch")
     model = scene.build(envs=2, device=device)
     sim = wc.Simulation(model, dt=1e-6, distance_cache=False)
+    sim.step()
     np.testing.assert_array_equal(model.reading("touch.normal_force"), 0.0)
     start = model.state.body_position.numpy().copy()
     model.state.body_position.assign(start - np.array([0.0, 0.0, 0.11], dtype=np.float32))

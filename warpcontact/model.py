@@ -17,14 +17,13 @@ from warpcontact.drives import Drive
 from warpcontact.environments import Environments
 from warpcontact.footprint import Need
 from warpcontact.groups import Group
-from warpcontact.kernels import measures
-from warpcontact.kernels.motions.measures import coordinates
+from warpcontact.looks import look_span, look_stages, shows
 from warpcontact.of_scene import MEASURES, SMOOTH, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
-from warpcontact.schedule import Span, force_stages
+from warpcontact.schedule import Span
 from warpcontact.smooth.contact_sets import SmoothSet
 from warpcontact.smooth.measures import measure
 from warpcontact.unilateral.hard_contacts import HardContacts
@@ -32,10 +31,6 @@ from warpcontact.unilateral.hard_contacts import HardContacts
 if TYPE_CHECKING:
     from warpcontact.outcomes.observer import Observer
 
-#: Needs of readings that tell of surfaces that are far away as well.
-OF_FAR = ("distances", "points", "contact_couplings", *SMOOTH)
-#: Needs that can be computed of some environments apart from the others.
-IN_PARTS = frozenset(("contacts", "distances", "bodies", "points", "coordinates"))
 #: What is 0 of a contact that does not touch.
 WITHOUT_CONTACT = ("penetration", "approach_speed", "normal_force", "friction_force", "slip_speed", "torque")
 
@@ -311,35 +306,15 @@ class Model(Environments, OfScene):
     def look(self, first: int, count: int, needs: Set[str]) -> list[wp.Launch]:
         """Returns the launches that compute what readings need of some environments, of frozen ones too.
 
-        Forces are told of what may touch alone, unless a reading is of what is far away. What is known of
-        distances saves work; on a GPU it is for steps alone. ``measure_all`` does the rest.
+        ``measure_all`` does the rest.
 
         Args:
             first: The first environment.
             count: How many.
             needs: Those of the readings.
         """
-        a, real = self.arrays, self.types.real
-        far, cached = not needs.isdisjoint(OF_FAR), self.device.is_cpu
-        span = Span(self, first, count, cached, ordered=True, hard=self.hard, complete=far or not cached)
-        launches = []
-        if far or "contacts" in needs:
-            launches += force_stages(span, a.state, self.no_step, self.all_active)
-        if "bodies" in needs:
-            inputs = [self.all_active, a.model, a.state, a.bodies]
-            launches += span.prepare(measures.bodies(real), self.body_count, inputs)
-        if "points" in needs:
-            inputs = [self.all_active, a.model, a.state, a.contacts, a.points]
-            launches += span.prepare(measures.points(real), self.contact_count, inputs)
-        if "coordinates" in needs:
-            inputs = [self.all_active, a.model, a.state, a.coordinates]
-            launches += span.prepare(coordinates(real), self.body_count, inputs)
-        return launches
-
-    def looks_in_parts(self, needs: Set[str]) -> bool:
-        """Whether ``look`` computes all that readings with ``needs`` are of, and nobody waits for a device."""
-        rest = self.hard is not None and not needs.isdisjoint(("contacts", *OF_FAR))
-        return self.device.is_cpu and not rest and needs <= IN_PARTS
+        span = look_span(Span, self, first, count, self.hard, needs)
+        return look_stages(span, needs, self.no_step, self.all_active)
 
     @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
@@ -355,7 +330,7 @@ class Model(Environments, OfScene):
 
     def measure_all(self, needs: Set[str]) -> None:
         """Computes the rest of what readings need, after the launches of ``look`` for all environments."""
-        if self.hard is not None and not needs.isdisjoint(("contacts", *OF_FAR)):
+        if self.hard is not None and shows(needs):
             self.hard.show(self)
         if "reactions" in needs:
             self._measure_reactions()
