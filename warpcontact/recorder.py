@@ -360,6 +360,9 @@ class Recorder:
 
     def series(self) -> xr.Dataset:
         """Returns the frames taken since the last ``rewind`` as a data set, (time, env, …); views."""
+        return xr.Dataset(**self._labelled(self._series_variables(), self._time()))
+
+    def _series_variables(self) -> dict[str, Any]:
         variables = {}
         frames = self.frames()
         for channel in self.channels:
@@ -373,35 +376,36 @@ class Recorder:
                 dims.append(AXES[values.shape[-1]][0])
             notes = {"units": reading.unit, "long_name": reading.meaning, **reading.flags}
             variables[reading.name] = (dims, values, notes)
-        time = ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"})
-        return self._labelled(variables, {"time": time})
+        return variables
+
+    def _time(self) -> dict[str, Any]:
+        return {"time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"})}
 
     def parameters(self) -> xr.Dataset:
         """Returns the parameters that are kept, (env, …)."""
+        return xr.Dataset(**self._labelled(self._parameter_variables(), {}))
+
+    def _parameter_variables(self) -> dict[str, Any]:
         variables: dict[str, Any] = {}
         for parameter in self.kept:
             variables |= self._parameter_variable(parameter)
-        return self._labelled(variables, {})
+        return variables
 
-    def _labelled(self, variables: Mapping[str, Any], coordinates: Mapping[str, Any]) -> xr.Dataset:
-        """Returns ``variables`` with the labels of all axes that they have."""
+    def _labelled(self, variables: Mapping[str, Any], coordinates: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns ``variables`` with the labels of all axes that they have, as a data set takes them."""
         model = self.model
         used = {dim for dims, _, _ in variables.values() for dim in dims}
         numbers = ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"})
         # As objects: texts of fixed length have no place in some files, the Zarr v3 specification among them.
         labels = {dim: (dim, np.array(names, object)) for dim, names in AXES.values() if dim in used}
-        return xr.Dataset(variables, coords={**coordinates, "env": numbers, **labels})
+        return {"data_vars": variables, "coords": {**coordinates, "env": numbers, **labels}}
 
     def finish(self, attributes: Mapping[str, Any]) -> Recording:
         """Returns the frames taken and the parameters kept as one data set."""
-        model = self.model
-        series, parameters = self.series(), self.parameters()
-        recording = Recording(
-            {**series.data_vars, **parameters.data_vars},
-            coords={**series.coords, **parameters.coords},
-            attrs={**sources(model), **attributes},
-        )
-        recording.scene = model.scene
+        variables = {**self._series_variables(), **self._parameter_variables()}
+        attrs = {**sources(self.model), **attributes}
+        recording = Recording(**self._labelled(variables, self._time()), attrs=attrs)
+        recording.scene = self.model.scene
         return recording
 
 
