@@ -175,11 +175,15 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         history: History,
         contacts: Contacts,
         cached: bool,
+        complete: bool,
         cache: Cache,
         env: int,
         contact: int,
     ):
-        """Fills ``contacts`` for one; returns how far its point can move and not touch [m], < 0: not at all."""
+        """Fills ``contacts`` for one; returns how far its point can move and not touch [m], < 0: not at all.
+
+        A ``complete`` one tells the same to the last digit, whatever is remembered.
+        """
         geometry = model.contact_geometry[env, contact]
         radius = geometry.radius
         armed = history.armed[env, contact]
@@ -216,6 +220,10 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 step = view.per_scale * cache.set_step[env, view.number]
                 recalled = recall(model, cache, env, contact, p_S, step)
             foot = recalled.foot
+            if wp.static(real is wp.float32):  # noqa: SIM102 - only a static condition alone is pruned
+                # Far away a search settles no ties: so that its outcome does not depend on what is remembered.
+                if complete and not (foot.distance < reach + model.patch_skin[patch]):
+                    recalled.known = recalled.known and inner(model, foot)
             if wp.static(part in (KNOWN, LISTED)):
                 if not recalled.known:
                     return real(LATER)
@@ -248,12 +256,12 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 # Wherever rounding matters, the choice is looked at again.
                 unsure = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
                 inside = inner(model, foot)
-                doubtful = inside or foot.distance < reach + unsure or model.patch_thin[patch] > real(0.0)
+                close = inside or foot.distance < reach + model.patch_skin[patch]
+                doubtful = close or foot.distance < reach + unsure or model.patch_thin[patch] > real(0.0)
                 doubtful = doubtful or wp.abs(foot.distance - seen) < unsure or (option & LATCHED) != 0
-                keep = cached and (inside or foot.distance < reach + model.patch_skin[patch])
                 if cached:
                     cache.faces[env, contact] = 0
-                if keep:
+                if cached and close:
                     foot = nearest_to_remember(model, patch, p_S, foot, unsure, cache, env, contact)
                     unsure = real(0.0)
                 elif doubtful or wp.static(real is wp.float64):

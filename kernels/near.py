@@ -135,10 +135,13 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         return False
 
     @wp.func
-    def news(contacts: Contacts, history: History, env: int, contact: int):
-        """1 if the rest of the step has to do with a contact: it touches, or did, or its latch moved; or 0."""
+    def news(contacts: Contacts, history: History, env: int, contact: int, before: int):
+        """1 if the rest of the step has to do with a contact: it touches, or did, or its latch moved; or 0.
+
+        ``before`` is its status when it was looked at last, not necessarily in an accepted step.
+        """
         latch = contacts.armed[env, contact] != history.armed[env, contact]
-        touched = history.entry_speed[env, contact] >= real(0.0)
+        touched = before == CONTACT or history.entry_speed[env, contact] >= real(0.0)
         return wp.where(latch or touched or contacts.status[env, contact] == CONTACT, 1, 0)
 
     return SimpleNamespace(
@@ -159,7 +162,8 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
     """Returns the kernel that fills ``contacts`` and ``near`` from ``state``; items: blocks.
 
     With ``cached`` it looks only at points that may touch, and remembers what it finds: contacts that it leaves
-    out do not touch and did not in the last step, and ``near`` lists the others. The outcome is the same.
+    out do not touch and did not in the last step, and ``near`` lists the others. The outcome is the same. With
+    ``complete`` it looks at all, tells gap, normal and point of those that are far away as well, and lists all.
 
     Args:
         real: Type of a real number.
@@ -181,22 +185,26 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
         state: State,
         history: History,
         cached: wp.bool,
+        complete: wp.bool,
         cache: Cache,
         contacts: Contacts,
         near: Near,
     ):
+        choosy = cached and not complete
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
             block = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
             count = wp.int32(0)
+            new = wp.int32(0)
             number = model.block_set[block]
             travel = real(0.0)
             travelled = real(0.0)
             if cached:
                 travel = cache.set_travel[env, number]
                 travelled = travel + cache.set_margin[env, number]
+            if choosy:  # noqa: SIM102 - Warp computes both sides of an ``and``
                 if cache.set_asleep[env, number] != 0 or travelled < cache.block_wake[env, block]:
                     near.count[env, block] = 0
                     continue
@@ -204,33 +212,43 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
             stop = model.block_start[block + 1]
             view = view_of(model, state, env, number)
             around = real(-1.0)
-            if cached and stop - start > 1:  # noqa: SIM102 - Warp computes both sides of an ``and``
+            if choosy and stop - start > 1:  # noqa: SIM102 - Warp computes both sides of an ``and``
                 # One search in the middle may do for all that are far from where they last touched.
                 if unknown(model, cache, env, start, stop, travelled):
                     around = probe(model, view, env, block)
             first_wake = real(wp.inf)
             for place in range(start, stop):
                 contact = model.block_contact[place]
-                if cached and travelled < cache.wake[env, contact]:
+                if choosy and travelled < cache.wake[env, contact]:
                     wake = longer_wake(model, history, cache, env, block, contact, travel, around)
                     first_wake = wp.min(first_wake, wake)
                 else:
+                    before = contacts.status[env, contact]
                     free = real(-1.0)
-                    if cached:
+                    if choosy:
                         free = free_around(model, history, contacts, cache, env, block, contact, around)
                     if free < real(0.0):
-                        free = look(model, view, history, contacts, cached, cache, env, contact)
+                        free = look(model, view, history, contacts, cached, complete, cache, env, contact)
                     if cached:
                         wake = wake_of(travel, free)
                         cache.wake[env, contact] = wake
                         first_wake = wp.min(first_wake, wake)
-                        near.news[env, contact] = news(contacts, history, env, contact)
-                if not cached or near.news[env, contact] != 0:
+                        near.news[env, contact] = news(contacts, history, env, contact, before)
+                    elif contacts.status[env, contact] == CONTACT:
+                        # A later look that is choosy may not leave it out.
+                        cache.wake[env, contact] = real(0.0)
+                        new += 1
+                if cached:
+                    new += near.news[env, contact]
+                if not choosy or near.news[env, contact] != 0:
                     near.contact[env, start + count] = contact
                     count += 1
             near.count[env, block] = count
             if cached:
                 # What is new is told until history has it; a step may be taken again.
-                cache.block_wake[env, block] = wp.where(count > 0, real(0.0), first_wake)
+                cache.block_wake[env, block] = wp.where(new > 0, real(0.0), first_wake)
+            elif new > 0:
+                cache.block_wake[env, block] = real(0.0)
+                cache.set_wake[env, number] = real(0.0)
 
     return closest_point

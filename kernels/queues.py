@@ -105,12 +105,13 @@ def probe(real: type, follows: bool) -> wp.Kernel:
                 if travelled < cache.wake[env, contact]:
                     longer_wake(model, history, cache, env, block, contact, travel, around)
                 else:
+                    before = contacts.status[env, contact]
                     free = free_around(model, history, contacts, cache, env, block, contact, around)
                     if free < real(0.0):
                         put(cache, wp.static(QUEUE_OF[KNOWN]), member * items + contact)
                     else:
                         cache.wake[env, contact] = wake_of(travel, free)
-                        near.news[env, contact] = news(contacts, history, env, contact)
+                        near.news[env, contact] = news(contacts, history, env, contact, before)
 
     return probe_blocks
 
@@ -144,12 +145,13 @@ def work_off(real: type, follows: bool, part: str) -> wp.Kernel:
             contact = task % work.items
             number = model.contact_set[contact]
             view = view_of(model, state, env, number)
-            free = look(model, view, history, contacts, True, cache, env, contact)
+            before = contacts.status[env, contact]
+            free = look(model, view, history, contacts, True, False, cache, env, contact)
             if wp.static(part != SEARCH) and free == real(LATER):
                 put(cache, wp.static(queue + 1), task)
             else:
                 cache.wake[env, contact] = wake_of(cache.set_travel[env, number], free)
-                near.news[env, contact] = news(contacts, history, env, contact)
+                near.news[env, contact] = news(contacts, history, env, contact, before)
 
     return look_at_contacts
 

@@ -555,6 +555,7 @@ wp.config.log_level = wp.LOG_ERROR
 import warpcontact as wc
 
 kind, envs, steps, device = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
+looks = set(sys.argv[5:])
 
 def used():
     gc.collect()
@@ -578,13 +579,17 @@ def stepped(envs):
     model = scene.build(envs, device)
     model["body.mass"] = np.linspace(0.5, 1.0, envs)
     sim = wc.Simulation(model, dt=1e-4, threads=2, graphs=steps > 4)
-    sim.step(steps)
+    if looks:
+        model.make_measures(looks)
+        sim.step_in_frames(1, steps, looks, lambda part, own, number: None)
+    else:
+        sim.step(steps)
     return sim
 
 one = stepped(1)
 before = used()
 many = stepped(envs)
-memory = many.memory()
+memory = many.memory().with_needs(many.needs_of_frames(looks))
 place = "host" if device == "cpu" else device
 # What the scene takes in any case is taken a second time.
 print(used() - before, memory.on(place))
@@ -593,15 +598,20 @@ print(used() - before, memory.on(place))
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "envs", "steps"),
-    [("sphere", 200_000, 4), ("box", 20_000, 4), ("sphere", 10_000, 35)],
-    ids=["spheres", "boxes of 64 points", "captured"],
+    ("kind", "envs", "steps", "looks"),
+    [
+        ("sphere", 200_000, 4, ()),
+        ("box", 20_000, 4, ()),
+        ("sphere", 10_000, 35, ()),
+        ("sphere", 10_000, 35, ("bodies", "contacts", "distances", "points")),
+    ],
+    ids=["spheres", "boxes of 64 points", "captured", "captured with frames"],
 )
-def test_the_estimate_is_what_the_process_grows_by(kind, envs, steps, device):
+def test_the_estimate_is_what_the_process_grows_by(kind, envs, steps, looks, device):
     """Within 15 %: also what is not in arrays, such as launches and graphs, and what allocators add."""
     if device == "cpu" and not Path("/proc/self/status").is_file():
         pytest.skip("this system does not tell how much memory a process has")
-    words = [sys.executable, "-c", GROWTH, kind, str(envs), str(steps), device]
+    words = [sys.executable, "-c", GROWTH, kind, str(envs), str(steps), device, *looks]
     result = subprocess.run(words, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     grown, estimate = map(int, result.stdout.split()[-2:])

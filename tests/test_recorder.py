@@ -6,6 +6,36 @@ import xarray as xr
 from scenes import dropped_sphere, square
 
 import warpcontact as wc
+from warpcontact import crew, stepping
+from warpcontact.recorder import Recorder
+
+WATCHED = ["ball.position", "touch.gap", "touch.normal_force", "scene.kinetic_energy"]
+
+
+def falling(device, envs=5):
+    model = dropped_sphere(
+        wc.laws.Hooke(stiffness=1e4), height=0.02, gravity=(0, 0, -9.81), envs=envs, device=device
+    )
+    model["ball.mass"] = np.linspace(1.0, 2.0, envs)
+    return wc.Simulation(model, dt=1e-3, threads=2)
+
+
+def read_by_stopping(device, frames, stride):
+    sim = falling(device)
+    seen = []
+    for number in range(frames):
+        sim.step(stride if number else 0)
+        seen.append([sim.model.reading(name) for name in WATCHED])
+    values = [np.stack(of) for of in zip(*seen, strict=True)]
+    assert (values[WATCHED.index("touch.normal_force")] > 0.0).any()
+    return values
+
+
+@pytest.fixture
+def in_slices(monkeypatch):
+    """Lets several threads share a few environments."""
+    monkeypatch.setattr(stepping, "LARGEST_SLICE", 2)
+    monkeypatch.setattr(crew, "ALONE", 0)
 
 
 def test_a_recording_is_a_labelled_data_set(device):
@@ -111,6 +141,36 @@ def test_frames_are_drained_from_a_small_ring(device, monkeypatch):
     )
     for name in large.data_vars:
         np.testing.assert_array_equal(small[name], large[name])
+
+
+@pytest.mark.parametrize("stride", [1, 7, 40])
+def test_a_recording_is_what_one_reads_by_stopping(stride, device, in_slices):
+    recording = falling(device).run(0.1, WATCHED, every=stride * 1e-3, poses=False)
+    expected = read_by_stopping(device, 100 // stride + 1, stride)
+    for name, values in zip(WATCHED, expected, strict=True):
+        np.testing.assert_array_equal(recording[name], values, err_msg=name)
+
+
+def test_blocks_are_a_recording_in_pieces(device, in_slices):
+    sim = falling(device)
+    recorder = Recorder(sim.model, WATCHED, 3, poses=False)
+    recorder.start()
+    blocks, done, written = [], [], 0
+    for steps in sim.advance(recorder, 110, 7, start=0.0):
+        # All frames that are due are there, and no more than a block holds.
+        assert written + recorder.taken == steps // 7 + 1
+        assert sim.steps == steps
+        done.append(steps)
+        if recorder.taken == 3:
+            blocks.append(recorder.series().copy(deep=True))
+            written += 3
+            recorder.rewind()
+    blocks.append(recorder.series())
+    assert (done[0], done[-1], [block.time.size for block in blocks]) == (0, 110, [3, 3, 3, 3, 3, 1])
+    expected = read_by_stopping(device, 16, 7)
+    for name, values in zip(WATCHED, expected, strict=True):
+        np.testing.assert_array_equal(np.concatenate([block[name] for block in blocks]), values, err_msg=name)
+    np.testing.assert_allclose(np.concatenate([block.time for block in blocks]), 7e-3 * np.arange(16))
 
 
 def test_time_goes_on_from_run_to_run(device):

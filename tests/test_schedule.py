@@ -153,6 +153,11 @@ def with_queues(monkeypatch):
         return Span(model, first, count, cached, ordered, queued=True, hard=hard)
 
     monkeypatch.setattr(simulation, "Span", queued)
+    # A GPU looks at frames with nothing remembered: its lists are shorter than those of a CPU.
+    monkeypatch.setattr(
+        "warpcontact.model.Span",
+        lambda model, first, count, _cached, **options: Span(model, first, count, cached=False, **options),
+    )
     monkeypatch.setattr(simulation, "slice_size", lambda model, envs, *_: envs)
 
 

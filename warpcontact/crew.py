@@ -1,17 +1,18 @@
 """Who steps which slices of the environments: on the CPU the thread that is free, on GPUs their graphs."""
 
 import contextlib
+import functools
 import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import warp as wp
 
-from warpcontact.slices import Slice
+from warpcontact.slices import Frames, Slice
 
 # Between two looks at whether somebody wants to interrupt [s]; the threads wait for each other then.
 _CHUNK = 0.1
@@ -55,48 +56,67 @@ class Crew:
         self._fewest = _FEWEST_QUEUED if self._queued else _FEWEST
         self._chunk = self._fewest
 
-    def step(self, count: int) -> Iterator[int]:
+    def step(self, count: int, frames: Frames | None = None) -> Iterator[int]:
         """Takes ``count`` steps in all slices, some at a time; yields how many were taken so far.
 
-        Every slice has taken as many at each yield, also after an interruption.
+        Every slice has taken as many at each yield, also after an interruption. ``frames`` are looked at by the
+        way, while what a slice has written is still near its thread.
         """
         done = 0
         while done < count:
             some = min(count - done, self._chunk)
+            ways = [some]
+            if frames is not None:
+                # Whole frames, if there is one: what is left of another would take launches of its own.
+                over = (done + some) % frames.every
+                some -= over if over < some and done + some < count else 0
+                ways = frames.cut(done, some)
             for piece in self._slices:
-                piece.capture(some)
+                for way in set(ways):
+                    piece.capture(way)
+                if frames is not None:
+                    piece.ready_look(frames.needs)
             start = time.perf_counter()
             with _uninterrupted():
-                self._step_all(some)
+                self._step_all(some, functools.partial(_step, done=done, ways=ways, frames=frames))
                 took = time.perf_counter() - start
                 done += some
                 yield done
-            if took < 0.5 * _CHUNK and some == self._chunk:
+            if took < 0.5 * _CHUNK and 2 * some > self._chunk:
                 self._chunk *= 2
             elif took > 2.0 * _CHUNK and self._chunk > self._fewest:
                 self._chunk //= 2
 
-    def _step_all(self, count: int) -> None:
-        _step_each(iter(self._queued), count)
+    def _step_all(self, count: int, work: Callable[[Slice], None]) -> None:
+        _step_each(iter(self._queued), work)
         if self._threads < 2 or count * self._envs < ALONE:
             for slices, _ in self._teams:
-                _step_each(iter(slices), count)
+                _step_each(iter(slices), work)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="warpcontact")
         futures = []
         for slices, members in self._teams:
             waiting = iter(slices)
-            futures += [self._pool.submit(_step_each, waiting, count) for _ in range(members)]
+            futures += [self._pool.submit(_step_each, waiting, work) for _ in range(members)]
         wait(futures)
         for future in futures:
             future.result()
 
 
-def _step_each(waiting: Iterator[Slice], count: int) -> None:
-    """Takes ``count`` steps in each slice that nobody else has taken."""
+def _step_each(waiting: Iterator[Slice], work: Callable[[Slice], None]) -> None:
+    """Does the work on each slice that nobody else has taken."""
     for piece in waiting:
-        piece.step(count)
+        work(piece)
+
+
+def _step(piece: Slice, *, done: int, ways: list[int], frames: Frames | None) -> None:
+    """Takes steps in a slice, ``done`` being those before, and looks at it wherever a frame is due."""
+    for way in ways:
+        piece.step(way)
+        done += way
+        if frames is not None and done % frames.every == 0:
+            piece.look(frames, done // frames.every - 1)
 
 
 @contextlib.contextmanager

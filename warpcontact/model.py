@@ -17,20 +17,22 @@ from warpcontact.drives import Drive
 from warpcontact.environments import Environments
 from warpcontact.footprint import Need
 from warpcontact.groups import Group
-from warpcontact.kernels import measures
-from warpcontact.kernels.motions.measures import coordinates
+from warpcontact.looks import look_span, look_stages, shows
 from warpcontact.of_scene import MEASURES, SMOOTH, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
-from warpcontact.schedule import Span, force_stages
+from warpcontact.schedule import Span
 from warpcontact.smooth.contact_sets import SmoothSet
 from warpcontact.smooth.measures import measure
 from warpcontact.unilateral.hard_contacts import HardContacts
 
 if TYPE_CHECKING:
     from warpcontact.outcomes.observer import Observer
+
+#: What is 0 of a contact that does not touch.
+WITHOUT_CONTACT = ("penetration", "approach_speed", "normal_force", "friction_force", "slip_speed", "torque")
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,8 @@ class Model(Environments, OfScene):
         self.no_step = broadcast(arrays.instant, envs)
         # Status [env] of environments that are all active: a frozen one can be measured as well.
         self.all_active = broadcast(arrays.active, envs)
-        self._evaluation: tuple[int, list[Any]] = (-1, [])
+        # Launches of all environments by what they are for, as of a revision.
+        self._looks: tuple[int, dict[frozenset[str], list[wp.Launch]]] = (-1, {})
         # Contacts that the last simulation solves for impulses, and what it watches.
         self.hard: HardContacts | None = None
         self.observer: Observer | None = None
@@ -208,7 +211,10 @@ class Model(Environments, OfScene):
         near, ends = self.arrays.near, self.arrays.ends
         for array in (near.force, near.torque_1, near.torque_2, ends.force, ends.torque):
             array.zero_()
-        self._evaluation = (-1, [])
+        # Nor what they showed is what a contact says that does not touch.
+        for name in WITHOUT_CONTACT:
+            getattr(self.arrays.contacts, name).zero_()
+        self._looks = (-1, {})
 
     @property
     def parameters_by_name(self) -> Mapping[str, Parameter]:
@@ -297,29 +303,37 @@ class Model(Environments, OfScene):
                 device=self.device,
             )
 
-    def _evaluate(self) -> None:
-        if self._evaluation[0] != self.revision:
-            everything = Span(self, 0, self.envs, cached=False, ordered=True, hard=self.hard)
-            stages = force_stages(everything, self.arrays.state, self.no_step, self.all_active)
-            self._evaluation = (self.revision, stages)
-        for launch in self._evaluation[1]:
-            launch.launch()
-        if self.hard is not None:
-            self.hard.show(self)
+    def look(self, first: int, count: int, needs: Set[str]) -> list[wp.Launch]:
+        """Returns the launches that compute what readings need of some environments, of frozen ones too.
+
+        ``measure_all`` does the rest.
+
+        Args:
+            first: The first environment.
+            count: How many.
+            needs: Those of the readings.
+        """
+        span = look_span(Span, self, first, count, self.hard, needs)
+        return look_stages(span, needs, self.no_step, self.all_active)
 
     @beside_captures()
     def prepare(self, needs: Set[str]) -> None:
         """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
-        if not needs.isdisjoint(("contacts", "points", "contact_couplings", *SMOOTH)):
-            self._evaluate()
-        if "bodies" in needs:
-            self._measure_bodies()
-        if "points" in needs:
-            self._measure_points()
+        if self._looks[0] != self.revision:
+            self._looks = (self.revision, {})
+        known, own = self._looks[1], frozenset(needs)
+        if own not in known:
+            known[own] = self.look(0, self.envs, own)
+        for launch in known[own]:
+            launch.launch()
+        self.measure_all(needs)
+
+    def measure_all(self, needs: Set[str]) -> None:
+        """Computes the rest of what readings need, after the launches of ``look`` for all environments."""
+        if self.hard is not None and shows(needs):
+            self.hard.show(self)
         if "reactions" in needs:
             self._measure_reactions()
-        if "coordinates" in needs:
-            self._measure_coordinates()
         if "contact_couplings" in needs:
             self._measure_contact_couplings()
         for name in SMOOTH:
@@ -341,21 +355,6 @@ class Model(Environments, OfScene):
         """Returns what its arrays take, on the device and on the host."""
         return self.layout.needs(self.envs) + needs_of(self.parameters, self._uploads, self.envs)
 
-    def _measure_bodies(self) -> None:
-        a = self.arrays
-        self._measure(measures.bodies(self.types.real), self.body_count, [a.model, a.state, a.bodies])
-
-    def _measure_points(self) -> None:
-        a = self.arrays
-        inputs = [a.model, a.state, a.contacts, a.points]
-        self._measure(measures.points(self.types.real), self.contact_count, inputs)
-
-    def _measure(self, kernel: wp.Kernel, items: int, inputs: list[Any]) -> None:
-        """Launches a kernel for all environments, the frozen ones too."""
-        everything = Span(self, 0, self.envs, cached=False, ordered=True)
-        for launch in everything.prepare(kernel, items, [self.all_active, *inputs]):
-            launch.launch()
-
     def _measure_reactions(self) -> None:
         from warpcontact.kernels.motions import driven, measures
 
@@ -370,11 +369,6 @@ class Model(Environments, OfScene):
             )
         inputs, shape = [a.model, a.state, a.wrenches], (self.envs, self.body_count)
         wp.launch(measures.reactions(real), dim=shape, inputs=inputs, outputs=[a.reactions], device=self.device)
-
-    def _measure_coordinates(self) -> None:
-        a = self.arrays
-        inputs = [a.model, a.state, a.coordinates]
-        self._measure(coordinates(self.types.real), self.body_count, inputs)
 
     def _measure_contact_couplings(self) -> None:
         from warpcontact.kernels import contact_coupling

@@ -61,6 +61,8 @@ CONTACT_READINGS = {
     "approach_speed": ("approach_speed", "m/s", "rate of penetration at K, 0 without contact"),
     "status": ("status", "-", "state of the contact"),
 }
+# What is told of contacts that do not touch as well, which takes a search.
+_OF_FAR = ("gap", "normal", "status")
 _SWEPT = {
     "crossings": ("crossings", "-", "times the point crossed the surface within a step, since reset"),
     "crossing_time": ("crossing_time", "s", "time of the first of them since reset; NaN: none"),
@@ -93,9 +95,9 @@ class Reading:
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
         needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, contact
-            ``"points"``, of motions ``"reactions"`` and ``"coordinates"``, the forces of
-            ``"contact_couplings"``, of smooth contacts ``"smooth_points"``, ``"smooth_curvatures"`` and
-            ``"smooth_gradients"``, or what is measured of ``"piles"``.
+            ``"points"``, ``"distances"`` of what is far away, of motions ``"reactions"`` and ``"coordinates"``,
+            the forces of ``"contact_couplings"``, of smooth contacts ``"smooth_points"``, ``"smooth_curvatures"``
+            and ``"smooth_gradients"``, or what is measured of ``"piles"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
         codes: What its numbers stand for.
@@ -207,7 +209,8 @@ def readings_of(
         add_column(f"{contact.name}.point", "m", meaning, "points", "position", items, **options)
         for key, (attribute, unit, meaning) in CONTACT_READINGS.items():
             codes = Status if key == "status" else None
-            options = {"needs": ("contacts",), "items": count, "codes": codes}
+            needs = ("contacts", "distances") if key in _OF_FAR else ("contacts",)
+            options = {"needs": needs, "items": count, "codes": codes}
             add_column(f"{contact.name}.{key}", unit, meaning, "contacts", attribute, items, **options)
         group = next(group for group in groups if group.first <= start < group.first + group.count)
         for part, formula in contact.template.formulas.items():

@@ -1,6 +1,6 @@
-"""Recording: chosen readings, gathered on the device and drained into one labelled data set."""
+"""Recording: chosen readings, frame by frame, put into one labelled data set."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from typing import Any
@@ -31,7 +31,7 @@ from warpcontact.parameters import Parameter
 from warpcontact.readings import AXES
 from warpcontact.scene import Scene
 
-# Frames wait on the device up to this size, then move to the host in one copy.
+# Frames wait on a GPU up to this size, then move to the host in one copy.
 RING_BYTES = 64 * 2**20
 
 
@@ -62,14 +62,14 @@ class Frame:
         return min(frames, max(1, RING_BYTES // max(1, envs * self.device)))
 
     def needs(self, device: str, envs: int, frames: int) -> list[Need]:
-        """Returns what a buffer on ``device`` and the result on the host take."""
+        """Returns what a buffer on ``device``, if it is a GPU, and the result on the host take."""
         slots, result = self.slots(envs, frames), frames * self.host
-        # A buffer of some frames is of about the same size however many environments there are.
-        grows = slots in (1, frames)
-        return [
-            Need("buffers", device, slots * envs * self.device, slots * self.device if grows else 0),
-            Need("recording", HOST, envs * result, result),
-        ]
+        needs = [Need("recording", HOST, envs * result, result)]
+        if not wp.get_device(device).is_cpu:
+            # A buffer of some frames is of about the same size however many environments there are.
+            grows = slots in (1, frames)
+            needs.append(Need("buffers", device, slots * envs * self.device, slots * self.device if grows else 0))
+        return needs
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class RecordingSize:
 
 
 class _Channel:
-    """The frames of one reading: a buffer on each device and one result on the host, once they are allocated."""
+    """The frames of one reading: one result on the host, and on each GPU a buffer, once they are allocated."""
 
     def __init__(self, model: Environments, name: str) -> None:
         self.model = model
@@ -109,15 +109,18 @@ class _Channel:
         self.frame = Frame(name, row, self._sample.nbytes)
         self.result = np.zeros((0, model.envs, *self._sample.shape), dtype=self._sample.dtype)
         self.rings: list[_Ring] = []
+        self._ways: dict[Model, _Window | _Ring] = {}
 
     @beside_captures()
     def allocate(self, frames: int) -> None:
         self.result = np.zeros((frames, self.model.envs, *self._sample.shape), dtype=self._sample.dtype)
-        self.rings = [_Ring(part, self.frame, self.result[:, own]) for part, own in self.model.shares()]
+        for part, own in self.model.shares():
+            way = _Window if part.device.is_cpu else _Ring
+            self._ways[part] = way(part, self.frame, self.result[:, own])
+        self.rings = [way for way in self._ways.values() if isinstance(way, _Ring)]
 
-    def take(self) -> None:
-        for ring in self.rings:
-            ring.take()
+    def take(self, part: Model, own: slice, number: int) -> None:
+        self._ways[part].take(own, number)
 
     def drain(self) -> None:
         for ring in self.rings:
@@ -129,8 +132,28 @@ class _Channel:
             ring.taken = ring.drained = count
 
 
+class _Window:
+    """The frames of one reading of a part on the CPU, written from where it is measured.
+
+    Args:
+        part: The part.
+        frame: Of which reading.
+        result: Receives all frames (frame, env, …).
+    """
+
+    def __init__(self, part: Model, frame: Frame, result: NDArray[Any]) -> None:
+        self.reading = part.readings[frame.name]
+        # A view, which keeps what is measured into.
+        self.values = self.reading.array(part.arrays).numpy()
+        self.result = result
+
+    def take(self, own: slice, number: int) -> None:
+        """Writes the environments ``own`` of a frame; other threads may write others meanwhile."""
+        self.result[number, own] = self.reading.finish(self.values[own])
+
+
 class _Ring:
-    """The frames of one reading of a part: a buffer on its device, and where they go on the host.
+    """The frames of one reading of a part on a GPU: a buffer there, and where they go on the host.
 
     Args:
         part: The part.
@@ -148,9 +171,10 @@ class _Ring:
         self.drained = 0
 
     @beside_captures()
-    def take(self) -> None:
-        wp.copy(self.memory[self.taken - self.drained], self.source)
-        self.taken += 1
+    def take(self, own: slice, number: int) -> None:
+        """Copies the environments ``own`` of a frame, which are all there are: a GPU takes them at once."""
+        wp.copy(self.memory[number - self.drained], self.source)
+        self.taken = number + 1
         if self.taken - self.drained == len(self.memory):
             self.drain()
 
@@ -237,8 +261,16 @@ class Recorder:
         frames = tuple(channel.frame for channel in self.channels)
         return RecordingSize(frames, sum(parameters.values()), frozenset(self.needs))
 
-    def start(self) -> None:
+    @property
+    def room(self) -> int:
+        """How many frames more it holds until it is rewound."""
+        return len(self.times) - self.taken
+
+    def start(self, beside: Iterable[Need] = ()) -> None:
         """Allocates what the frames are put into.
+
+        Args:
+            beside: What steps take more of memory for these frames.
 
         Raises:
             MemoryError: If that is more than there is; says how many frames would fit.
@@ -247,7 +279,7 @@ class Recorder:
         footprint = total(
             Footprint(part.envs, str(part.device), tuple(size.needs(str(part.device), part.envs, frames)))
             for part in self.model.parts
-        )
+        ).with_needs(beside)
         room = shortage(footprint, rooms_of(footprint))
         if room is not None:
             raise MemoryShortage(self._too_much(footprint, room), footprint.on(room.place), usable(room))
@@ -268,15 +300,31 @@ class Recorder:
 
     def take(self, time: float) -> None:
         """Takes one frame of the current state at ``time`` [s]."""
-        self._prepare()
-        for channel in self.channels:
-            channel.take()
-        self.times[self.taken] = time
-        self.taken += 1
-
-    def _prepare(self) -> None:
+        # All parts are at work before the first is waited for.
         for part in self.model.parts:
             part.prepare(self.needs)
+        for part in self.model.parts:
+            self.take_slice(part, slice(0, part.envs), self.taken)
+        self.count([time])
+
+    def take_slice(self, part: Model, own: slice, number: int) -> None:
+        """Takes some environments of frame ``number`` since the last ``rewind``, which are measured.
+
+        Of a part on the CPU threads may take different environments at once; of one on a GPU they are all. The
+        frame is there when all are taken and it is counted.
+
+        Args:
+            part: A part of the model.
+            own: Which of its environments.
+            number: The frame, less than ``room`` beyond those that are counted.
+        """
+        for channel in self.channels:
+            channel.take(part, own, number)
+
+    def count(self, times: Sequence[float]) -> None:
+        """Counts the next frames, at ``times`` [s], of which all environments are taken."""
+        self.times[self.taken : self.taken + len(times)] = times
+        self.taken += len(times)
 
     def _parameter_variable(self, parameter: Parameter) -> dict[str, Any]:
         """Returns a parameter as a variable (env, …); that of an initial state has a name of its own."""
@@ -312,6 +360,9 @@ class Recorder:
 
     def series(self) -> xr.Dataset:
         """Returns the frames taken since the last ``rewind`` as a data set, (time, env, …); views."""
+        return xr.Dataset(**self._labelled(self._series_variables(), self._time()))
+
+    def _series_variables(self) -> dict[str, Any]:
         variables = {}
         frames = self.frames()
         for channel in self.channels:
@@ -325,35 +376,36 @@ class Recorder:
                 dims.append(AXES[values.shape[-1]][0])
             notes = {"units": reading.unit, "long_name": reading.meaning, **reading.flags}
             variables[reading.name] = (dims, values, notes)
-        time = ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"})
-        return self._labelled(variables, {"time": time})
+        return variables
+
+    def _time(self) -> dict[str, Any]:
+        return {"time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"})}
 
     def parameters(self) -> xr.Dataset:
         """Returns the parameters that are kept, (env, …)."""
+        return xr.Dataset(**self._labelled(self._parameter_variables(), {}))
+
+    def _parameter_variables(self) -> dict[str, Any]:
         variables: dict[str, Any] = {}
         for parameter in self.kept:
             variables |= self._parameter_variable(parameter)
-        return self._labelled(variables, {})
+        return variables
 
-    def _labelled(self, variables: Mapping[str, Any], coordinates: Mapping[str, Any]) -> xr.Dataset:
-        """Returns ``variables`` with the labels of all axes that they have."""
+    def _labelled(self, variables: Mapping[str, Any], coordinates: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns ``variables`` with the labels of all axes that they have, as a data set takes them."""
         model = self.model
         used = {dim for dims, _, _ in variables.values() for dim in dims}
         numbers = ("env", model.first_env + np.arange(model.envs), {"long_name": "environment"})
         # As objects: texts of fixed length have no place in some files, the Zarr v3 specification among them.
         labels = {dim: (dim, np.array(names, object)) for dim, names in AXES.values() if dim in used}
-        return xr.Dataset(variables, coords={**coordinates, "env": numbers, **labels})
+        return {"data_vars": variables, "coords": {**coordinates, "env": numbers, **labels}}
 
     def finish(self, attributes: Mapping[str, Any]) -> Recording:
         """Returns the frames taken and the parameters kept as one data set."""
-        model = self.model
-        series, parameters = self.series(), self.parameters()
-        recording = Recording(
-            {**series.data_vars, **parameters.data_vars},
-            coords={**series.coords, **parameters.coords},
-            attrs={**sources(model), **attributes},
-        )
-        recording.scene = model.scene
+        variables = {**self._series_variables(), **self._parameter_variables()}
+        attrs = {**sources(self.model), **attributes}
+        recording = Recording(**self._labelled(variables, self._time()), attrs=attrs)
+        recording.scene = self.model.scene
         return recording
 
 

@@ -4,7 +4,7 @@ import contextlib
 import os
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,14 @@ from numpy.typing import ArrayLike
 from warpcontact import checkpoint, checks
 from warpcontact.advice import ContactWarning, advice
 from warpcontact.arrays import Layout
+from warpcontact.available import HOST
 from warpcontact.captures import beside_captures
 from warpcontact.crew import Crew, available_threads
 from warpcontact.environments import Environments
-from warpcontact.footprint import Footprint, require
+from warpcontact.footprint import Footprint, Need, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.kernels.outcomes.base import Outcome
+from warpcontact.looks import in_parts
 from warpcontact.model import Model, State
 from warpcontact.outcomes.report import events_of, outcomes_of
 from warpcontact.outcomes.watch import Events, Stop, Watch
@@ -29,12 +31,14 @@ from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.recorder import Recorder, Recording
 from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
-from warpcontact.slices import Buffers, Slice, Times
+from warpcontact.slices import Buffers, Frames, Slice, Times
 from warpcontact.stepping import on_cpu, slice_size, stepping_footprint
+from warpcontact.whole_steps import frame_count, recorded_steps
 
-# Steps between two looks at the progress bar, whole graphs, and how long they may take before fewer do [s].
+# Steps between two looks at the progress bar, whole graphs; on a GPU, which queues them, so many at most. And how
+# long they may take [s]: fewer do when they take twice that.
 SHORTEST_PIECE = 8
-LONGEST_PIECE = 64
+LONGEST_PIECE_QUEUED = 64
 PIECE = 0.1
 
 
@@ -191,7 +195,12 @@ class Simulation:
         """Returns what the model and this simulation take of memory; recordings come on top."""
         return self.model.footprint().with_needs(self._stepping(self.model.envs).needs)
 
-    def _stepping(self, envs: int) -> Footprint:
+    def needs_of_frames(self, needs: Set[str]) -> list[Need]:
+        """Returns what steps take more of memory if they are recorded, by what readings need."""
+        alone, with_frames = (self._stepping(self.model.envs, looks) for looks in (frozenset(), frozenset(needs)))
+        return [Need("launches", HOST, with_frames.of("launches") - alone.of("launches"))]
+
+    def _stepping(self, envs: int, looks: frozenset[str] = frozenset()) -> Footprint:
         """Returns what this simulation would take if it had ``envs`` environments, beside the model."""
         return stepping_footprint(
             self.model.shares_of(envs),
@@ -204,6 +213,7 @@ class Simulation:
             stop=self.watch.stops,
             events=self.watch.events,
             quarantine=self.watch.quarantine,
+            looks=looks,
         )
 
     def outcomes(self) -> xr.Dataset:
@@ -255,14 +265,46 @@ class Simulation:
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
             raise ValueError(f"count must be a whole number of at least 0, got {count!r}")
-        if count == 0:
+        if count:
+            self._advance(count, None)
+
+    def step_in_frames(
+        self, frames: int, every: int, needs: Set[str], take: Callable[[Model, slice, int], None]
+    ) -> None:
+        """Takes ``frames`` times ``every`` steps, and looks at the state after each ``every`` of them.
+
+        On the CPU that costs little, since it is done slice by slice, while a slice is near its thread.
+
+        Args:
+            frames: How many.
+            every: Steps from frame to frame.
+            needs: What to compute for each, see ``Reading.needs``; there is room to measure into.
+            take: Called when it is computed, with a part of the model, a range of its environments and the number
+                of the frame, from 0. Of each environment frames come in their order; ranges come from several
+                threads and may be at different frames, so only the range may be read.
+        """
+        self._attach()
+        needs = frozenset(needs)
+        if self.watch.quarantine == "freeze" and all(
+            in_parts(part.device, part.hard, needs) for part in self.model.parts
+        ):
+            self._advance(frames * every, Frames(every, needs, take))
             return
+        for number in range(frames):
+            self._advance(every, None)
+            # All parts are at work before the first is waited for.
+            for part in self.model.parts:
+                part.prepare(needs)
+            for part in self.model.parts:
+                take(part, slice(0, part.envs), number)
+
+    def _advance(self, count: int, frames: Frames | None) -> None:
         model = self.model
         self._attach()
         if model.at_start and not self.advised:
             self.advised = True
             for sentence in self.advice():
-                warnings.warn(sentence, ContactWarning, stacklevel=2)
+                warnings.warn(sentence, ContactWarning, stacklevel=3)
         for part in model.parts:
             part.untouched = False
         revisions = tuple(part.revision for part in model.parts)
@@ -276,7 +318,7 @@ class Simulation:
             if self.watch.quarantine != "freeze":
                 some = min(some, CADENCE - self.steps % CADENCE)
             before = [part.elapsed for part in model.parts]
-            for taken in crew.step(some):
+            for taken in crew.step(some, frames):
                 for part, elapsed in zip(model.parts, before, strict=True):
                     part.elapsed = elapsed + taken * self.dt
             done += some
@@ -355,7 +397,7 @@ class Simulation:
         recorder = Recorder(
             self.model, record, frames=frame_count(steps, stride), poses=poses, parameters=parameters
         )
-        recorder.start()
+        recorder.start(self.needs_of_frames(recorder.needs))
         remarks = Remarks(self.model)
         bar_of_run = (
             contextlib.nullcontext(progress)
@@ -398,22 +440,42 @@ class Simulation:
             done: How many of the steps are taken already.
             taken: How many of the frames are.
         """
+        queued = any(device.is_cuda for device in self.model.devices)
         ahead = SHORTEST_PIECE
+        if done == taken * stride:
+            recorder.take(start + done * self.dt)
+            taken += 1
         while True:
-            if done == taken * stride:
-                recorder.take(start + done * self.dt)
-                taken += 1
             yield done
             if done >= steps:
                 return
-            count = min(ahead, taken * stride - done, steps - done)
             begin = time.perf_counter()
-            self.step(count)
+            count = min(ahead, steps - done)
+            every = taken * stride - done
+            if every > count:
+                self.step(count)
+            else:
+                # The first of a piece may be nearer than the others are apart.
+                frames = min(count // stride, max(1, recorder.room)) if every == stride else 1
+                self._record(recorder, frames, every, start, done)
+                count, taken = frames * every, taken + frames
             took = time.perf_counter() - begin
             done += count
             # On a GPU steps are queued, and no time tells how many do.
-            if count == ahead and ahead < LONGEST_PIECE and took < PIECE:
+            if 2 * count > ahead and took < PIECE and not (queued and ahead >= LONGEST_PIECE_QUEUED):
                 ahead *= 2
+            elif took > 2.0 * PIECE and ahead > SHORTEST_PIECE:
+                ahead //= 2
+
+    def _record(self, recorder: Recorder, frames: int, every: int, start: float, done: int) -> None:
+        """Takes ``frames`` times ``every`` steps after the first ``done``, and a frame after each of these."""
+        first = recorder.taken
+
+        def take(part: Model, own: slice, number: int) -> None:
+            recorder.take_slice(part, own, first + number)
+
+        self.step_in_frames(frames, every, recorder.needs, take)
+        recorder.count([start + (done + (number + 1) * every) * self.dt for number in range(frames)])
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"
@@ -423,41 +485,3 @@ def _at_least_one(name: str, value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
         raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
     return int(value)
-
-
-def recorded_steps(duration: float, every: float | None, dt: float) -> tuple[int, int]:
-    """Returns the number of steps of a run, and of those from frame to frame; arguments are those of ``run``."""
-    steps = whole_steps("duration", duration, dt, exact=False)
-    return steps, 1 if every is None else whole_steps("every", every, dt, exact=True)
-
-
-def frame_count(steps: int, stride: int) -> int:
-    """Returns the number of frames of a run, that of the start included."""
-    return steps // stride + 1
-
-
-def whole_steps(name: str, time: float, dt: float, *, exact: bool) -> int:
-    """Returns the number of steps in a time.
-
-    Args:
-        name: What to call it in a message.
-        time: The time [s], positive.
-        dt: The step [s].
-        exact: Whether the time must be a multiple of the step; if not, it is rounded up.
-
-    Raises:
-        ValueError: If ``time`` is not positive, or not a multiple of the step.
-    """
-    value = float(checks.numbers(name, time, (), checks.limits("s", above=0.0)))
-    steps = value / dt
-    nearest = round(steps)
-    # Decimal fractions of a second are not exact; a millionth of a step is far below what anyone means.
-    if nearest >= 1 and abs(steps - nearest) <= 1.0e-6:
-        return nearest
-    if exact:
-        below, above = max(int(steps), 1), int(steps) + 1
-        raise ValueError(
-            f"{name} must be a multiple of dt = {dt:g} s, got {value:g} s; "
-            f"the nearest are {below * dt:g} s and {above * dt:g} s"
-        )
-    return int(steps) + 1

@@ -4,6 +4,7 @@ A step is a list of launches. Where nothing has to be decided on the host they a
 time, and replayed; launches and replays compute the same.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -98,6 +99,28 @@ class Buffers:
 
 
 @dataclass(frozen=True)
+class Frames:
+    """What is to be looked at while steps are taken.
+
+    Attributes:
+        every: Steps from frame to frame.
+        needs: What is computed for each, see ``Reading.needs``.
+        take: Called when it is, by the thread that computed it, with the model, its environments that are there,
+            and the number of the frame, from 0: in any order of environments, one frame after the other.
+    """
+
+    every: int
+    needs: frozenset[str]
+    take: Callable[["Model", slice, int], None]
+
+    def cut(self, done: int, count: int) -> list[int]:
+        """Returns ``count`` steps after the first ``done`` as those from frame to frame."""
+        first = min(self.every - done % self.every, count)
+        whole, rest = divmod(count - first, self.every)
+        return [first, *[self.every] * whole, *([rest] if rest else [])]
+
+
+@dataclass(frozen=True)
 class _Step:
     """The launches of a step from one buffer to the other, and those of a part of it."""
 
@@ -129,6 +152,7 @@ class Slice:
         self, span: Span, integrator: Integrator, buffers: Buffers, *, parts: int, captured: bool
     ) -> None:
         model = span.model
+        self._span = span
         self.envs = span.count
         self.device = model.device
         self._parts = parts
@@ -148,6 +172,7 @@ class Slice:
         self.captured = captured and not divides
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
         self._graphs: dict[int, wp.Graph] = {}
+        self._looks: dict[frozenset[str], list[wp.Launch] | wp.Graph] = {}
 
     def _prepare(self, span: Span, integrator: Integrator, times: Times, state_in: Any, state_out: Any) -> _Step:
         part, divide, resume = [], [], []
@@ -206,6 +231,29 @@ class Slice:
                 self._take(number % 2)
             if count % 2:
                 _launch(self._steps[0].back)
+
+    def ready_look(self, needs: frozenset[str]) -> None:
+        """Prepares, or captures, ``look``. Not while other threads step."""
+        if needs in self._looks:
+            return
+        span = self._span
+        launches = span.model.look(span.first, span.count, needs)
+        if not self.captured or not launches:
+            self._looks[needs] = launches
+            return
+        with capturing(), wp.ScopedCapture(device=self.device) as capture:
+            _launch(launches)
+        self._looks[needs] = capture.graph
+
+    def look(self, frames: Frames, number: int) -> None:
+        """Computes frame ``number`` of its environments and hands it on."""
+        look = self._looks[frames.needs]
+        if isinstance(look, wp.Graph):
+            wp.capture_launch(look)
+        else:
+            with beside_captures():
+                _launch(look)
+        frames.take(self._span.model, slice(self._span.first, self._span.first + self.envs), number)
 
     def _take(self, way: int) -> None:
         """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""

@@ -1,7 +1,7 @@
 """What stepping takes beside the model: a second buffer of the state, and the prepared launches and graphs."""
 
 import ctypes
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any, cast
 
 import warp as wp
@@ -11,6 +11,7 @@ from warpcontact.captures import beside_captures
 from warpcontact.crew import available_threads
 from warpcontact.footprint import Footprint, Need, total
 from warpcontact.integrators import Integrator, SemiImplicitEuler
+from warpcontact.looks import in_parts, look_span, look_stages
 from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.schedule import Span
 from warpcontact.slices import Buffers, Slice
@@ -80,12 +81,13 @@ def stepping_footprint(
     stop: Mapping[str, Stop] | None = None,
     events: Events | None = None,
     quarantine: str = "freeze",
+    looks: Set[str] = frozenset(),
     varied: Collection[str] = (),
 ) -> Footprint:
     """Returns what a ``Simulation`` takes beside the model; the options are those of its class.
 
     ``shares`` are the parts of the model, each with how many environments it has; the parameters ``varied`` are to
-    have a value in each.
+    have a value in each. ``looks`` is what readings need that are recorded meanwhile.
     """
     threads = available_threads() if threads is None else threads
     integrator = SemiImplicitEuler() if integrator is None else integrator
@@ -109,8 +111,11 @@ def stepping_footprint(
         one = Slice(span, integrator, buffers, parts=crossing_steps, captured=graphs)
         size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
         for steps in one.graph_steps:
-            if graph := one.graph(steps):
-                size += GRAPH_BYTES + int(CAPTURED * sum(map(_argument_bytes, graph)))
+            size += _captured_bytes(one.graph(steps))
+        if watch.quarantine == "freeze" and in_parts(part.device, buffers.hard, looks):
+            tally = look_span(_Tally, part, 0, 1, buffers.hard, looks)
+            look = look_stages(tally, looks, part.no_step, None)
+            size += _captured_bytes(look) if one.captured else LAUNCH_BYTES * len(look)
         length = slice_size(part, envs, on_threads, threads)
         # The first environments of each thread make its slice longer.
         longest = slice_size(part, envs, LARGEST_SLICE * threads, threads)
@@ -127,6 +132,11 @@ def stepping_footprint(
             needs.append(buffers.hard.material_need(part.parameters_by_name, envs, varied))
         footprints.append(Footprint(envs, str(part.device), tuple(needs)))
     return total(footprints)
+
+
+def _captured_bytes(launched: list[Any]) -> int:
+    """Returns what a graph of kernels takes; none if there are none."""
+    return GRAPH_BYTES + int(CAPTURED * sum(map(_argument_bytes, launched))) if launched else 0
 
 
 def _argument_bytes(kernel: wp.Kernel) -> int:

@@ -29,9 +29,10 @@ from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.integrators.base import formulas_of
 from warpcontact.model import Model
 from warpcontact.scene import Scene
-from warpcontact.simulation import Simulation, whole_steps
+from warpcontact.simulation import Simulation
 from warpcontact.split_model import SplitModel
 from warpcontact.unilateral.hard_contacts import is_of_hard_contact
+from warpcontact.whole_steps import whole_steps
 
 # Readings that tell most of a coupling.
 _TOLD: dict[type, tuple[str, str]] = {

@@ -26,7 +26,7 @@ from warpcontact.footprint import (
     usable,
 )
 from warpcontact.recorder import Recorder, RecordingSize
-from warpcontact.simulation import frame_count, recorded_steps
+from warpcontact.whole_steps import frame_count, recorded_steps
 
 # Frames are gathered up to this size before they are written [bytes].
 BLOCK = 64 * 2**20
@@ -113,7 +113,11 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
         block = block_of(size, envs, frames)
         writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, block) // 2)
         drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames)) if frames else 0
-        stepping = {"integrator": settings.integrator.make(), "crossing_steps": settings.crossing_steps}
+        stepping = {
+            "integrator": settings.integrator.make(),
+            "crossing_steps": settings.crossing_steps,
+            "looks": size.measured,
+        }
         return draft.memory(envs, design.names, **stepping, **watching(settings)).with_needs(
             [
                 *total(recording(part, own, block) for part, own in draft.shares(envs)).needs,

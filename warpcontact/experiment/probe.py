@@ -7,7 +7,8 @@ from warpcontact.draft import Draft
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.shards import make_simulation
-from warpcontact.simulation import SHORTEST_PIECE, recorded_steps
+from warpcontact.simulation import SHORTEST_PIECE
+from warpcontact.whole_steps import recorded_steps
 
 # How long to step [s], and how many environments: enough for all threads of a machine, or for a GPU.
 SECONDS = 2.0

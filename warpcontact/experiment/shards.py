@@ -27,7 +27,8 @@ from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
 from warpcontact.recorder import Recorder
 from warpcontact.remarks import Remarks
-from warpcontact.simulation import Simulation, frame_count, recorded_steps
+from warpcontact.simulation import Simulation
+from warpcontact.whole_steps import frame_count, recorded_steps
 
 # Of the time of stepping, what checkpoints may take at most: large states are saved less often.
 CHECKPOINT_SHARE = 0.05
@@ -179,7 +180,7 @@ class ShardRunner:
         commit = Commit(shard.number) if commit is None else commit
         self.take(shard)
         recorder = self.recorder()
-        recorder.start()
+        recorder.start(self.simulation.needs_of_frames(recorder.needs))
         if commit.steps:
             commit = self._go_on(shard, commit, recorder)
         self._advise(commit)

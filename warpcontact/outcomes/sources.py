@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from warpcontact.unilateral.hard_contacts import HardContacts
 
 #: What readings may need and still be there in every step.
-IN_STEP = frozenset(("contacts", "bodies", "points", "coordinates"))
+IN_STEP = frozenset(("contacts", "distances", "bodies", "points", "coordinates"))
 #: Those of a contact with a mesh that are not computed where it is known to be far.
 OF_NEAR = frozenset(("gap", "normal", "status", "point"))
 

@@ -96,7 +96,7 @@ class Candidates:
         self.bodies = np.concatenate([np.zeros((0, 2), dtype=int), *bodies])
         table = np.concatenate([np.zeros((0, 4)), *factors])
         self.mu_static, self.mu, self.restitution, self.enabled = table.T
-        self._needs = {"contacts"}
+        self._needs = {"contacts", "distances"}
         if scene.contacts:
             self._needs.add("points")
         if scene.smooth_contacts:

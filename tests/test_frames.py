@@ -1,0 +1,181 @@
+"""Frames: what is looked at while steps go on is what one would see by stopping there, and changes nothing."""
+
+import numpy as np
+import pytest
+from test_schedule import ENVS, SCENES, STATE, start
+
+import warpcontact as wc
+from warpcontact import crew, stepping
+from warpcontact.looks import in_parts
+from warpcontact.model import WITHOUT_CONTACT
+from warpcontact.schedule import Span, force_stages
+
+CONTACT = (*WITHOUT_CONTACT, "gap", "normal", "status")
+NEUTRAL = [key for key in CONTACT if key in WITHOUT_CONTACT]
+pytestmark = pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+
+
+def names_of(model, keys):
+    contacts = [f"{contact.name}.{key}" for contact in model.scene.contacts for key in keys]
+    return [*contacts, *(f"{body.name}.{key}" for body in model.scene.bodies for key in ("force", "torque"))]
+
+
+def simulation(name, device, precision="float32", **options):
+    model = SCENES[name]().build(envs=ENVS, precision=precision, device=device)
+    start(model)
+    return wc.Simulation(model, dt=1e-3, **options)
+
+
+def afresh(model):
+    """Computes contacts with nothing remembered."""
+    span = Span(model, 0, model.envs, cached=False, ordered=True, complete=True)
+    for launch in force_stages(span, model.arrays.state, model.no_step, model.all_active):
+        launch.launch()
+
+
+def assert_equal(model, names, seen):
+    for name, values in zip(names, seen, strict=True):
+        np.testing.assert_array_equal(values, model.measured(name), err_msg=name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("name", SCENES)
+def test_what_is_remembered_changes_no_reading(name, precision, device):
+    sim = simulation(name, device, precision)
+    model = sim.model
+    names = names_of(model, CONTACT)
+    for _ in range(25):
+        sim.step(20)
+        model.evaluate()
+        seen = [model.measured(name) for name in names]
+        afresh(model)
+        assert_equal(model, names, seen)
+
+
+@pytest.mark.parametrize("name", ["box of points on terrain", "latched on a ball", "with memory", "two bodies"])
+def test_forces_alone_are_those_of_a_look_at_everything(name, device):
+    """Where contacts are left out as well: after steps, resets, and moves by hand without a step."""
+    sim = simulation(name, device)
+    model = sim.model
+    names = names_of(model, NEUTRAL)
+
+    def check():
+        model.prepare({"contacts"})
+        seen = [model.measured(name) for name in names]
+        afresh(model)
+        assert_equal(model, names, seen)
+        return any(np.asarray(values).any() for values in seen)
+
+    touched = False
+    for _ in range(25):
+        sim.step(20)
+        touched = check() or touched
+    assert touched
+    deep = model.state.body_position.numpy()
+    model.state.body_position.assign(deep - np.array([0.0, 0.0, 0.02], deep.dtype))
+    check()  # of contacts that history does not know
+    model.state.body_position.assign(deep + np.array([0.0, 0.0, 5.0], deep.dtype))
+    sim.step(2)
+    check()
+    sim.reset(np.arange(ENVS) % 2 == 0)
+    check()
+    sim.reset()
+    check()
+
+
+@pytest.mark.parametrize(("threads", "size", "graphs"), [(1, 128, True), (3, 2, True), (2, 3, False)])
+@pytest.mark.parametrize("name", ["box of points on terrain", "two bodies"])
+def test_frames_are_what_one_sees_by_stopping(name, threads, size, graphs, device, monkeypatch):
+    plain = simulation(name, device)
+    names = [*names_of(plain.model, CONTACT), "body.position", "body.orientation", "body.kinetic_energy"]
+    stopped = simulation(name, device)
+    expected = []
+    for _ in range(30):
+        stopped.step(7)
+        expected.append([stopped.model.reading(key) for key in names])
+
+    monkeypatch.setattr(stepping, "LARGEST_SLICE", size)
+    monkeypatch.setattr(crew, "ALONE", 0)
+    sim = simulation(name, device, threads=threads, graphs=graphs)
+    model = sim.model
+    needs = {need for key in names for need in model.find_reading(key).needs}
+    model.make_measures(needs)
+    sources = [model.readings[key].array(model.arrays) for key in names]
+    results = [np.zeros_like(np.stack([of[k] for of in expected])) for k in range(len(names))]
+    taken = np.zeros(model.envs, dtype=int)
+
+    def take(part, own, number):
+        assert part is model
+        assert (taken[own] == number).all()
+        for source, result in zip(sources, results, strict=True):
+            result[before + number, own] = source.numpy()[own]
+        taken[own] += 1
+
+    before = 0
+    sim.step_in_frames(20, 7, needs, take)
+    before = 20
+    taken[:] = 0
+    sim.step_in_frames(10, 7, needs, take)
+    for k, key in enumerate(names):
+        np.testing.assert_array_equal(results[k], np.stack([of[k] for of in expected]), err_msg=key)
+    # And nothing was changed by looking.
+    plain.step(210)
+    for body in model.scene.bodies:
+        for key in STATE:
+            reading = f"{body.name}.{key}"
+            np.testing.assert_array_equal(model.reading(reading), plain.model.reading(reading), err_msg=reading)
+    assert sim.steps == plain.steps == 210
+
+
+def test_frames_of_what_needs_all_environments_at_once(device):
+    """Hard contacts show their last step in one launch: such frames wait for all slices."""
+    scene = SCENES["two bodies"]()
+    model = scene.build(envs=ENVS, device=device)
+    start(model)
+    sim = wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean(), threads=2)
+    needs = {*model.find_reading("lower.normal_force").needs}
+    assert not in_parts(model.device, model.hard, needs)
+    frames = []
+
+    def take(part, own, number):
+        assert (own.start, own.stop, number) == (0, ENVS, len(frames))
+        frames.append(part.measured("lower.normal_force"))
+
+    sim.step_in_frames(4, 100, needs, take)
+    np.testing.assert_array_equal(frames[-1], model.reading("lower.normal_force"))
+    assert np.max(frames) > 0.0
+
+
+def test_contacts_that_were_hard_show_no_force_when_they_are_not(device):
+    scene = wc.Scene()
+    ground = scene.add_surface(wc.meshes.grid((2, 2), (2, 2)), name="ground")
+    ball = scene.add_body(1.0, (0.1, 0.1, 0.1), position=(0, 0, 0.1), name="ball")
+    law = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, law, radius=0.1, name="touch")
+    model = scene.build(envs=2, device=device)
+    soft = wc.Simulation(model, dt=1e-3)
+    wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean()).step(10)
+    assert (model.reading("touch.normal_force") > 1.0).all()
+    model.state.body_position.assign(np.full((2, 1, 3), (0.0, 0.0, 1.0), dtype=np.float32))
+    soft.step()
+    np.testing.assert_array_equal(model.reading("touch.normal_force"), 0.0)
+
+
+def test_forces_are_none_after_steps_that_remember_nothing_took_a_contact_away(device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    ground = scene.add_surface(wc.meshes.grid((2, 2), (2, 2)), name="ground")
+    ball = scene.add_body(1.0, (0.1, 0.1, 0.1), position=(0, 0, 0.2), name="ball")
+    law = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, law, radius=0.1, name="touch")
+    model = scene.build(envs=2, device=device)
+    sim = wc.Simulation(model, dt=1e-6, distance_cache=False)
+    sim.step()
+    np.testing.assert_array_equal(model.reading("touch.normal_force"), 0.0)
+    start = model.state.body_position.numpy().copy()
+    model.state.body_position.assign(start - np.array([0.0, 0.0, 0.11], dtype=np.float32))
+    sim.step()
+    # As near to where it was seen before as not to move at all.
+    model.state.body_position.assign(start)
+    model.state.body_linear_velocity.zero_()
+    np.testing.assert_array_equal(model.reading("touch.normal_force"), 0.0)

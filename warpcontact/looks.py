@@ -1,0 +1,67 @@
+"""What is launched to look at a state: what readings need, of some environments apart from the others."""
+
+from collections.abc import Set
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from warpcontact.kernels import measures
+from warpcontact.kernels.motions.measures import coordinates
+from warpcontact.of_scene import SMOOTH
+from warpcontact.schedule import Span, force_stages
+
+if TYPE_CHECKING:
+    from warpcontact.unilateral.hard_contacts import HardContacts
+
+#: Needs of readings that tell of surfaces that are far away as well.
+OF_FAR = ("distances", "points", "contact_couplings", *SMOOTH)
+#: Needs that can be computed of some environments apart from the others.
+IN_PARTS = frozenset(("contacts", "distances", "bodies", "points", "coordinates"))
+
+
+def in_parts(device: wp.Device, hard: "HardContacts | None", needs: Set[str]) -> bool:
+    """Whether ``look_stages`` computes all that readings with ``needs`` are of, and nobody waits for a device."""
+    return device.is_cpu and needs <= IN_PARTS and not (hard is not None and shows(needs))
+
+
+def shows(needs: Set[str]) -> bool:
+    """Whether readings with ``needs`` tell of contacts, of which hard ones have to be shown."""
+    return not needs.isdisjoint(("contacts", *OF_FAR))
+
+
+def look_span(
+    kind: type[Span], model: Any, first: int, count: int, hard: "HardContacts | None", needs: Set[str]
+) -> Span:
+    """Returns the environments that are looked at.
+
+    Forces are told of what may touch alone, unless a reading is of what is far away. What is known of distances
+    saves work; on a GPU it is for steps alone.
+    """
+    far, cached = not needs.isdisjoint(OF_FAR), model.device.is_cpu
+    return kind(model, first, count, cached, ordered=True, hard=hard, complete=far or not cached)
+
+
+def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> list[wp.Launch]:
+    """Returns the launches that compute what readings need, of frozen environments too.
+
+    Args:
+        span: The environments.
+        needs: Those of the readings.
+        no_step: A step of 0 for each environment.
+        all_active: The status of an active one for each.
+    """
+    model = span.model
+    a, real = model.arrays, model.types.real
+    launches = []
+    if shows(needs):
+        launches += force_stages(span, a.state, no_step, all_active)
+    if "bodies" in needs:
+        inputs = [all_active, a.model, a.state, a.bodies]
+        launches += span.prepare(measures.bodies(real), model.body_count, inputs)
+    if "points" in needs:
+        inputs = [all_active, a.model, a.state, a.contacts, a.points]
+        launches += span.prepare(measures.points(real), model.contact_count, inputs)
+    if "coordinates" in needs:
+        inputs = [all_active, a.model, a.state, a.coordinates]
+        launches += span.prepare(coordinates(real), model.body_count, inputs)
+    return launches
