@@ -525,7 +525,7 @@ def test_plan_tells_and_runs_nothing(device, tmp_path, capsys, monkeypatch):
         assert part in out
     assert main([*words, "--shard", "100", "--duration", "1"]) == 0
     assert "shards of" in capsys.readouterr().out
-    with_room(monkeypatch, 300 * MIB)
+    with_room(monkeypatch, 120 * MIB)
     assert main([*words, "--envs", "100000"]) == 0
     assert "one after another" in capsys.readouterr().out
     assert main([*words, "--envs", "100000", "--shard", "100000"]) == 1
