@@ -27,6 +27,7 @@ from warpcontact.parameters import Field
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
+    from warpcontact.outcomes.watch import Watch
     from warpcontact.simulation import Simulation
 
 #: Goes up when files of earlier versions can no longer be read as they are.
@@ -88,6 +89,7 @@ def identity(simulation: "Simulation") -> dict[str, Any]:
         "dt": simulation.dt,
         "integrator": repr(simulation.integrator),
         "crossing_steps": simulation.crossing_steps,
+        "watched": _watched(simulation.watch),
         "parameters": list(model),
         "formulas": [
             f"{name}.{part} = {type(formula).__name__}"
@@ -100,6 +102,14 @@ def identity(simulation: "Simulation") -> dict[str, Any]:
             for mesh in surface.meshes
         ],
     }
+
+
+def _watched(watch: "Watch") -> list[str]:
+    """Returns what is watched, in its order and with everything that tells one from another."""
+    named = [*watch.outcomes.items(), *watch.stops.items()]
+    told = [f"{name}: {type(one).__name__} {sorted(vars(one).items())}" for name, one in named]
+    events = [] if watch.events is None else [f"events: {sorted(vars(watch.events).items())}"]
+    return [*told, *events, f"quarantine: {watch.quarantine}"]
 
 
 def state_of(simulation: "Simulation") -> Arrays:
@@ -219,7 +229,7 @@ def _shown(value: Any) -> str:
 
 def _difference(key: str, theirs: Any, own: Any) -> str:
     """Returns in words where two identities differ."""
-    if key in ("parameters", "formulas"):
+    if key in ("parameters", "formulas", "watched"):
         told = [f"it has {one!r}" for one in theirs if one not in own][:1]
         told += [f"has no {one!r}" for one in own if one not in theirs][:1]
         if told:

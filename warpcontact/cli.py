@@ -238,6 +238,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     wp.config.log_level = wp.LOG_ERROR
     from warpcontact.experiment import ExperimentError
     from warpcontact.footprint import MemoryShortage
+    from warpcontact.quarantine import QuarantineError
 
     try:
         experiment = _experiment(arguments)
@@ -253,7 +254,10 @@ def _plan(arguments: argparse.Namespace) -> int:
         _say("measuring")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a run tells
-            print(experiment.probe(device=_device(arguments), shard=plan.shard))
+            try:
+                print(experiment.probe(device=_device(arguments), shard=plan.shard))
+            except QuarantineError as error:
+                return _fail(str(error))
     return 0 if plan.shard else FAILED
 
 
@@ -282,8 +286,14 @@ def _say(stage: str) -> None:
 
 def _blaming_option(arguments: argparse.Namespace, experiment: "Experiment") -> AbstractContextManager[None]:
     """Names the option that is left to be wrong: the size of a shard, or the device."""
-    shard = arguments.shard
-    option = f"--shard {shard}" if shard is not None and shard < 1 else f"--device {arguments.device}"
+    given = vars(arguments)
+    wrong = {
+        "shard": given["shard"] is not None and given["shard"] < 1,
+        "threads": (given.get("threads") or 1) < 1 or given.get("threads") == 0,
+        "checkpoint": not given.get("checkpoint", 0.0) >= 0.0,
+    }
+    option = next((f"--{name} {given[name]}" for name, is_wrong in wrong.items() if is_wrong), None)
+    option = option or f"--device {arguments.device}"
     return _blaming(option, experiment.source)
 
 

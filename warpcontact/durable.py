@@ -33,15 +33,25 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         file.write((json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())
 
 
-def sync(files: Iterable[Path]) -> None:
-    """Waits until files, and the names of them in their folders, are on the disk."""
+def sync(files: Iterable[Path], root: Path) -> None:
+    """Waits until files are on the disk, and the names of them and of all folders from ``root`` on."""
     folders: set[Path] = set()
     for path in files:
         with path.open("rb") as file:
             os.fsync(file.fileno())
-        folders.add(path.parent)
+        folders |= _up_to(path.parent, root)
     for folder in sorted(folders):
         sync_folder(folder)
+
+
+def sync_names(folders: Iterable[Path], root: Path) -> None:
+    """Waits until the names in folders, and in all above them up to ``root``, are on the disk."""
+    for folder in sorted({one for given in folders for one in _up_to(given, root)}):
+        sync_folder(folder)
+
+
+def _up_to(folder: Path, root: Path) -> set[Path]:
+    return {folder, *(one for one in folder.parents if one == root or root in one.parents)}
 
 
 def sync_folder(folder: Path) -> None:

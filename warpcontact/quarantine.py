@@ -59,6 +59,9 @@ class QuarantineError(RuntimeError):
         others = f", and {count - 1} more" if count > 1 else ""
         super().__init__(f"environment {env} failed at {time:g} s: {cause.name}{others}")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.env, self.time, self.cause, self.count)
+
 
 def raise_failed(model: "Environments") -> None:
     """Raises for the first to fail by its clock, and of those at one time the first in order.

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, Bar, told
-from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError
+from warpcontact.experiment.store import Commit, Shard, StoreError
+from warpcontact.quarantine import QuarantineError
 
 if TYPE_CHECKING:
     from warpcontact.experiment.execute import Job, Runs
@@ -53,7 +54,8 @@ class Place:
         """Returns what runs shards of ``job`` as tasks."""
         # A worker sees the GPUs that it was given, and no other.
         where = ("cuda:0" if device in ("auto", "cuda") else device) if self.gpus else "cpu"
-        task = self.ray.remote(num_cpus=self.cores, num_gpus=self.gpus, max_retries=0)(run_shard)
+        gpus = 0 if device == "cpu" else self.gpus
+        task = self.ray.remote(num_cpus=self.cores, num_gpus=gpus, max_retries=0)(run_shard)
 
         def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> dict[str, str]:
             folder = str(job.folder.resolve())
@@ -131,11 +133,10 @@ class _Tasks:
                 self._tell()
                 for reference in done:
                     shard = self.running.pop(reference)
-                    message = self._message(reference)
+                    message = self._message(reference, shard)
                     if message is None:
-                        commit = Ledger(self.folder).commits()[shard.number]
-                        self.bar.finish(shard, commit.frozen)
-                    elif self.tries[shard.number] < ATTEMPTS:
+                        continue
+                    if self.tries[shard.number] < ATTEMPTS:
                         warnings.warn(f"{shard.name} is tried again: {message}", RuntimeWarning, stacklevel=2)
                         self._submit(shard)
                     else:
@@ -149,23 +150,27 @@ class _Tasks:
         self.tries[shard.number] += 1
         self.running[self.task.remote(shard.number, *self.words)] = shard
 
-    def _message(self, reference: Any) -> str | None:
-        """Returns why a task failed; ``None``: it did not.
+    def _message(self, reference: Any, shard: Shard) -> str | None:
+        """Returns why the task of a shard failed; ``None``: it did not, and what it has to say is said.
 
         Raises:
             OSError: If results cannot be written: a full disk is full for all.
             StoreError: If what was committed was changed.
+            QuarantineError: If an environment failed, and the policy is to raise.
         """
         try:
-            self.ray.get(reference)
-            return None
+            frozen, sentences = self.ray.get(reference)
         except self.ray.exceptions.RayTaskError as error:
             cause = error.cause
-            if isinstance(cause, OSError | StoreError):
+            if isinstance(cause, OSError | StoreError | QuarantineError):
                 raise cause from None
             return f"{type(cause).__name__}: {cause}"
         except self.ray.exceptions.RayError as error:
             return f"its worker was lost: {str(error).splitlines()[0]}"
+        for sentence in sentences:
+            warnings.warn(sentence, RuntimeWarning, stacklevel=4)
+        self.bar.finish(shard, frozen)
+        return None
 
     def _tell(self) -> None:
         shards = {shard.number: shard for shard in self.running.values()}
@@ -185,11 +190,15 @@ class _Tasks:
 
 
 #: What runs the shards of a folder in this process, which may be given several.
-_RUNNERS: dict[tuple[str, str], "ShardRunner"] = {}
+_RUNNERS: dict[tuple[str, str, str, int, float], "ShardRunner"] = {}
 
 
-def run_shard(number: int, folder: str, device: str, threads: int, every: float) -> None:
-    """Runs a shard of the run in a folder, in a worker."""
+def run_shard(number: int, folder: str, device: str, threads: int, every: float) -> tuple[int, list[str]]:
+    """Runs a shard of the run in a folder, in a worker.
+
+    Returns:
+        How many of its environments are frozen, and what was warned of.
+    """
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
@@ -197,10 +206,9 @@ def run_shard(number: int, folder: str, device: str, threads: int, every: float)
 
     path = Path(folder)
     summary = read_summary(path) or {}
-    key = (folder, str(summary.get("started")))
-    # Who started the run has seen the warnings.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    key = (folder, str(summary.get("started")), device, threads, every)
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
         if key not in _RUNNERS:
             _RUNNERS.clear()
             _RUNNERS[key] = _runner(path, summary, device, threads, every)
@@ -208,7 +216,9 @@ def run_shard(number: int, folder: str, device: str, threads: int, every: float)
         shard = shards_of(summary["envs"], summary["shard"])[number]
         commit = runner.ledger.commits().get(number)
         runner.ledger.recover(shard, commit or Commit(number))
-        runner.run(shard, commit)
+        ended = runner.run(shard, commit)
+    kinds = UserWarning | RuntimeWarning
+    return ended.frozen, [str(one.message) for one in heard if issubclass(one.category, kinds)]
 
 
 def _runner(folder: Path, summary: Mapping[str, Any], device: str, threads: int, every: float) -> "ShardRunner":

@@ -94,7 +94,7 @@ class Drawn:
 
     def values(self, units: Array, normals: Mapping[int, Array]) -> Array:
         """Returns values (n, …) of numbers (n, columns), in place of which correlated ``normals`` may be."""
-        if self.column in normals:
+        if len(self.numbers) and self.column in normals:
             return self.marginal.of_normals(normals[self.column])
         own = np.full((len(units), int(np.prod(self.shape))), 0.5)
         own[:, self.numbers] = units[:, self.column : self.column + len(self.numbers)]

@@ -162,25 +162,35 @@ def _proceed(job: Job, run_shards: Runs) -> Run:
         "process": os.getpid(),
         "host": platform.node(),
     }
-    summary.pop("failed", None)
+    for key in ("failed", "error"):
+        summary.pop(key, None)
+    before = summary.get("warnings", [])
+
+    def warned() -> list[str]:
+        """Returns the warnings of this attempt and of those before."""
+        return list(dict.fromkeys([*before, *job.notices.lines]))
+
     files_of.write_summary(folder, summary)
     shards = job.shards
     for shard in shards:
         ledger.recover(shard, commits.get(shard.number, Commit(shard.number)))
     left = [shard for shard in shards if not _is_finished(commits, shard)]
-    frozen = sum(commit.frozen for commit in commits.values() if commit.finished)
     try:
         with Bar(job.plan.envs, job.frames.steps, len(shards), job.progress) as bar:
-            bar.begin(sum(shard.envs for shard in shards if _is_finished(commits, shard)), frozen)
+            bar.begin(shards, commits)
             failed = run_shards(left, commits, bar)
-    except KeyboardInterrupt:
-        files_of.write_summary(folder, summary | {"state": files_of.INTERRUPTED, "warnings": job.notices.lines})
+    except BaseException as error:
+        stopped = isinstance(error, KeyboardInterrupt)
+        told = {"state": files_of.INTERRUPTED} if stopped else {"state": files_of.FAILED, "error": str(error)}
+        # Where there is no room for it, the commits say what there is.
+        with contextlib.suppress(OSError):
+            files_of.write_summary(folder, summary | told | {"warnings": warned()})
         raise
     if failed:
-        summary |= {"state": files_of.FAILED, "failed": failed, "warnings": job.notices.lines}
+        summary |= {"state": files_of.FAILED, "failed": failed, "warnings": warned()}
         files_of.write_summary(folder, summary)
         return open_run(folder)
-    return _end(job, summary)
+    return _end(job, summary, warned)
 
 
 @contextlib.contextmanager
@@ -224,7 +234,7 @@ def attempt(runner: ShardRunner, shard: Shard, commit: Commit | None, bar: Bar, 
     """
     for number in range(ATTEMPTS):
         try:
-            ended = runner.run(shard, commit, lambda done: bar.update(shard, done))
+            ended = runner.run(shard, commit, lambda done, frozen: bar.update(shard, done, frozen))
             bar.finish(shard, ended.frozen)
             return None
         except (KeyboardInterrupt, StoreError, QuarantineError):
@@ -278,28 +288,36 @@ def _first_summary(model: Environments, job: Job) -> dict[str, Any]:
     }
 
 
-def _end(job: Job, summary: dict[str, Any]) -> Run:
-    """Writes what shows the results, and that the run is finished."""
+def _end(job: Job, summary: dict[str, Any], warned: Callable[[], list[str]]) -> Run:
+    """Writes that the run is finished, and what shows the results."""
     folder = job.folder
     commits = Ledger(folder).commits()
     wall_time = sum(commit.wall_time for commit in commits.values())
     run = Run(folder, summary, job.scene)
-    job.say("writing")
-    _show(run, job)
     health = run.health
     if not health.good:
-        warnings.warn(str(health), RuntimeWarning, stacklevel=3)
+        warnings.warn(str(health), RuntimeWarning, stacklevel=4)
     summary = summary | {
         "state": files_of.FINISHED,
         "wall_time": wall_time,
         "env_steps_per_second": summary["envs"] * summary["steps"] / max(wall_time, 1.0e-9),
         "frozen_environments": health.frozen.tolist(),
         "contact_couplings": {report.name: str(report).split("\n") for report in run.reports},
-        "warnings": job.notices.lines,
+        "warnings": warned(),
     }
     files_of.write_summary(folder, summary)
     files_of.remove_parts(folder)
-    return Run(folder, summary, job.scene)
+    job.say("writing")
+    run = Run(folder, summary, job.scene)
+    try:
+        _show(run, job)
+    except Exception as error:
+        # The results are whole without it.
+        warnings.warn(f"no picture or animation of the results: {error}", RuntimeWarning, stacklevel=4)
+    if warned() != summary["warnings"]:
+        summary["warnings"] = warned()
+        files_of.write_summary(folder, summary)
+    return run
 
 
 def _show(run: Run, job: Job) -> None:

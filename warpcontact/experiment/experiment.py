@@ -207,6 +207,7 @@ class Experiment:
             OSError: If the results cannot be written; what was committed is kept.
         """
         _check_shard(shard, self.source)
+        _check_pace(threads, checkpoint, self.source)
         folder, experiment = Path(out), self.changed(envs=envs, duration=duration)
         copy = files_of.copied(experiment.settings, experiment.folder, folder, experiment._own)
         summary = files_of.check_started(folder) if resume else None
@@ -386,6 +387,16 @@ def _check_shard(shard: object, source: str) -> None:
     whole = isinstance(shard, int) and not isinstance(shard, bool)
     if shard is not None and not (whole and shard >= 1):  # type: ignore[operator]
         raise ExperimentError(source, [f"shard must be a whole number of at least 1, got {shard!r}"])
+
+
+def _check_pace(threads: object, checkpoint: object, source: str) -> None:
+    """Raises ``ExperimentError`` unless these are a number of threads, and a time between checkpoints."""
+    whole = isinstance(threads, int) and not isinstance(threads, bool)
+    if threads is not None and not (whole and threads >= 1):  # type: ignore[operator]
+        raise ExperimentError(source, [f"threads must be a whole number of at least 1, got {threads!r}"])
+    number = isinstance(checkpoint, int | float) and not isinstance(checkpoint, bool)
+    if not (number and checkpoint >= 0.0):  # type: ignore[operator]
+        raise ExperimentError(source, [f"checkpoint must be a time of at least 0 s, got {checkpoint!r}"])
 
 
 def _say_nothing(stage: str) -> None:

@@ -81,7 +81,7 @@ def check_new(folder: Path, overwrite: bool, files: Mapping[str, bytes]) -> None
             str(folder), ["is not empty, and what is in it is no earlier run; choose a new folder"]
         )
     _check_idle(folder, summary)
-    if not overwrite and (summary.get("state") not in (UNFINISHED, INTERRUPTED) or _has_commits(folder)):
+    if not overwrite and (summary.get("state") not in (UNFINISHED, INTERRUPTED, FAILED) or _has_commits(folder)):
         kind = "an earlier run" if summary.get("state") == FINISHED else "a run that did not finish"
         resume = "" if summary.get("state") == FINISHED else ", or go on with it (--resume)"
         raise ExperimentError(

@@ -4,13 +4,13 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from warpcontact.experiment.folder import PROGRESS
-from warpcontact.experiment.store import Shard
+from warpcontact.experiment.store import Commit, Shard
 
 # Between two looks [s].
 INTERVAL = 1.0
@@ -42,32 +42,37 @@ class Bar:
         self._steps = steps
         self._done: dict[int, int] = {}
         self._finished = 0
-        self._frozen = 0
+        self._frozen: dict[int, int] = {}
 
-    def begin(self, finished: int, frozen: int) -> None:
-        """Tells of what was finished before."""
-        self._finished, self._frozen = finished, frozen
-        self._bar.initial = finished * self._steps
-        self._bar.n = self._bar.initial
+    def begin(self, shards: Iterable[Shard], commits: Mapping[int, Commit]) -> None:
+        """Tells of what was committed before."""
+        done = 0
+        for shard in shards:
+            commit = commits.get(shard.number)
+            if commit is not None:
+                self._done[shard.number] = commit.steps
+                self._frozen[shard.number] = commit.frozen
+                self._finished += shard.envs * commit.finished
+                done += shard.envs * commit.steps
+        self._bar.initial = self._bar.n = done
         self._tell()
 
-    def update(self, shard: Shard, steps: int) -> None:
-        """Tells how many steps of a shard are done."""
+    def update(self, shard: Shard, steps: int, frozen: int = 0) -> None:
+        """Tells how many steps of a shard are done, and how many of its environments are frozen."""
         before = self._done.get(shard.number, 0)
-        self._done[shard.number] = steps
+        self._done[shard.number], self._frozen[shard.number] = steps, frozen
+        self._tell()
         self._bar.update(shard.envs * (steps - before))
 
     def finish(self, shard: Shard, frozen: int) -> None:
         """Tells that a shard is finished, with so many frozen environments."""
-        self.update(shard, self._steps)
         self._finished += shard.envs
-        self._frozen += frozen
-        self._tell()
+        self.update(shard, self._steps, frozen)
 
     def _tell(self) -> None:
         told = {"finished": f"{self._finished}/{self._envs}"}
-        if self._frozen:
-            told["frozen"] = str(self._frozen)
+        if frozen := sum(self._frozen.values()):
+            told["frozen"] = str(frozen)
         self._bar.set_postfix(told, refresh=False)
 
     def __enter__(self) -> "Bar":
@@ -86,17 +91,18 @@ class Beacon:
         self._path = folder / PROGRESS / f"{shard.name}.json"
         self._last = 0.0
 
-    def tell(self, steps: int) -> None:
-        """Tells how many steps are done."""
+    def tell(self, steps: int) -> bool:
+        """Tells how many steps are done; returns whether it was time to."""
         now = time.monotonic()
         if now - self._last < INTERVAL:
-            return
+            return False
         self._last = now
         # It is nobody's loss if it cannot be told.
         with contextlib.suppress(OSError):
             partial = self._path.with_suffix(".partial")
             partial.write_text(json.dumps({"steps": steps, "time": time.time(), "process": os.getpid()}))
             partial.replace(self._path)
+        return True
 
     def remove(self) -> None:
         """Removes the file."""
@@ -106,5 +112,8 @@ class Beacon:
 def told(folder: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     """Iterates over the shards that tell of themselves, by number."""
     for path in sorted((folder / PROGRESS).glob("shard_*.json")):
-        with contextlib.suppress(OSError, ValueError, KeyError):
-            yield int(path.stem.rpartition("_")[2]), json.loads(path.read_bytes())
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            content = json.loads(path.read_bytes())
+            number = int(path.stem.rpartition("_")[2])
+            found = {"steps": int(content["steps"]), "time": float(content["time"])}
+            yield number, found

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from warpcontact.contact_coupling_report import CouplingReport, report_of
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.errors import ExperimentError, shown
-from warpcontact.experiment.records import COMMITS, DATA, GROUPS, StoreError
+from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, StoreError
 from warpcontact.experiment.store import CHUNK, ORDER, Ledger, Shard, shards_of
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
@@ -61,6 +61,11 @@ class Run:
     def settings(self) -> "Settings":
         """All settings of the experiment."""
         return self.experiment.settings
+
+    @functools.cached_property
+    def _commits(self) -> dict[int, Commit]:
+        """What is committed, as of when it was first asked for: all data sets are of the same moment."""
+        return Ledger(self.folder).commits()
 
     @property
     def finished(self) -> bool:
@@ -118,7 +123,8 @@ class Run:
     @property
     def reports(self) -> tuple[CouplingReport, ...]:
         """How close contact couplings came, and over which area."""
-        return tuple(report_of(one, self.outcome, self.params) for one in self.scene.contact_couplings)
+        parameters = self.params.sel(env=self.outcome["env"])
+        return tuple(report_of(one, self.outcome, parameters) for one in self.scene.contact_couplings)
 
     @property
     def files(self) -> dict[str, Path]:
@@ -210,7 +216,9 @@ class Run:
             raise ValueError(f"{self.folder}: the run recorded {what}")
         from warpcontact.experiment.committed import CommittedStore
 
-        data = xr.open_zarr(CommittedStore(self.folder / DATA), group=name, consolidated=False, chunks=None)
+        data = xr.open_zarr(
+            CommittedStore(self.folder / DATA, commits=self._commits), group=name, consolidated=False, chunks=None
+        )
         order = data.attrs.pop(ORDER, None)
         if not isinstance(order, list) or set(order) != set(data.data_vars):
             raise StoreError(f"{self.folder / DATA / name}: must have the variables {order}, has {list(data)}")
@@ -219,9 +227,8 @@ class Run:
     def _mask(self, *, finished: bool) -> NDArray[np.bool_]:
         """Returns which environments are finished, or begun (env,)."""
         mask = np.zeros(self.summary["envs"], dtype=bool)
-        commits = Ledger(self.folder).commits()
         for shard in self.shards:
-            commit = commits.get(shard.number)
+            commit = self._commits.get(shard.number)
             mask[shard.first : shard.stop] = commit is not None and (commit.finished or not finished)
         return mask
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -163,13 +164,16 @@ class ShardRunner:
         """Returns the events (env, event); ``None``: none were asked for."""
         return None if self.settings.events is None else self.simulation.events()
 
-    def run(self, shard: Shard, commit: Commit | None, progress: Callable[[int], None] | None = None) -> Commit:
+    def run(
+        self, shard: Shard, commit: Commit | None, progress: Callable[[int, int], None] | None = None
+    ) -> Commit:
         """Runs ``shard``, from its last commit on if there is one.
 
         Args:
             shard: The shard.
             commit: Its record; ``None``: it has none.
-            progress: Called with how many steps are done, by all its environments.
+            progress: Called once in a while with how many steps are done, by all its environments, and how many
+                of these are frozen.
 
         Returns:
             Its record, which says that it is finished.
@@ -181,20 +185,24 @@ class ShardRunner:
         self.take(shard)
         recorder = self.recorder()
         recorder.start(self.simulation.needs_of_frames(recorder.needs))
+        # Of all that comes after the start, also of what was before a checkpoint.
+        remarks = Remarks(self.model)
         if commit.steps:
             commit = self._go_on(shard, commit, recorder)
         self._advise(commit)
-        attempt = _Attempt(self, shard, commit, recorder, self.ledger.staging(shard))
+        attempt = _Attempt(self, shard, commit, recorder, self.ledger.staging(shard), remarks)
         beacon = Beacon(self.folder, shard)
 
         def tell(done: int) -> None:
-            beacon.tell(done)
-            if progress is not None:
-                progress(done)
+            if beacon.tell(done) and progress is not None:
+                progress(done, self.frozen(shard))
 
         try:
             with interruptions() as asked:
-                return attempt.run(asked, tell)
+                done = attempt.run(asked, tell)
+                if asked.to_stop:
+                    raise Interrupted
+                return done
         finally:
             beacon.remove()
 
@@ -202,7 +210,10 @@ class ShardRunner:
         """Puts the model where ``commit`` left it; from the start where its checkpoint does not fit."""
         path = self.folder / CHECKPOINTS / str(commit.checkpoint)
         try:
-            arrays, _ = checkpoint.read(path)
+            arrays, header = checkpoint.read(path)
+            own = self.origin(shard, commit.steps)
+            if theirs := {key: header.get(key) for key in own if header.get(key) != own[key]}:
+                raise checkpoint.CheckpointError(f"{path}: is of {theirs}, and not of {own}")
             frames = {key.removeprefix("frame/"): a for key, a in arrays.items() if key.startswith("frame/")}
             times = arrays.get("times", np.zeros(0))
             self._check_pending(commit, frames, times, recorder)
@@ -213,6 +224,15 @@ class ShardRunner:
             return Commit(shard.number, wall_time=commit.wall_time)
         recorder.go_on_from(frames, times)
         return commit
+
+    def frozen(self, shard: Shard) -> int:
+        """Returns how many environments of ``shard`` are frozen now."""
+        return int((self.model.health().frozen < shard.envs).sum())
+
+    def origin(self, shard: Shard, steps: int) -> dict[str, Any]:
+        """Returns what a checkpoint says of where it comes from, and has to agree in with who goes on from it."""
+        kinds = ["cuda" if device.is_cuda else "cpu" for device in self.model.devices]
+        return {"shard": shard.number, "steps": steps, "devices": kinds, "warp": wp.config.version}
 
     def _check_pending(
         self, commit: Commit, frames: Mapping[str, Any], times: NDArray[Any], recorder: Recorder
@@ -243,14 +263,20 @@ class _Attempt:
     """One attempt to run a shard to its end."""
 
     def __init__(
-        self, runner: ShardRunner, shard: Shard, commit: Commit, recorder: Recorder, staging: Staging
+        self,
+        runner: ShardRunner,
+        shard: Shard,
+        commit: Commit,
+        recorder: Recorder,
+        staging: Staging,
+        remarks: Remarks,
     ) -> None:
         self.runner = runner
         self.shard = shard
         self.commit = commit
         self.recorder = recorder
         self.staging = staging
-        self.remarks = Remarks(runner.model)
+        self.remarks = remarks
         self.started = time.perf_counter()
         self.spent = commit.wall_time
         self.last = self.started
@@ -297,14 +323,14 @@ class _Attempt:
         pending = self.recorder.taken if self.runner.frames.count else 0
         arrays |= {f"frame/{key}": values[:pending] for key, values in self.recorder.frames().items()}
         arrays["times"] = self.recorder.times[:pending]
-        checkpoint.write(self.runner.folder / CHECKPOINTS / name, arrays, {"shard": self.shard.number})
+        checkpoint.write(self.runner.folder / CHECKPOINTS / name, arrays, self.runner.origin(self.shard, done))
         self.commit.steps, self.commit.checkpoint = done, name
         self._commit()
         self.last = time.perf_counter()
         self.took = self.last - begin
 
     def _finish(self) -> Commit:
-        runner, model = self.runner, self.runner.model
+        runner = self.runner
         if runner.frames.count and self.recorder.taken:
             self._write_block()
         self.staging.write("outcome", runner.outcome())
@@ -313,8 +339,7 @@ class _Attempt:
             self.staging.write("events", events)
         for sentence in self.remarks.new():
             warnings.warn(sentence, RuntimeWarning, stacklevel=4)
-        frozen = model.health().frozen
-        self.commit.frozen = int((frozen < self.shard.envs).sum())
+        self.commit.frozen = runner.frozen(self.shard)
         self.commit.steps, self.commit.checkpoint, self.commit.finished = runner.frames.steps, None, True
         self._commit()
         self.staging.remove()
@@ -352,16 +377,18 @@ def interruptions() -> Iterator[Asked]:
     if threading.current_thread() is not threading.main_thread():
         yield asked
         return
-    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    # What nobody hears is not to be heard here.
+    usual = {
+        number: handler
+        for number in (signal.SIGINT, signal.SIGTERM)
+        if (handler := signal.getsignal(number)) not in (None, signal.SIG_IGN)
+    }
 
     def note(number: int, _: Any) -> None:
         asked.to_stop = True
         for one, handler in usual.items():
             signal.signal(one, handler)
 
-    if not callable(usual[signal.SIGINT]):
-        yield asked
-        return
     for number in usual:
         signal.signal(number, note)
     try:

@@ -23,7 +23,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.durable import PARTIAL, sync, sync_folder, write_json
+from warpcontact.durable import PARTIAL, sync, sync_folder, sync_names, write_json
 from warpcontact.experiment.records import (
     COMMITS,
     DATA,
@@ -42,6 +42,9 @@ CHECKPOINTS = "checkpoint"
 
 #: Attribute of a group: its variables, in their order.
 ORDER = "variables"
+
+# A piece may be so many times smaller than that for being a part of a shard.
+FAR = 8
 
 # Arrays are stored in pieces of about this size [bytes].
 CHUNK = 16 * 2**20
@@ -116,11 +119,9 @@ def create(
         for key, variable in template.data_vars.items():
             _create_array(group, str(key), variable, sizes, template.sizes["env"], block)
     files = [one for one in partial.rglob("*") if one.is_file()]
-    sync(files)
+    sync(files, partial)
     names = sorted(one.relative_to(partial).as_posix() for one in files)
     write_json(path.parent / COMMITS / MADE, {"files": measured(partial, names)})
-    for folder in (partial, *(one for one in partial.rglob("*") if one.is_dir())):
-        sync_folder(folder)
     partial.rename(path)
     sync_folder(path.parent)
 
@@ -152,8 +153,11 @@ def empty_value(dtype: np.dtype[Any]) -> Any:
 
 
 def largest_part(envs: int, most: int) -> int:
-    """Returns the largest divisor of ``envs`` that is at most ``most``."""
-    return next(part for part in range(min(most, envs), 0, -1) if envs % part == 0)
+    """Returns the largest divisor of ``envs`` up to ``most``; where all are far smaller, the next larger one."""
+    parts = [part for part in range(1, envs + 1) if envs % part == 0]
+    largest = max(part for part in parts if part <= max(1, most))
+    # Of a prime number the others are 1 and the whole.
+    return largest if largest >= min(envs, most) / FAR else next(part for part in parts if part > most)
 
 
 class Ledger:
@@ -188,7 +192,7 @@ class Ledger:
         """
         root = self.folder / STAGING / shard.name
         staged = sorted(staged)
-        sync(root / name for name in staged)
+        sync((root / name for name in staged), self.folder / STAGING)
         commit.files |= measured(root, staged)
         write_json(self.folder / COMMITS / f"{shard.name}.json", asdict(commit))
         self._publish(shard, staged)
@@ -210,8 +214,7 @@ class Ledger:
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             (root / name).replace(target / name)
             folders.add((target / name).parent)
-        for folder in sorted(folders):
-            sync_folder(folder)
+        sync_names(folders, target)
 
     def _drop_checkpoints(self, shard: Shard, commit: Commit) -> None:
         for path in (self.folder / CHECKPOINTS).glob(f"{shard.name}-*"):
