@@ -208,3 +208,26 @@ def test_a_file_is_replaced_as_a_whole(device, tmp_path, monkeypatch):
         sim.save(path)
     assert path.read_bytes() == before
     assert [one.name for one in tmp_path.iterdir()] == ["state.npz"]
+
+
+@pytest.mark.parametrize(
+    "watched",
+    [
+        {"outcomes": {"far": wc.outcomes.Max("box.position", component="x")}},
+        {"outcomes": {"far": wc.outcomes.Min("box.position", component="z")}},
+        {"outcomes": {"high": wc.outcomes.Max("box.position", component="z")}},
+        {"quarantine": "reset"},
+    ],
+)
+def test_what_watches_something_else_is_refused(watched, device, tmp_path):
+    given = {"outcomes": {"far": wc.outcomes.Max("box.position", component="z")}}
+    sim = simulation("impulses", device, **given)
+    sim.step(5)
+    sim.save(tmp_path / "state.npz")
+    again = simulation("impulses", device, **given)
+    again.load(tmp_path / "state.npz")
+    assert again.outcomes().identical(sim.outcomes())
+    with pytest.raises(
+        wc.CheckpointError, match=r"another simulation: watched: it has .(far: Max|quarantine: fr)"
+    ):
+        simulation("impulses", device, **(given | watched)).load(tmp_path / "state.npz")

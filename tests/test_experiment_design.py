@@ -334,3 +334,19 @@ def test_written_experiment_draws_the_same(device, tmp_path):
     assert again.settings.sampling.method == "sobol"
     for name, values in first.design.rows(0, 4).items():
         np.testing.assert_array_equal(again.design.rows(0, 4)[name], values)
+
+
+@pytest.mark.parametrize("method", ["latin_hypercube", "sobol"])
+def test_what_does_not_differ_stays_beside_what_is_correlated(method):
+    variation = {
+        "ball.position": {"uniform": [[0, 0, 1], [0, 0, 1]]},  # which takes no column
+        "ball.mass": {"lognormal": [0.0, 0.2]},
+        "touch.law.stiffness": {"lognormal": [9.0, 0.1]},
+    }
+    names = ["ball.mass", "touch.law.stiffness"]
+    rows = design(variation, 4096, method, correlation=[{"names": names, "matrix": [[1, 0.8], [0.8, 1]]}]).rows(
+        0, 4096
+    )
+    assert (rows["ball.position"] == [0, 0, 1]).all()
+    found = np.corrcoef(np.log(rows["ball.mass"]), np.log(rows["touch.law.stiffness"]))[0, 1]
+    assert found == pytest.approx(0.8, abs=0.03)  # of 4096 pairs, by more than five deviations

@@ -1,6 +1,8 @@
 """An experiment that does not fit at once runs in shards, and leaves the same results."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +17,7 @@ from test_memory_plan import MIB, with_room
 import warpcontact as wc
 from warpcontact import available
 from warpcontact.draft import Draft
+from warpcontact.experiment import shards, store
 from warpcontact.experiment.plan import shard_size
 from warpcontact.experiment.shards import ShardRunner
 from warpcontact.footprint import Need
@@ -333,3 +336,63 @@ def test_the_plan_of_an_experiment_is_what_its_run_takes(shard, tmp_path):
     assert result.returncode == 0, result.stderr
     took, planned = map(int, result.stdout.split()[-2:])
     assert planned == pytest.approx(took, rel=0.15)
+
+
+def test_who_asks_to_stop_at_the_end_of_a_shard_is_heard(device, tmp_path, monkeypatch):
+    """Where a shard takes no time, nearly every Ctrl-C comes between the last look and the commit."""
+    finish = shards._Attempt._finish
+    finished = []
+
+    def interrupted(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        finished.append(self.shard.number)
+        return finish(self)
+
+    monkeypatch.setattr(shards._Attempt, "_finish", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        wc.Experiment(content(envs=6)).run(tmp_path, device=device, shard=2)
+    assert finished == [0]
+    monkeypatch.undo()
+    assert wc.open_run(tmp_path).outcome["env"].values.tolist() == [0, 1]
+    assert wc.Experiment(content(envs=6)).run(tmp_path, device=device, resume=True).finished
+
+
+def test_an_error_ends_a_run_that_goes_on_later(device, tmp_path, monkeypatch):
+    run = ShardRunner.run
+
+    def fails(self, shard, *args):
+        if shard.first == 2:
+            raise OSError(28, "No space left on device")
+        return run(self, shard, *args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ShardRunner, "run", fails)
+        with pytest.raises(OSError, match="No space left"):
+            wc.Experiment(content(envs=6)).run(tmp_path, device=device, shard=2)
+    # In the same process, which is alive.
+    kept = wc.open_run(tmp_path)
+    assert kept.summary["state"] == "failed"
+    assert "No space left" in kept.summary["error"]
+    resumed = wc.Experiment(content(envs=6)).run(tmp_path, device=device, resume=True)
+    assert resumed.finished
+    assert "error" not in resumed.summary
+
+
+def test_results_that_nobody_committed_count_for_nothing(device, tmp_path):
+    experiment = wc.Experiment(
+        content(outcome={"never": {"type": "FirstTime", "of": "touch.normal_force", "above": 1e9}})
+    )
+    run = experiment.run(tmp_path, device=device)
+    assert np.isnan(run.outcome["never"]).all()  # of which no chunk is written
+    zarr.open_group(run.files["data"], path="outcome", mode="r+")["never"][:] = 1.25
+    again = wc.open_run(tmp_path, verify=True)
+    assert np.isnan(again.outcome["never"]).all()
+    assert again.digest() == run.digest()
+
+
+def test_pieces_of_a_prime_number_of_environments_are_few():
+    assert store.largest_part(1000, 300) == 250
+    assert store.largest_part(997, 500) == 997
+    assert store.largest_part(2 * 997, 500) == 997
+    assert store.largest_part(7, 100) == 7
+    assert store.largest_part(7, 0) == 1
