@@ -34,11 +34,11 @@ def look_span(
 ) -> Span:
     """Returns the environments that are looked at.
 
-    Forces are told of what may touch alone, unless a reading is of what is far away. What is known of distances
-    saves work; on a GPU it is for steps alone.
+    Forces are told of what may touch alone, unless a reading is of what is far away: that is searched for anew,
+    to the last digit. What is known of distances saves work where it is for forces; on a GPU it is for steps alone.
     """
-    far, cached = not needs.isdisjoint(OF_FAR), model.device.is_cpu
-    return kind(model, first, count, cached, ordered=True, hard=hard, complete=far or not cached)
+    cached = model.device.is_cpu and needs.isdisjoint(OF_FAR)
+    return kind(model, first, count, cached, ordered=True, hard=hard, complete=not cached)
 
 
 def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> list[wp.Launch]:
