@@ -35,7 +35,7 @@ def look_span(
     """Returns the environments that are looked at.
 
     Forces are told of what may touch alone, unless a reading is of what is far away: that is searched for anew,
-    to the last digit. What is known of distances saves work where it is for forces; on a GPU it is for steps alone.
+    to the last digit. What is known of distances saves work for forces; on a GPU it does for steps alone.
     """
     cached = model.device.is_cpu and needs.isdisjoint(OF_FAR)
     return kind(model, first, count, cached, ordered=True, hard=hard, complete=not cached)
