@@ -6,6 +6,7 @@ random or a coordinate of a design.
 
 import functools
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -28,12 +29,12 @@ def inside(units: Array) -> Array:
     return np.clip(units, SMALLEST, LARGEST)
 
 
-class Marginal:
+class Marginal(ABC):
     """A distribution of numbers, or of vectors with independent components."""
 
+    @abstractmethod
     def of_units(self, units: Array) -> Array:
         """Returns values (n, *shape) of uniform numbers (n, *shape)."""
-        raise NotImplementedError
 
     def of_normals(self, normals: Array) -> Array:
         """Returns values (n, *shape) of standard normal numbers (n, *shape), in the same order."""
