@@ -222,7 +222,9 @@ class Run:
         order = data.attrs.pop(ORDER, None)
         if not isinstance(order, list) or set(order) != set(data.data_vars):
             raise StoreError(f"{self.folder / DATA / name}: must have the variables {order}, has {list(data)}")
-        return data[order]
+        # A folder lists its arrays in any order.
+        names = sorted(map(str, data.coords))
+        return data[order].drop_vars(names).assign_coords({name: data.coords[name] for name in names})
 
     def _mask(self, *, finished: bool) -> NDArray[np.bool_]:
         """Returns which environments are finished, or begun (env,)."""

@@ -1,0 +1,1 @@
+"""A recording as it is looked at: what moves where, in the chosen environments."""
