@@ -39,7 +39,7 @@ class Figure:
         positions: Origins of the frame of the shape, (time, env, item, 3), world [m].
         orientations: Rotations of the shape to the world, (time, env, item, 4), x, y, z, w.
         scales: Factors along the axes of the shape, (env, item, 3).
-        there: Whether it is in an environment at all, (env,).
+        there: Whether it is in an environment at all, (env, item).
     """
 
     name: str

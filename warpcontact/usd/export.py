@@ -11,13 +11,11 @@ from numpy.typing import ArrayLike
 from warpcontact import checks
 from warpcontact._version import __version__
 from warpcontact.checks import Array, limits
-from warpcontact.replay.couplings import CouplingCurve
-from warpcontact.replay.forces import ForceLines, length_scale
-from warpcontact.replay.forms import FormPlacement, FormSwarm
+from warpcontact.replay.content import POINT, Content
+from warpcontact.replay.forms import FormPlacement
 from warpcontact.replay.replay import Replay
-from warpcontact.replay.spheres import body_size, scene_size, spheres_of
-from warpcontact.replay.surfaces import Placement
-from warpcontact.replay.swarms import Swarm, swarms_of
+from warpcontact.replay.spheres import body_size
+from warpcontact.replay.swarms import Swarm
 from warpcontact.scene import Body, Scene
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.author import identifiers, mark, pose_attributes, series, write_samples
@@ -28,8 +26,6 @@ from warpcontact.usd.surfaces import define_shapes, define_surfaces, write_surfa
 from warpcontact.usd.swarms import declare_swarm, write_swarm
 
 SUFFIXES = (".usd", ".usda", ".usdc")
-# Width of what has no size, in sizes of its body.
-POINT = 0.03
 # Children of an environment that no element may take the name of.
 _RESERVED = ("contacts", "couplings", "FixedPoints", "Surfaces")
 _PROTOTYPE = "/World/Prototype"
@@ -114,18 +110,10 @@ class _Export:
         self.replay = replay
         self.spacing = spacing
         self.names = identifiers(scene.element_names(), _RESERVED)
-        self.spheres = spheres_of(replay)
-        self.placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
-        self.size = scene_size(replay, list(self.placements.values()), self.spheres)
-        self.poses = {body.name: replay.pose(body) for body in scene.bodies}
-        forms = [FormPlacement.of(replay, shape) for shape in scene.shapes]
-        self.forms = [form for form in forms if form.shape.single]
-        self.form_swarms = [
-            FormSwarm(form, self.poses[form.shape.body.name])
-            for form in forms
-            if form.shape.body is not None and not form.shape.single
-        ]
-        self.size = max([self.size, *(2.0 * form.reach for form in forms if form.shape.body is not None)])
+        content = Content.of(replay)
+        self.spheres, self.placements, self.poses = content.spheres, content.placements, content.poses
+        self.forms, self.form_swarms, self.swarms = content.forms, content.form_swarms, content.swarms
+        self.lines, self.curves, self.size = content.lines, content.curves, content.size
         named: list[Any] = [
             *scene.bodies,
             *scene.contacts,
@@ -133,12 +121,8 @@ class _Export:
             *scene.couplings,
             *scene.smooth_contacts,
         ]
-        self.swarms = swarms_of(scene, self.spheres, self.poses)
         self.readings = {name: Readings(replay, name) for name in ("scene", *(element.name for element in named))}
-        pushing: list[Any] = [*scene.contacts, *scene.smooth_contacts]
-        self.lines = [line for contact in pushing if (line := ForceLines.of(replay, contact))]
-        self.curves = [CouplingCurve(replay, coupling) for coupling in scene.couplings]
-        self.force_scale = length_scale(self.lines, self.size) if force_scale is None else force_scale
+        self.force_scale = content.force_scale if force_scale is None else force_scale
 
     def write(self) -> None:
         """Writes the stage."""
