@@ -42,6 +42,12 @@ def test_earlier_run_is_replaced_on_request_only(tmp_path):
     assert run.summary["state"] == "finished"
 
 
+def test_what_a_run_left_that_was_killed_at_its_first_file_is_no_obstacle(tmp_path):
+    (tmp_path / "run.json.partial").write_text('{"program": "warpc')
+    assert wc.Experiment(content()).run(tmp_path, device="cpu").finished
+    assert not (tmp_path / "run.json.partial").exists()
+
+
 def test_folder_of_an_unfinished_run_may_be_used_again(tmp_path):
     def interrupt(stage):
         if stage == "running":

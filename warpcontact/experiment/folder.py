@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact._version import __version__
-from warpcontact.durable import write_json
+from warpcontact.durable import PARTIAL, write_json
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh, own_class
 from warpcontact.experiment.errors import ExperimentError, shown
 from warpcontact.experiment.lock import busy, is_written
@@ -73,7 +73,8 @@ def check_new(folder: Path, overwrite: bool, files: Mapping[str, bytes]) -> None
         return
     if not folder.is_dir():
         raise ExperimentError(str(folder), ["is not a folder"])
-    if not any(folder.iterdir()):
+    # A run that was killed at its first file leaves no more than a part of that.
+    if {path.name for path in folder.iterdir()} <= {f"{SUMMARY}{PARTIAL}"}:
         return
     summary = read_summary(folder)
     if summary is None:
@@ -173,7 +174,7 @@ def law_files(summary: Mapping[str, Any] | None) -> set[str]:
 def clear(folder: Path) -> None:
     """Makes ``folder``, or removes the files of the earlier run in it; others stay."""
     folder.mkdir(parents=True, exist_ok=True)
-    own = (DATA, f"{DATA}.partial", STAGING, CHECKPOINTS, COMMITS, PROGRESS, ANIMATION, PICTURE, EXPERIMENT)
+    own = (DATA, f"{DATA}{PARTIAL}", STAGING, CHECKPOINTS, COMMITS, PROGRESS, ANIMATION, PICTURE, EXPERIMENT)
     for name in (*own, *law_files(read_summary(folder)), SUMMARY):
         path = folder / name
         if path.is_dir() and not path.is_symlink():
