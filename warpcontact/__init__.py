@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from warpcontact.split_model import SplitModel
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
     from warpcontact.usd import export_usd
+    from warpcontact.usd.importing.errors import StageError
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
@@ -84,6 +85,7 @@ _HOME = {
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
     "SpringDamper": "warpcontact.couplings.elements",
+    "StageError": "warpcontact.usd.importing.errors",
     "Status": "warpcontact.status",
     "StoreError": "warpcontact.experiment",
     "Stop": "warpcontact.outcomes.watch",
@@ -154,6 +156,7 @@ __all__ = [
     "SplitModel",
     "Spring",
     "SpringDamper",
+    "StageError",
     "Status",
     "Stop",
     "StoreError",
