@@ -10,6 +10,7 @@ from warpcontact.checks import Array
 from warpcontact.frames import placed
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, MESH, SPHERE
 from warpcontact.replay.drawing import Curve, Figure, Shape, Touch
+from warpcontact.replay.triangles import ball
 
 # Of an arrow, in its length at most and in widths of its shaft: the head.
 HEAD_LENGTH = 0.45
@@ -77,14 +78,9 @@ def of_figure(figure: Figure, record: int, row: int, color: Array | None = None)
     time = record if len(figure.positions) > 1 else 0
     positions, scales = figure.positions[time, row], figure.scales[row]
     rotations = figure.orientations[record if len(figure.orientations) > 1 else 0, row]
-    shape: Shape | None = figure.shape
-    kind = MESH
-    if figure.kind in ("sphere", "point"):
-        # Their mesh only shows how large they are.
-        scales = scales * float(np.linalg.norm(figure.shape.vertices, axis=1).max())
-        kind, shape = SPHERE, None
+    kind, shape = (SPHERE, None) if figure.shape is ball() else (MESH, figure.shape)
     finite = np.isfinite(np.concatenate([positions, rotations, scales], axis=1)).all(axis=1)
-    good = figure.there[row] & finite & (scales > 0.0).all(axis=1)
+    good = np.broadcast_to(figure.there[row], finite.shape) & finite & (scales > 0.0).all(axis=1)
     count = int(good.sum())
     colors = np.broadcast_to(figure.color if color is None else color, (count, 3))
     return Items(kind, shape, positions[good], rotations[good], scales[good], colors)

@@ -18,16 +18,10 @@ from warpcontact.rendering.stage import Stage, linear
 
 Picture = NDArray[np.uint8]
 
-#: Colours as displayed at the top and the bottom of a picture, behind everything.
-BACKGROUNDS = {
-    "light": ((0.80, 0.85, 0.90), (0.96, 0.97, 0.98)),
-    "white": ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0)),
-    "dark": ((0.05, 0.06, 0.08), (0.16, 0.18, 0.21)),
-}
 # The sun, from the left of the eye and above [rad], and the radius of its disc at distance 1.
 _ASIDE, _HEIGHT, _SPREAD = math.radians(55.0), math.radians(50.0), 0.035
 # Distances from the target at which things begin to fade into the background, and have, in views from top to bottom.
-_FADE = (2.0, 6.0)
+_FADE = (3.0, 12.0)
 # Rows of a picture that a thread takes at once on a CPU.
 _ROWS = 8
 

@@ -11,6 +11,7 @@ from warpcontact.frames import placed
 from warpcontact.kernels.rendering.world import MESH, World
 from warpcontact.rendering.items import Items
 from warpcontact.replay.drawing import Drawing, Shape
+from warpcontact.replay.triangles import ball
 
 # Boxes are larger than what they hold by this part of it: no ray misses what is flat, or is lost to rounding.
 _ROOM = 1.0e-4
@@ -42,7 +43,7 @@ class Stage:
         first_color: list[int] = []
         for figure in drawing.figures:
             shape = figure.shape
-            if figure.kind in ("sphere", "point") or id(shape) in self._numbers:
+            if shape is ball() or id(shape) in self._numbers:
                 continue
             _check(figure.name, shape)
             self._numbers[id(shape)] = len(self._shapes)
