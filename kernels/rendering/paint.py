@@ -1,7 +1,7 @@
 """The pixels of a picture: rays from the eye, more where what they see differs, their mean as sRGB."""
 
 import warp as wp
-from warpcontact.kernels.rendering.shade import Backdrop, Light, seen
+from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light, seen
 from warpcontact.kernels.rendering.world import World
 
 # Samples of a pixel that decide whether it takes more of them.
@@ -34,6 +34,12 @@ def fraction(x: float):
 
 
 @wp.func
+def gradient_noise(column: int, row: int):
+    """A number 0…1 that is different in pixels near each other."""
+    return fraction(52.9829189 * fraction(0.06711056 * float(column) + 0.00583715 * float(row)))
+
+
+@wp.func
 def srgb(x: float):
     """Linear light 0…1 as a byte of sRGB."""
     encoded = 1.055 * wp.pow(x, 1.0 / 2.4) - 0.055
@@ -55,18 +61,19 @@ def paint(
     world: World,
     marks: World,
     light: Light,
+    grid: Grid,
     backdrop: Backdrop,
     picture: wp.array2d(dtype=wp.uint8),  # [pixel, channel] sRGB
 ):
-    """One thread per pixel. What it draws by lot depends on the pixel alone."""
+    """One thread per pixel. What it depends on is the pixel alone."""
     pixel = first + wp.tid()
     column = pixel % view.width
     row = pixel // view.width
-    chance = wp.rand_init(7, pixel)
-    sun_x = wp.randf(chance)
-    sun_y = wp.randf(chance)
-    sky_x = wp.randf(chance)
-    sky_y = wp.randf(chance)
+    # Neighbours differ as much as they can, and their mean is smooth (Jimenez, interleaved gradient noise, 2014).
+    sun_x = gradient_noise(column, row)
+    sun_y = gradient_noise(column + 31, row + 17)
+    sky_x = gradient_noise(column + 59, row + 83)
+    sky_y = gradient_noise(column + 101, row + 47)
     total = wp.vec3()
     lowest = wp.vec3(2.0, 2.0, 2.0)
     highest = wp.vec3()
@@ -83,14 +90,13 @@ def paint(
         ray = wp.normalize(view.forward + across * view.right + view.tangent * (2.0 * h - 1.0) * view.up)
         at_sun = wp.vec2(fraction(sun_x + step_x), fraction(sun_y + step_y))
         at_sky = wp.vec2(fraction(sky_x + step_y), fraction(sky_y + step_x))
-        color = seen(world, marks, light, backdrop, view.eye, ray, h, at_sun, at_sky)
+        color = seen(world, marks, light, grid, backdrop, view.eye, ray, h, at_sun, at_sky)
         total += color
         lowest = wp.min(lowest, root(color))
         highest = wp.max(highest, root(color))
         taken += 1
-        if taken == FIRST:
-            if wp.max(highest - lowest) > DIFFERENT:
-                wanted = view.samples
+        if taken == FIRST and wp.max(highest - lowest) > DIFFERENT:
+            wanted = view.samples
     mean = total / float(taken)
     for channel in range(3):
         picture[pixel, channel] = srgb(mean[channel])

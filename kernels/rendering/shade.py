@@ -27,6 +27,16 @@ class Light:
 
 
 @wp.struct
+class Grid:
+    """Lines along x and y on the ground, to see how large things are, and that they move."""
+
+    step: wp.float32  # from one to the next
+    origin: wp.vec2  # where two of them cross, W
+    shade: wp.float32  # brightness of a line
+    pixel: wp.float32  # what a pixel sees at distance 1
+
+
+@wp.struct
 class Backdrop:
     """What is behind everything, and where things fade into it; colours are linear RGB."""
 
@@ -57,9 +67,30 @@ def towards_sky(n: wp.vec3, x: float, y: float):
 
 
 @wp.func
+def on_line(x: float, step: float, blur: float):
+    """How much of a stretch of length ``blur`` about ``x`` lies on lines at the multiples of ``step``."""
+    half = 0.008 * step
+    away = wp.abs(x / step - wp.floor(x / step + 0.5)) * step
+    # The part of the stretch that is within the line, or of what it sees of many lines.
+    covered = wp.min(away + 0.5 * blur, half) - wp.max(away - 0.5 * blur, -half)
+    return wp.clamp(covered / blur, 0.0, 1.0)
+
+
+@wp.func
+def ruling(grid: Grid, p_W: wp.vec3, n: wp.vec3, ray: wp.vec3, t: float):
+    """The brightness of a point of the ground by the lines on it, between that of a line and 1."""
+    level = wp.smoothstep(0.6, 0.9, wp.abs(n[2]))
+    blur = grid.pixel * t / wp.max(wp.abs(wp.dot(n, ray)), 0.05)
+    x = on_line(p_W[0] - grid.origin[0], grid.step, blur)
+    y = on_line(p_W[1] - grid.origin[1], grid.step, blur)
+    return 1.0 - level * (1.0 - grid.shade) * wp.max(x, y)
+
+
+@wp.func
 def lit(
     world: World,
     light: Light,
+    grid: Grid,
     hit: Hit,
     p_W: wp.vec3,
     ray: wp.vec3,
@@ -78,31 +109,33 @@ def lit(
     bent = wp.dot(n, ray)
     if bent > 0.0:  # a normal between corners that looks away, at the rim of a smooth shape
         n = wp.normalize(n - 1.01 * bent * ray)
-    sunlight = float(0.0)
-    mirrored = float(0.0)
-    open_sky = float(1.0)
+    sunlight = wp.float32(0.0)
+    mirrored = wp.float32(0.0)
+    open_sky = wp.float32(1.0)
     disc = on_disc(at_sun[0], at_sun[1])
     to_sun = wp.normalize(light.sun + light.spread * (disc[0] * light.across + disc[1] * light.along))
     facing = wp.dot(n, to_sun)
-    start = p_W + (APART * hit.t) * flat
+    apart = (APART * hit.t) * flat
     if facing > 0.0:
-        free = bool(True)
-        if shadows:
-            free = is_free(world, raised(world, hit, p_W, side) + (APART * hit.t) * flat, to_sun, FAR)
-        if free:
-            sunlight = facing
-            halfway = wp.normalize(to_sun - ray)
-            mirrored = light.gloss * wp.pow(wp.max(wp.dot(n, halfway), 0.0), 40.0)
+        sunlight = facing
+        mirrored = light.gloss * wp.pow(wp.max(wp.dot(n, wp.normalize(to_sun - ray)), 0.0), 40.0)
     if shadows:
+        if facing > 0.0:  # a ray for those alone that the sun could reach
+            free = is_free(world, raised(world, hit, p_W, side) + apart, to_sun, FAR)
+            sunlight = wp.where(free, sunlight, 0.0)
+            mirrored = wp.where(free, mirrored, 0.0)
         to_sky = towards_sky(n, at_sky[0], at_sky[1])
         if wp.dot(to_sky, flat) > 0.0:
-            if not is_free(world, start, to_sky, light.reach):
-                open_sky = 0.0
+            open_sky = wp.where(is_free(world, p_W + apart, to_sky, light.reach), 1.0, 0.0)
     above = 0.5 + 0.5 * n[2]
     around = above * light.sky_color + (1.0 - above) * light.ground_color
     received = open_sky * around + sunlight * light.sun_color
     glow = received + wp.vec3(1.0, 1.0, 1.0) * (light.lamp * wp.max(-wp.dot(n, ray), 0.0))
-    return wp.cw_mul(color_of(world, hit), glow) + mirrored * light.sun_color
+    color = color_of(world, hit)
+    if world.ruled[hit.item] != wp.uint8(0):
+        color = color * ruling(grid, p_W, flat, ray, hit.t)
+        mirrored = 0.0
+    return wp.cw_mul(color, glow) + mirrored * light.sun_color
 
 
 @wp.func
@@ -110,6 +143,7 @@ def seen(
     world: World,
     marks: World,
     light: Light,
+    grid: Grid,
     backdrop: Backdrop,
     eye: wp.vec3,
     ray: wp.vec3,
@@ -117,7 +151,7 @@ def seen(
     at_sun: wp.vec2,
     at_sky: wp.vec2,
 ):
-    """What is seen along a unit vector, linear RGB in 0…1; ``height`` in the picture: 0 at the bottom, 1 at the top.
+    """What is seen along a unit vector, linear RGB in 0…1; ``height`` in the picture is 0 at the bottom, 1 on top.
 
     Marks, such as arrows, neither cast nor catch shadows, and shine through what is before them.
     """
@@ -129,11 +163,11 @@ def seen(
         # The middle of the view is the origin.
         fog = wp.smoothstep(backdrop.fade_from, backdrop.fade_to, wp.length(p_W))
         if fog < 1.0:
-            surface = lit(world, light, hit, p_W, ray, at_sun, at_sky, True)
+            surface = lit(world, light, grid, hit, p_W, ray, at_sun, at_sky, True)
             color = (1.0 - fog) * surface + fog * behind
     mark = trace(marks, eye, ray, FAR)
     if mark.item >= 0:
-        over = lit(marks, light, mark, eye + mark.t * ray, ray, wp.vec2(), wp.vec2(), False)
+        over = lit(marks, light, grid, mark, eye + mark.t * ray, ray, wp.vec2(), wp.vec2(), False)
         share = wp.where(mark.t < hit.t, 1.0, 0.5)
         color = share * over + (1.0 - share) * color
     return wp.min(wp.max(color, wp.vec3(0.0, 0.0, 0.0)), wp.vec3(1.0, 1.0, 1.0))

@@ -21,6 +21,7 @@ class World:
     rotation: wp.array(dtype=wp.quat)  # [item]
     scale: wp.array(dtype=wp.vec3)  # [item] none is 0
     color: wp.array(dtype=wp.vec3)  # [item] linear RGB
+    ruled: wp.array(dtype=wp.uint8)  # [item] 1: with lines of a grid where it is level
     mesh: wp.array(dtype=wp.uint64)  # [shape] wp.Mesh
     first_normal: wp.array(dtype=wp.int32)  # [shape] where in ``normals`` its corners begin; −1: faces are flat
     first_color: wp.array(dtype=wp.int32)  # [shape] where in ``colors`` its faces begin; −1: that of the item

@@ -14,11 +14,11 @@ from warpcontact.replay.drawing import Drawing
 # Part of the picture that is left free around what moves.
 MARGIN = 0.12
 # A picture shows at least so many sizes of the largest body.
-LEAST = 2.2
-# What never moves is in the picture as a whole if it is no larger than this many times what moves.
-BESIDE = 2.0
-# What is farther off than this, in sizes of all that stands still, has fallen off.
-GONE = 0.5
+LEAST = 1.4
+# What never moves is in the picture as a whole if it is no longer than this many times what moves.
+BESIDE = 1.0
+# What is lower, or farther off in other directions, in sizes of all that stands still, is not looked for.
+BELOW, AWAY = 0.25, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +89,8 @@ def framed(
     needed, shift = [], []
     middle = points.mean(axis=0) if target is None else target
     x, y, z = ((points - middle) @ axis for axis in (right, up, backward))
-    for places, slope in ((x, aspect * tangent), (y, tangent)):
-        slope = (1.0 - MARGIN) * slope
+    for places, widest in ((x, aspect * tangent), (y, tangent)):
+        slope = (1.0 - MARGIN) * widest
         # The planes that bound the view on both sides touch the outermost spheres: d ≥ high − c / slope and
         # d ≥ low + c / slope, with the shift c of the target.
         aside = radii * math.sqrt(1.0 + 1.0 / slope**2)
@@ -106,33 +106,44 @@ def framed(
 def spheres_to_see(drawing: Drawing, items: Sequence[tuple[Items, bool]]) -> tuple[Array, Array]:
     """Returns spheres around what a picture is about: centres (n, 3) and radii (n,) [m].
 
-    That is what moves, unless it is long gone, and what stands beside it, unless it is much larger, as the ground is.
+    That is what moves, unless it is long gone, and what stands beside it, unless it is larger, as the ground is.
 
     Args:
         drawing: What it is of.
         items: Shapes that were placed, and whether each moves.
     """
-    balls = {moves: [(np.zeros((0, 3)), np.zeros(0))] for moves in (True, False)}
+    nothing = (np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    balls = {moves: [nothing] for moves in (True, False)}
     for group, moves in items:
-        if len(group.positions):
-            centres, halves = group.boxes()
-            round_ones = group.kind == SPHERE
-            balls[moves].append((centres, halves.max(axis=1) if round_ones else np.linalg.norm(halves, axis=1)))
-    (centres, radii), (still, sizes) = (
+        balls[moves].append(_balls(group))
+    (centres, radii, _), (still, sizes, spans) = (
         tuple(np.concatenate(column) for column in zip(*balls[moves], strict=True)) for moves in (True, False)
     )
     if not len(centres):
-        centres, radii, still, sizes = still, sizes, still[:0], sizes[:0]
+        centres, radii, still, sizes, spans = still, sizes, still[:0], sizes[:0], spans[:0]
     if not len(centres):
         return np.zeros((1, 3)), np.array([drawing.size])
     if len(still):
         low, high = (still - sizes[:, None]).min(axis=0), (still + sizes[:, None]).max(axis=0)
-        near = ((centres > low - GONE * (high - low)) & (centres < high + GONE * (high - low))).all(axis=1)
+        size = np.linalg.norm(high - low)
+        low = low - np.array([AWAY, AWAY, BELOW]) * size
+        near = ((centres > low) & (centres < high + AWAY * size)).all(axis=1)
         if near.any():
             centres, radii = centres[near], radii[near]
     span = np.ptp(np.concatenate([centres - radii[:, None], centres + radii[:, None]]), axis=0)
-    beside = sizes <= BESIDE * 0.5 * float(np.linalg.norm(span))
+    beside = spans <= BESIDE * float(np.linalg.norm(span))
     return np.concatenate([centres, still[beside]]), np.concatenate([radii, sizes[beside]])
+
+
+def _balls(items: Items) -> tuple[Array, Array, Array]:
+    """Returns what encloses items: centres and radii of balls, or corners of boxes; and the length of all."""
+    centres, halves = items.boxes()
+    if items.kind == SPHERE:
+        radii = halves.max(axis=1)
+        return centres, radii, 2.0 * radii
+    corners = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
+    points = (centres[:, None] + corners * halves[:, None]).reshape(-1, 3)
+    return points, np.zeros(len(points)), np.repeat(2.0 * np.linalg.norm(halves, axis=1), 8)
 
 
 def moving(drawing: Drawing) -> list[bool]:

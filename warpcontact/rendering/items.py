@@ -1,5 +1,6 @@
-"""What is in one view: shapes as they are placed at one moment, and lines and arrows made of cylinders and cones."""
+"""What is in one view: shapes as they are placed at one moment, lines and arrows of cylinders and cones."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -36,6 +37,7 @@ class Items:
         rotations: (n, 4), x, y, z, w.
         scales: (n, 3), all above 0.
         colors: RGB as displayed, (n, 3) in 0…1.
+        ruled: Whether lines of a grid are on them where they are level.
     """
 
     kind: int
@@ -44,19 +46,26 @@ class Items:
     rotations: Array
     scales: Array
     colors: Array
+    ruled: bool = False
 
     def boxes(self) -> tuple[Array, Array]:
-        """Returns middles and halves of the sides of boxes around them, along the axes of the world, (n, 3) [m]."""
+        """Returns middles and halves of the sides of boxes around them, along the world's axes, (n, 3) [m]."""
         if self.shape is None:
             middle, half = (np.array(values) for values in _BOXES[self.kind])
         else:
-            low, high = self.shape.vertices.min(axis=0), self.shape.vertices.max(axis=0)
-            middle, half = 0.5 * (low + high), 0.5 * (high - low)
+            middle, half = bounds(self.shape)
         centres = placed((self.scales * middle)[:, None], self.positions, self.rotations)[:, 0]
         axes = self.scales[:, :, None] * turned_axes(self.rotations)
         if self.kind == SPHERE:
             return centres, np.linalg.norm(axes, axis=1)
         return centres, np.abs(half[:, None] * axes).sum(axis=1)
+
+
+@functools.lru_cache(maxsize=1024)
+def bounds(shape: Shape) -> tuple[Array, Array]:
+    """Returns the middle and the halves of the sides of the box around a mesh, in its own frame [m]."""
+    low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+    return 0.5 * (low + high), 0.5 * (high - low)
 
 
 def turned_axes(rotations: Array) -> Array:
@@ -66,7 +75,7 @@ def turned_axes(rotations: Array) -> Array:
     return placed(axes, np.zeros((count, 3)), rotations)
 
 
-def of_figure(figure: Figure, record: int, row: int, color: Array | None = None) -> Items:
+def of_figure(figure: Figure, record: int, row: int, *, color: Array | None = None, ruled: bool = False) -> Items:
     """Returns the copies of a figure in an environment, those that are there and can be placed.
 
     Args:
@@ -74,6 +83,7 @@ def of_figure(figure: Figure, record: int, row: int, color: Array | None = None)
         record: Number of the record, in the order of the drawing.
         row: Number of the environment, in the order of the drawing.
         color: RGB instead of its own.
+        ruled: Whether it has lines of a grid.
     """
     time = record if len(figure.positions) > 1 else 0
     positions, scales = figure.positions[time, row], figure.scales[row]
@@ -83,7 +93,7 @@ def of_figure(figure: Figure, record: int, row: int, color: Array | None = None)
     good = np.broadcast_to(figure.there[row], finite.shape) & finite & (scales > 0.0).all(axis=1)
     count = int(good.sum())
     colors = np.broadcast_to(figure.color if color is None else color, (count, 3))
-    return Items(kind, shape, positions[good], rotations[good], scales[good], colors)
+    return Items(kind, shape, positions[good], rotations[good], scales[good], colors, ruled)
 
 
 def of_curve(curve: Curve, record: int, row: int, width: float) -> list[Items]:

@@ -49,8 +49,8 @@ class Look:
 
     Args:
         size: Width and height [pixels].
-        view_from: Where the eye is: azimuth, from the x axis towards the y axis, and elevation above the horizontal
-            [degrees].
+        view_from: Where the eye is: azimuth, from the x axis towards the y axis, and elevation above the
+            horizontal [degrees].
         look_at: The point in the middle of the picture, world [m]; ``None``: of what moves.
         distance: From there to the eye [m]; ``None``: so that all that moves is in the picture.
         fov: Angle of view, from top to bottom [degrees].

@@ -12,8 +12,7 @@ from warpcontact.experiment.run import Run
 from warpcontact.replay.drawing import Drawing
 from warpcontact.scene import Scene
 
-# Poses that are looked at, of as many records as that makes, to choose a place from which all can be seen; and most
-# and fewest records.
+# To choose a place from which all can be seen, as many records are looked at as make so many poses, within limits.
 _POSES = 100_000
 _MOST, _FEWEST = 48, 2
 
@@ -66,7 +65,9 @@ class Source:
         allowed = 1.0e-9 * max(abs(times[0]), abs(times[-1]))
         for time in np.atleast_1d(wanted).tolist():
             if not times[0] - allowed <= time <= times[-1] + allowed:
-                raise ValueError(f"{name} must be within the recording, {times[0]:g} to {times[-1]:g} s, got {time:g}")
+                raise ValueError(
+                    f"{name} must be within the recording, {times[0]:g} to {times[-1]:g} s, got {time:g}"
+                )
         after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1) if len(times) > 1 else np.array(0)
         before = np.maximum(after - 1, 0)
         return np.where(np.abs(wanted - times[before]) <= np.abs(times[after] - wanted), before, after)
@@ -98,7 +99,7 @@ class Source:
                     found[str(key)] = array
         if name not in found:
             raise ValueError(
-                f"color_by must be one number for each environment, of {', '.join(sorted(found)) or 'which there is none'}"
-                f"; got {name!r}"
+                f"color_by must be one number for each environment, got {name!r}; "
+                f"there are: {', '.join(sorted(found)) or 'none'}"
             )
         return found[name].reindex(env=list(envs)).values.astype(np.float64)

@@ -17,7 +17,7 @@ GAP_COLOR = (255, 255, 255)
 # Width by height that panels come as close to as they can.
 _SHAPE = 1.4
 # Height of letters, by that of a picture, and their least height [pixels].
-_LETTERS, _SMALLEST = 0.032, 11
+_LETTERS, _SMALLEST = 0.034, 13
 _GREY = (0.5, 0.5, 0.5)
 
 

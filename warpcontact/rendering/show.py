@@ -50,7 +50,7 @@ class Show:
         self._look = look
         self._coloring = coloring
         self._stage = Stage(drawing, look.find_device())
-        self._painter = Painter(self._stage, look.samples, look.colors_behind(), look.threads)
+        self._painter = Painter(self._stage, look.colors_behind(), look.threads)
         self._moves = moving(drawing)
         rows = list(range(len(drawing.envs)))
         # The environments in each panel.
@@ -66,16 +66,23 @@ class Show:
         if largest > 0.0:
             self._force_scale = min(drawing.force_scale, LONGEST * reach / largest)
 
-    def picture(self, record: int, time: float | None = None) -> Picture:
-        """Returns a picture, (height, width, 3) sRGB, with ``time`` [s] written into it."""
+    def picture(self, record: int, time: float | None = None, samples: int | None = None) -> Picture:
+        """Returns a picture, (height, width, 3) sRGB.
+
+        Args:
+            record: Number of the record, in the order of the drawing.
+            time: What to write into it [s].
+            samples: Most rays of a pixel; ``None``: as it should look.
+        """
+        samples = self._look.samples if samples is None else samples
         width, height = self._look.size
         whole = np.empty((height, width, 3), dtype=np.uint8)
         whole[:] = sheet.GAP_COLOR
         for rows, (left, top, right, bottom) in zip(self._panels, self._places, strict=True):
-            items = [group for group, _ in self._items(record, rows)]
+            items = [group for group, _ in self._items(record, rows, self._width)]
             marks = self._arrows(record, rows) if self._look.forces else []
             whole[top:bottom, left:right] = self._painter.paint(
-                items, marks, self.camera, right - left, bottom - top
+                items, marks, self.camera, (right - left, bottom - top), samples
             )
         if self._look.labels:
             names = [f"environment {self.drawing.envs[rows[0]]}" for rows in self._panels]
@@ -85,17 +92,19 @@ class Show:
                 sheet.write_scale(whole, self._coloring.name, self._coloring.values)
         return whole
 
-    def _items(self, record: int, rows: list[int], *, curves: bool = True) -> list[tuple[Items, bool]]:
-        """Returns what there is of some environments, and whether it moves; what all have in common once."""
+    def _items(self, record: int, rows: list[int], width: float) -> list[tuple[Items, bool]]:
+        """Returns what there is of some environments, and whether it moves; what all have in common once.
+
+        ``width`` is that of lines [m].
+        """
         found = []
         for figure, moves in zip(self.drawing.figures, self._moves, strict=True):
             for row in rows if moves else rows[:1]:
                 color = self._coloring.colors[row] if self._coloring is not None and moves else None
-                found.append((of_figure(figure, record, row, color), moves))
-        if curves:
-            for curve in self.drawing.curves:
-                for row in rows:
-                    found += [(group, True) for group in of_curve(curve, record, row, self._width)]
+                found.append((of_figure(figure, record, row, color=color, ruled=not moves), moves))
+        for curve in self.drawing.curves:
+            for row in rows:
+                found += [(group, True) for group in of_curve(curve, record, row, width)]
         return found
 
     def _arrows(self, record: int, rows: list[int]) -> list[Items]:
@@ -112,7 +121,7 @@ class Show:
         items = [
             (group, moves)
             for record in range(len(self.drawing.times))
-            for group, moves in self._items(record, rows, curves=False)
+            for group, moves in self._items(record, rows, WIDTH * self.drawing.size)
             if moves or record == 0
         ]
         points, radii = spheres_to_see(self.drawing, items)

@@ -8,8 +8,8 @@ import warp as wp
 
 from warpcontact.checks import Array
 from warpcontact.frames import placed
-from warpcontact.kernels.rendering.world import MESH, World
-from warpcontact.rendering.items import Items
+from warpcontact.kernels.rendering.world import World
+from warpcontact.rendering.items import Items, bounds
 from warpcontact.replay.drawing import Drawing, Shape
 from warpcontact.replay.triangles import ball
 
@@ -87,13 +87,14 @@ class Stage:
             "rotation": items.rotations,
             "scale": scales / unit,
             "color": linear(items.colors),
+            "ruled": np.full(count, items.ruled),
             "lower": (centres - halves - room - origin) / unit,
             "upper": (centres + halves + room - origin) / unit,
         }
 
     def _add_mesh(self, shape: Shape) -> None:
-        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
-        middle, half = 0.5 * (low + high), 0.5 * float((high - low).max())
+        middle, halves = bounds(shape)
+        half = float(halves.max())
         points = self._upload((shape.vertices - middle) / half, wp.vec3)
         indices = self._upload(shape.faces.reshape(-1), wp.int32)
         self._meshes.append(wp.Mesh(points, indices, bvh_constructor="sah"))
@@ -124,6 +125,7 @@ class PlacedWorld:
             "rotation": wp.quat,
             "scale": wp.vec3,
             "color": wp.vec3,
+            "ruled": wp.uint8,
         }
         for name, dtype in types.items():
             setattr(self.struct, name, wp.array(columns[name], dtype=dtype, device=device))
