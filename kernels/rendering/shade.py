@@ -126,7 +126,8 @@ def lit(
             mirrored = wp.where(free, mirrored, 0.0)
         to_sky = towards_sky(n, at_sky[0], at_sky[1])
         if wp.dot(to_sky, flat) > 0.0:
-            open_sky = wp.where(is_free(world, p_W + apart, to_sky, light.reach), 1.0, 0.0)
+            # What is farther away takes less of it.
+            open_sky = trace(world, p_W + apart, to_sky, light.reach).t / light.reach
     above = 0.5 + 0.5 * n[2]
     around = above * light.sky_color + (1.0 - above) * light.ground_color
     received = open_sky * around + sunlight * light.sun_color
@@ -168,6 +169,6 @@ def seen(
     mark = trace(marks, eye, ray, FAR)
     if mark.item >= 0:
         over = lit(marks, light, grid, mark, eye + mark.t * ray, ray, wp.vec2(), wp.vec2(), False)
-        share = wp.where(mark.t < hit.t, 1.0, 0.5)
+        share = wp.where(mark.t < hit.t, 1.0, 0.6)
         color = share * over + (1.0 - share) * color
     return wp.min(wp.max(color, wp.vec3(0.0, 0.0, 0.0)), wp.vec3(1.0, 1.0, 1.0))

@@ -125,5 +125,5 @@ def _light(camera: Camera) -> Light:
     light.sun_color = wp.vec3(0.80, 0.77, 0.72)
     light.sky_color = wp.vec3(0.40, 0.42, 0.46)
     light.ground_color = wp.vec3(0.24, 0.23, 0.22)
-    light.lamp, light.gloss, light.reach = 0.16, 0.12, 0.35
+    light.lamp, light.gloss, light.reach = 0.16, 0.12, 0.5
     return light

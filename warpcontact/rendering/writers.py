@@ -31,7 +31,7 @@ def write_gif(path: Path, pictures: Iterable[Picture], count: int, fps: float, t
     """
     from PIL import Image
 
-    palette = Image.fromarray(np.concatenate(tastes)).quantize(_COLORS, method=Image.Quantize.MEDIANCUT)
+    palette = Image.fromarray(_spread(np.concatenate(tastes))).quantize(_COLORS, method=Image.Quantize.MEDIANCUT)
     # Each picture ends at the tick nearest to its time: rounding does not add up.
     ticks = np.diff([round(number / fps / _TICK) for number in range(count + 1)])
     frames = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
@@ -91,6 +91,12 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[i
                 f"{path}: ffmpeg failed: {reason[-1] if reason else f'exit code {process.returncode}'}; "
                 ".gif needs no ffmpeg"
             )
+
+
+def _spread(picture: Picture) -> Picture:
+    """Returns a picture of the colours of another, frequent ones more seldom: small things keep theirs."""
+    colors, counts = np.unique(picture.reshape(-1, 3) & 0xFC, axis=0, return_counts=True)
+    return np.repeat(colors, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None]
 
 
 @contextmanager
