@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from warpcontact.outcomes.watch import Events, Stop
     from warpcontact.quarantine import QuarantineError
     from warpcontact.recorder import Recording
+    from warpcontact.rendering import film, render
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.smooth.elements import Shape, SmoothContact
@@ -96,6 +97,7 @@ _HOME = {
     "compare": "warpcontact.compare",
     "convergence": "warpcontact.analysis",
     "export_usd": "warpcontact.usd",
+    "film": "warpcontact.rendering",
     "frictions": "warpcontact.kernels.frictions",
     "integrators": "warpcontact.integrators",
     "laws": "warpcontact.kernels.laws",
@@ -107,6 +109,7 @@ _HOME = {
     "outcomes": "warpcontact.outcomes",
     "parameter": "warpcontact.kernels.formula",
     "quantile_fan": "warpcontact.analysis",
+    "render": "warpcontact.rendering",
     "sample_surface": "warpcontact.meshes",
     "sensitivity": "warpcontact.analysis",
     "shapes": "warpcontact.kernels.smooth.shapes",
@@ -168,6 +171,7 @@ __all__ = [
     "compare",
     "convergence",
     "export_usd",
+    "film",
     "frictions",
     "integrators",
     "laws",
@@ -179,6 +183,7 @@ __all__ = [
     "outcomes",
     "parameter",
     "quantile_fan",
+    "render",
     "sample_surface",
     "sensitivity",
     "shapes",
