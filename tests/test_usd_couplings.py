@@ -6,7 +6,7 @@ from pxr import Usd, UsdGeom
 from usd_stages import findings
 
 import warpcontact as wc
-from warpcontact.usd.couplings import LINE_POINTS, PER_TURN, TURNS, coil
+from warpcontact.replay.couplings import LINE_POINTS, PER_TURN, TURNS, coil
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
-from warpcontact.scene import Contact
-from warpcontact.smooth.elements import SmoothContact
+from warpcontact.replay.forces import ForceLines
+from warpcontact.replay.replay import Replay
 from warpcontact.usd.author import (
     attribute_name,
     attribute_type,
@@ -17,11 +16,8 @@ from warpcontact.usd.author import (
     write_samples,
 )
 from warpcontact.usd.curves import define_curves, write_curves
-from warpcontact.usd.replay import Replay
 
-FORCE_COLOR = (0.9, 0.25, 0.1)
-# Length of the longest force line and width of all, in sizes of the largest body.
-LONGEST = 1.5
+# Width of force lines, in sizes of the largest body.
 WIDTH = 0.03
 
 _KINDS = {"axis": "vector", "component": "quaternion"}
@@ -83,56 +79,15 @@ class Readings:
                 attribute.Set(samples[0])
 
 
-class ForceLines:
-    """The force of a contact on the body of its points, from where it acts.
-
-    Attributes:
-        contact: The contact.
-        start: Point K where the force acts, (time, env, item, 3), world [m].
-        force: The force, (time, env, item, 3), world [N]; zero where there is none.
-    """
-
-    def __init__(self, contact: Contact | SmoothContact, start: Array, force: Array) -> None:
-        self.contact = contact
-        # A failed environment may hold NaN, which must not get into the geometry.
-        good = np.all(np.isfinite(force) & np.isfinite(start), axis=-1, keepdims=True)
-        self.force = np.where(good, force, 0.0)
-        self.start = np.where(np.isfinite(start), start, 0.0)
-
-    @classmethod
-    def of(cls, replay: Replay, contact: Contact | SmoothContact) -> "ForceLines | None":
-        """Returns the lines, or ``None`` unless normal force, normal and point were recorded."""
-        shape = (len(replay.codes), len(replay.envs), contact.count)
-        parts = {}
-        for key in ("normal_force", "normal", "point", "friction_force"):
-            values = replay.series(f"{contact.name}.{key}")
-            if values is not None:
-                length = () if key == "normal_force" else (3,)
-                parts[key] = values.astype(np.float64).reshape(*shape, *length)
-            elif key != "friction_force":
-                return None
-        force = parts["normal_force"][..., None] * parts["normal"] + parts.get("friction_force", 0.0)
-        return cls(contact, parts["point"], force)
-
-    def peak(self) -> float:
-        """Returns the largest force [N]."""
-        return float(np.linalg.norm(self.force, axis=-1).max())
-
-    def declare(self, stage: Any, path: str, width: float) -> None:
-        """Writes what the lines have in common in all environments."""
-        color = FORCE_COLOR if self.contact.color is None else self.contact.color
-        meaning = "Force on the body of the points, from the point where it acts."
-        define_curves(stage, path, [2] * self.contact.count, width, color, meaning)
-
-    def write(self, prim: Any, replay: Replay, row: int, scale: float, width: float) -> None:
-        """Writes the lines of environment number ``row`` of the export, ``scale`` metres per newton long."""
-        start, force = self.start[:, row], self.force[:, row]
-        ends = np.stack([start, start + scale * force], axis=2).reshape(len(start), -1, 3)
-        acting = np.any(force.reshape(len(force), -1), axis=1).tolist()
-        write_curves(prim, replay, ends, acting, width)
+def declare_force_lines(stage: Any, path: str, lines: ForceLines, width: float) -> None:
+    """Writes what the force lines of a contact have in common in all environments."""
+    meaning = "Force on the body of the points, from the point where it acts."
+    define_curves(stage, path, [2] * lines.contact.count, width, lines.color, meaning)
 
 
-def length_scale(lines: list[ForceLines], size: float) -> float:
-    """Returns the metres per newton that draw the largest force at ``LONGEST`` times ``size`` [m]."""
-    peak = max((line.peak() for line in lines), default=0.0)
-    return LONGEST * size / peak if peak > 0.0 else 1.0
+def write_force_lines(prim: Any, replay: Replay, lines: ForceLines, row: int, scale: float, width: float) -> None:
+    """Writes the lines of environment number ``row`` of the export, ``scale`` metres per newton long."""
+    start, force = lines.start[:, row], lines.force[:, row]
+    ends = np.stack([start, start + scale * force], axis=2).reshape(len(start), -1, 3)
+    acting = np.any(force.reshape(len(force), -1), axis=1).tolist()
+    write_curves(prim, replay, ends, acting, width)

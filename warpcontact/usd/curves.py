@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact.checks import Array
+from warpcontact.replay.replay import Replay
 from warpcontact.usd.author import vectors, write_samples
 from warpcontact.usd.geometry import set_color
-from warpcontact.usd.replay import Replay
 
 
 def define_curves(stage: Any, path: str, counts: list[int], width: float, color: ArrayLike, meaning: str) -> Any:

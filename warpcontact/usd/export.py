@@ -11,19 +11,21 @@ from numpy.typing import ArrayLike
 from warpcontact import checks
 from warpcontact._version import __version__
 from warpcontact.checks import Array, limits
+from warpcontact.replay.content import POINT, Content
+from warpcontact.replay.forms import FormPlacement
+from warpcontact.replay.replay import Replay
+from warpcontact.replay.spheres import body_size
+from warpcontact.replay.swarms import Swarm
 from warpcontact.scene import Body, Scene
 from warpcontact.usd import geometry, physics
 from warpcontact.usd.author import identifiers, mark, pose_attributes, series, write_samples
-from warpcontact.usd.contacts import WIDTH, ForceLines, Readings, length_scale
-from warpcontact.usd.couplings import CouplingCurve
-from warpcontact.usd.forms import FormPlacement, FormSwarm
-from warpcontact.usd.replay import Replay
-from warpcontact.usd.surfaces import Placement, define_shapes, define_surfaces
-from warpcontact.usd.swarms import Swarm, swarms_of
+from warpcontact.usd.contacts import WIDTH, Readings, declare_force_lines, write_force_lines
+from warpcontact.usd.curves import define_curves, write_curves
+from warpcontact.usd.forms import declare_form_swarm, write_form, write_form_swarm
+from warpcontact.usd.surfaces import define_shapes, define_surfaces, write_surface
+from warpcontact.usd.swarms import declare_swarm, write_swarm
 
 SUFFIXES = (".usd", ".usda", ".usdc")
-# Width of what has no size, in sizes of its body.
-POINT = 0.03
 # Children of an environment that no element may take the name of.
 _RESERVED = ("contacts", "couplings", "FixedPoints", "Surfaces")
 _PROTOTYPE = "/World/Prototype"
@@ -108,18 +110,10 @@ class _Export:
         self.replay = replay
         self.spacing = spacing
         self.names = identifiers(scene.element_names(), _RESERVED)
-        self.spheres = geometry.spheres_of(replay)
-        self.placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
-        self.size = geometry.scene_size(replay, list(self.placements.values()), self.spheres)
-        self.poses = {body.name: replay.pose(body) for body in scene.bodies}
-        forms = [FormPlacement.of(replay, shape) for shape in scene.shapes]
-        self.forms = [form for form in forms if form.shape.single]
-        self.form_swarms = [
-            FormSwarm(form, self.poses[form.shape.body.name])
-            for form in forms
-            if form.shape.body is not None and not form.shape.single
-        ]
-        self.size = max([self.size, *(2.0 * form.reach for form in forms if form.shape.body is not None)])
+        content = Content.of(replay)
+        self.spheres, self.placements, self.poses = content.spheres, content.placements, content.poses
+        self.forms, self.form_swarms, self.swarms = content.forms, content.form_swarms, content.swarms
+        self.lines, self.curves, self.size = content.lines, content.curves, content.size
         named: list[Any] = [
             *scene.bodies,
             *scene.contacts,
@@ -127,12 +121,8 @@ class _Export:
             *scene.couplings,
             *scene.smooth_contacts,
         ]
-        self.swarms = swarms_of(scene, self.spheres, self.poses)
         self.readings = {name: Readings(replay, name) for name in ("scene", *(element.name for element in named))}
-        pushing: list[Any] = [*scene.contacts, *scene.smooth_contacts]
-        self.lines = [line for contact in pushing if (line := ForceLines.of(replay, contact))]
-        self.curves = [CouplingCurve(replay, coupling) for coupling in scene.couplings]
-        self.force_scale = length_scale(self.lines, self.size) if force_scale is None else force_scale
+        self.force_scale = content.force_scale if force_scale is None else force_scale
 
     def write(self) -> None:
         """Writes the stage."""
@@ -152,7 +142,7 @@ class _Export:
         define_surfaces(self.stage, surfaces, self.placements, self.names)
         for form in self.forms:
             if form.shape.body is None and form.shared:
-                form.write(self.stage, f"{surfaces}/{self.names[form.shape.name]}", 0, self.size)
+                write_form(self.stage, f"{surfaces}/{self.names[form.shape.name]}", form, 0, self.size)
         define_shapes(self.stage, _SHAPES, self.placements, self.names)
         self._prototype()
         paths = [self._environment(row) for row in range(len(self.replay.envs))]
@@ -207,11 +197,11 @@ class _Export:
             self.readings[body.name].declare(prim)
         for name, placement in self.placements.items():
             if placement.surface.body is not None and placement.shared:
-                placement.write(self.stage, self._surface_path(_PROTOTYPE, name), 0)
+                write_surface(self.stage, self._surface_path(_PROTOTYPE, name), placement, 0)
         for group in self.spheres:
             own = 0.0
             if group.body is not None:
-                own = geometry.body_size(group.body, self.placements.values(), self.spheres)
+                own = body_size(group.body, self.placements.values(), self.spheres)
             path = self._path(_PROTOTYPE, group.body)
             if group.body is None:
                 UsdGeom.Xform.Define(self.stage, path)
@@ -220,12 +210,12 @@ class _Export:
                 continue
             geometry.define_spheres(self.stage, f"{path}/{self.names[group.name]}", group, width)
         for swarm in self.swarms:
-            swarm.declare(self.stage, self._swarm_path(_PROTOTYPE, swarm), POINT * self.size)
+            declare_swarm(self.stage, self._swarm_path(_PROTOTYPE, swarm), swarm, POINT * self.size)
         for form in self.forms:
             if form.shape.body is not None and form.shared:
-                form.write(self.stage, self._form_path(_PROTOTYPE, form), 0, self.size)
+                write_form(self.stage, self._form_path(_PROTOTYPE, form), form, 0, self.size)
         for moving in self.form_swarms:
-            moving.declare(self.stage, self._form_path(_PROTOTYPE, moving.placement), self.size)
+            declare_form_swarm(self.stage, self._form_path(_PROTOTYPE, moving.placement), moving, self.size)
         if scene.contacts or scene.smooth_contacts:
             UsdGeom.Scope.Define(self.stage, f"{_PROTOTYPE}/contacts")
         touching: list[Any] = [*scene.contacts, *scene.smooth_contacts]
@@ -242,7 +232,7 @@ class _Export:
             self.readings[coupling.name].declare(prim)
         for lines in self.lines:
             path = self._contact_path(_PROTOTYPE, lines.contact.name)
-            lines.declare(self.stage, f"{path}/force", WIDTH * self.size)
+            declare_force_lines(self.stage, f"{path}/force", lines, WIDTH * self.size)
         if scene.couplings:
             UsdGeom.Scope.Define(self.stage, f"{_PROTOTYPE}/couplings")
         for curve in self.curves:
@@ -252,7 +242,9 @@ class _Export:
             self.readings[curve.coupling.name].declare(prim)
             if not curve.coupling.visible:
                 UsdGeom.Imageable(prim).MakeInvisible()
-            curve.declare(self.stage, f"{path}/shape", WIDTH * self.size)
+            count, width = curve.points.shape[2], WIDTH * self.size
+            meaning = "From one end of the coupling to the other."
+            define_curves(self.stage, f"{path}/shape", [count], width, curve.color, meaning)
 
     def _environment(self, row: int) -> str:
         """Writes environment number ``row`` of the export and returns its path."""
@@ -278,16 +270,17 @@ class _Export:
                 if placement.surface.body is None:
                     UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
                 shape = f"{_SHAPES}/{self.names[name]}_{int(placement.mesh[row])}"
-                placement.write(stage, self._surface_path(path, name), row, shape)
+                write_surface(stage, self._surface_path(path, name), placement, row, shape)
         for form in self.forms:
             if not form.shared:
                 if form.shape.body is None:
                     UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
-                form.write(stage, self._form_path(path, form), row, self.size)
+                write_form(stage, self._form_path(path, form), form, row, self.size)
         for moving in self.form_swarms:
-            moving.write(stage.GetPrimAtPath(self._form_path(path, moving.placement)), replay.codes, row)
+            own = stage.GetPrimAtPath(self._form_path(path, moving.placement))
+            write_form_swarm(own, replay.codes, moving, row)
         for swarm in self.swarms:
-            swarm.write(stage.GetPrimAtPath(self._swarm_path(path, swarm)), replay.codes, row)
+            write_swarm(stage.GetPrimAtPath(self._swarm_path(path, swarm)), replay.codes, swarm, row)
         for group in self.spheres:
             if not group.contacts[0].points.spread and group.differs(row):
                 geometry.set_spheres(stage, f"{self._path(path, group.body)}/{self.names[group.name]}", group, row)
@@ -295,11 +288,12 @@ class _Export:
             self.readings[name].write(stage.GetPrimAtPath(self._contact_path(path, name)), row)
         for lines in self.lines:
             prim = stage.GetPrimAtPath(f"{self._contact_path(path, lines.contact.name)}/force")
-            lines.write(prim, replay, row, self.force_scale, WIDTH * self.size)
+            write_force_lines(prim, replay, lines, row, self.force_scale, WIDTH * self.size)
         for curve in self.curves:
             own = self._coupling_path(path, curve.coupling.name)
             self.readings[curve.coupling.name].write(stage.GetPrimAtPath(own), row)
-            curve.write(stage.GetPrimAtPath(f"{own}/shape"), replay, row, WIDTH * self.size)
+            shape, shown = stage.GetPrimAtPath(f"{own}/shape"), curve.shown[:, row].tolist()
+            write_curves(shape, replay, curve.points[:, row], shown, WIDTH * self.size)
         return path
 
     def _move(self, xformable: Any, body: Body, row: int) -> None:

@@ -7,9 +7,9 @@ import numpy as np
 
 from warpcontact.checks import Array
 from warpcontact.kernels.types import DRIVEN, FIXED, PRESCRIBED
+from warpcontact.replay.replay import Replay
 from warpcontact.scene import Body
 from warpcontact.usd.author import vectors, write_samples
-from warpcontact.usd.replay import Replay
 
 
 def define_gravity(stage: Any, path: str, gravity: Array) -> None:

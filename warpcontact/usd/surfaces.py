@@ -1,81 +1,31 @@
 """Surfaces of a stage: as they are in all environments, or in each its own pose, size and mesh."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.replay.surfaces import INACTIVE, Placement, surface_color
 from warpcontact.scene import Surface
 from warpcontact.usd.author import add_pose, mark, vectors
-from warpcontact.usd.geometry import body_color, set_color
-from warpcontact.usd.replay import Replay
-
-# Brightness of the faces that nothing can touch.
-INACTIVE = 0.4
+from warpcontact.usd.geometry import set_color
 
 
-@dataclass(frozen=True)
-class Placement:
-    """A surface in the environments of an export.
+def write_surface(stage: Any, path: str, placement: Placement, row: int, mesh: str | None = None) -> None:
+    """Writes it as in environment number ``row``; ``mesh``: a prim to refer to for its shape."""
+    from pxr import Gf, Kind, Usd, UsdGeom
 
-    Attributes:
-        surface: The surface.
-        position: Origin of its frame in that of its carrier, (env, 3) [m].
-        orientation: Rotation to that of its carrier, (env, 4), x, y, z, w.
-        scale: Size, (env,).
-        mesh: Which of its meshes it has, (env,).
-    """
-
-    surface: Surface
-    position: Array
-    orientation: Array
-    scale: Array
-    mesh: Array
-
-    @classmethod
-    def of(cls, replay: Replay, surface: Surface) -> "Placement":
-        """Returns the surface as recorded, or else as in the scene."""
-        return cls(surface, *replay.pose_of(surface), replay.setting(f"{surface.name}.mesh", np.zeros(())))
-
-    @property
-    def reach(self) -> float:
-        """How far it reaches at most from the origin of its carrier [m]."""
-        # Rotation of the mesh in its own frame does not change how far it reaches from that frame's origin.
-        far = np.array([np.linalg.norm(mesh.vertices, axis=1).max() for mesh in self.surface.meshes])
-        return float((self.scale * far[self.mesh.astype(int)] + np.linalg.norm(self.position, axis=1)).max())
-
-    @property
-    def corners(self) -> Array:
-        """Corners of the boxes that it fills in its own frame, in that of its carrier, (n, 3) [m]."""
-        bounds = np.array([mesh.bounds for mesh in self.surface.meshes])[self.mesh.astype(int)]
-        box = np.stack([bounds[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1)
-        return placed(self.scale[:, None, None] * box, self.position, self.orientation).reshape(-1, 3)
-
-    @property
-    def shared(self) -> bool:
-        """Whether it is the same in all environments."""
-        return all(
-            (values == values[:1]).all() for values in (self.position, self.orientation, self.scale, self.mesh)
-        )
-
-    def write(self, stage: Any, path: str, row: int, mesh: str | None = None) -> None:
-        """Writes it as in environment number ``row``; ``mesh``: a prim to refer to for its shape."""
-        from pxr import Gf, Kind, Usd, UsdGeom
-
-        if mesh is None:
-            prim = define_mesh(stage, path, self.surface, int(self.mesh[row]))
-        else:
-            prim = stage.DefinePrim(path, "Mesh")
-            prim.GetReferences().AddInternalReference(mesh)
-        xformable = UsdGeom.Xformable(prim)
-        add_pose(xformable, self.position[row], self.orientation[row])
-        if self.scale[row] != 1.0:
-            xformable.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(float(self.scale[row])))
-        if self.surface.body is None:
-            Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
+    if mesh is None:
+        prim = define_mesh(stage, path, placement.surface, int(placement.mesh[row]))
+    else:
+        prim = stage.DefinePrim(path, "Mesh")
+        prim.GetReferences().AddInternalReference(mesh)
+    xformable = UsdGeom.Xformable(prim)
+    add_pose(xformable, placement.position[row], placement.orientation[row])
+    if placement.scale[row] != 1.0:
+        xformable.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(float(placement.scale[row])))
+    if placement.surface.body is None:
+        Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
 
 
 def define_surfaces(stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str]) -> None:
@@ -86,7 +36,7 @@ def define_surfaces(stage: Any, path: str, placements: Mapping[str, Placement], 
     Usd.ModelAPI(scope).SetKind(Kind.Tokens.group)
     for name, placement in placements.items():
         if placement.surface.body is None and placement.shared:
-            placement.write(stage, f"{path}/{names[name]}", 0)
+            write_surface(stage, f"{path}/{names[name]}", placement, 0)
 
 
 def define_shapes(stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str]) -> None:
@@ -127,7 +77,7 @@ def _color_faces(mesh: Any, surface: Surface, index: int) -> None:
     """Colours the active faces, dims the others, and names the active ones as a subset."""
     from pxr import UsdGeom, Vt
 
-    color = body_color(surface.body) if surface.color is None else surface.color
+    color = surface_color(surface)
     active = surface.active[index]
     if active.all():
         set_color(mesh, color)

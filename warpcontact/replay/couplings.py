@@ -1,7 +1,6 @@
 """Couplings as curves: springs as coils, catenaries as they hang, all else as a line between its ends."""
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -9,10 +8,9 @@ from warpcontact.checks import Array
 from warpcontact.couplings.elements import Catenary, Coupling, SpringDamper
 from warpcontact.frames import placed
 from warpcontact.kernels.types import COUPLING_BROKEN
+from warpcontact.replay.replay import Replay
+from warpcontact.replay.spheres import WORLD_COLOR
 from warpcontact.scene import Points, Scene
-from warpcontact.usd.curves import define_curves, write_curves
-from warpcontact.usd.geometry import WORLD_COLOR
-from warpcontact.usd.replay import Replay
 
 # A coil: turns, points of each, the part of its length that is coiled, and its radius in greatest lengths.
 TURNS = 8
@@ -30,10 +28,12 @@ class CouplingCurve:
         coupling: The coupling.
         points: Its points, (time, env, n, 3), world [m].
         shown: Whether it is there, (time, env): a broken one is not.
+        color: RGB in 0…1.
     """
 
     def __init__(self, replay: Replay, coupling: Coupling) -> None:
         self.coupling = coupling
+        self.color = np.array(WORLD_COLOR) if coupling.color is None else coupling.color
         ends = [_places(replay, point) for point in (coupling.point_a, coupling.point_b)]
         if isinstance(coupling, Catenary):
             self.points = hanging(replay, coupling, *ends)
@@ -45,17 +45,6 @@ class CouplingCurve:
         everywhere = np.ones(self.points.shape[:2], dtype=bool)
         may_break = isinstance(coupling, SpringDamper) and status is not None
         self.shown = status != COUPLING_BROKEN if may_break else everywhere
-
-    def declare(self, stage: Any, path: str, width: float) -> None:
-        """Writes what the curve has in common in all environments."""
-        color = WORLD_COLOR if self.coupling.color is None else self.coupling.color
-        define_curves(
-            stage, path, [self.points.shape[2]], width, color, "From one end of the coupling to the other."
-        )
-
-    def write(self, prim: Any, replay: Replay, row: int, width: float) -> None:
-        """Writes the curve of environment number ``row`` of the export."""
-        write_curves(prim, replay, self.points[:, row], self.shown[:, row].tolist(), width)
 
 
 def coil(start: Array, end: Array) -> Array:
