@@ -49,9 +49,7 @@ def browser(folder):
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         port_file = profile / "DevToolsActivePort"
-        _wait(
-            lambda: port_file.is_file() and len(port_file.read_text().split("\n")) > 1, 60.0, "Chromium to start"
-        )
+        _wait(lambda: port_file.is_file() and "\n" in port_file.read_text(), 60.0, "Chromium to start")
         port = int(port_file.read_text().split("\n")[0])
 
         @contextlib.contextmanager

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from warpcontact.split_model import SplitModel
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
     from warpcontact.usd import export_usd
+    from warpcontact.viewer import view
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
@@ -111,6 +112,7 @@ _HOME = {
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
     "unilateral": "warpcontact.unilateral",
+    "view": "warpcontact.viewer",
     "write_fan": "warpcontact.analysis",
 }
 
@@ -182,6 +184,7 @@ __all__ = [
     "springs",
     "table",
     "unilateral",
+    "view",
     "write_fan",
 ]
 
