@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
     from warpcontact.usd import export_usd
     from warpcontact.usd.importing.errors import StageError
+    from warpcontact.viewer import view
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
@@ -116,6 +117,7 @@ _HOME = {
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
     "unilateral": "warpcontact.unilateral",
+    "view": "warpcontact.viewer",
     "write_fan": "warpcontact.analysis",
 }
 
@@ -190,6 +192,7 @@ __all__ = [
     "springs",
     "table",
     "unilateral",
+    "view",
     "write_fan",
 ]
 
