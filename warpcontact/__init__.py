@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
-    from warpcontact.usd import export_usd
+    from warpcontact.usd import check_usd, export_usd
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
@@ -93,6 +93,7 @@ _HOME = {
     "bench": "warpcontact.benchmark",
     "compare": "warpcontact.compare",
     "convergence": "warpcontact.analysis",
+    "check_usd": "warpcontact.usd",
     "export_usd": "warpcontact.usd",
     "frictions": "warpcontact.kernels.frictions",
     "integrators": "warpcontact.integrators",
@@ -162,6 +163,7 @@ __all__ = [
     "Template",
     "__version__",
     "bench",
+    "check_usd",
     "compare",
     "convergence",
     "export_usd",
