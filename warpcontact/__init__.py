@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from warpcontact.usd import export_usd
     from warpcontact.usd.importing.errors import StageError
     from warpcontact.viewer import view
+    from warpcontact.usd import check_usd, export_usd
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
@@ -97,6 +98,7 @@ _HOME = {
     "bench": "warpcontact.benchmark",
     "compare": "warpcontact.compare",
     "convergence": "warpcontact.analysis",
+    "check_usd": "warpcontact.usd",
     "export_usd": "warpcontact.usd",
     "film": "warpcontact.rendering",
     "frictions": "warpcontact.kernels.frictions",
@@ -170,6 +172,7 @@ __all__ = [
     "Template",
     "__version__",
     "bench",
+    "check_usd",
     "compare",
     "convergence",
     "export_usd",
