@@ -154,6 +154,7 @@ class Replay(Show):
         drawing = self._drawing
         if drawing is not None and self._clock >= drawing.times[-1] and self.source.state in ("", "finished"):
             self._clock = float(drawing.times[0])
+            self.redraw()
         super().play()
 
     def drawn(self) -> tuple[Drawing, int] | None:
