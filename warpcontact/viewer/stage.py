@@ -108,7 +108,9 @@ class Stage:
         # Those of viser outshine colours.
         server.scene.configure_environment_map("studio", environment_intensity=AMBIENT)
         server.scene.configure_default_lights(False)
-        server.scene.add_light_directional("/lights/sun", intensity=SUN, cast_shadow=True, position=tuple(SUN_FROM))
+        server.scene.add_light_directional(
+            "/lights/sun", intensity=SUN, cast_shadow=True, position=tuple(SUN_FROM)
+        )
 
     def show(self, drawing: Drawing, record: int, force_scale: float) -> None:
         """Shows the first environment of a drawing at one of its records.
@@ -162,9 +164,9 @@ class Stage:
         centre, radius = middle(drawing, record)
         self._centre = centre
         place = centre + AWAY_BY * radius * FROM
-        cameras = [self.server.initial_camera, *(one.camera for one in self.server.get_clients().values())]
-        for camera in cameras:
-            camera.look_at, camera.position = centre, place
+        for camera in self._cameras():
+            # In this order: a camera that is moved takes what it looks at along.
+            camera.position, camera.look_at = place, centre
         self.server.initial_camera.near = 0.01 * radius
         self.server.initial_camera.far = max(1000.0, 1000.0 * radius)
 
@@ -178,9 +180,12 @@ class Stage:
         if not way.any():
             return
         self._centre = centre
-        for camera in [self.server.initial_camera, *(one.camera for one in self.server.get_clients().values())]:
-            place, look_at = camera.position + way, camera.look_at + way
-            camera.position, camera.look_at = place, look_at
+        for camera in self._cameras():
+            camera.position, camera.look_at = camera.position + way, camera.look_at + way
+
+    def _cameras(self) -> list[Any]:
+        """Returns those of the pages that are open, and of those that will be."""
+        return [self.server.initial_camera, *(one.camera for one in self.server.get_clients().values())]
 
     def _place(self, number: int, figure: Figure, record: int, colors: NDArray[np.uint8] | None) -> None:
         """Puts a figure where it is; ``colors``: of each item, instead of its own."""
