@@ -42,10 +42,9 @@ if TYPE_CHECKING:
     from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
-    from warpcontact.usd import export_usd
+    from warpcontact.usd import check_usd, export_usd
     from warpcontact.usd.importing.errors import StageError
     from warpcontact.viewer import view
-    from warpcontact.usd import check_usd, export_usd
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
