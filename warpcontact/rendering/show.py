@@ -58,12 +58,12 @@ class Show:
         width, height = look.size
         self._places = sheet.places(len(self._panels), width, height)
         left, top, right, bottom = self._places[0]
+        self._force_scale = drawing.force_scale if look.force_scale is None else float(look.force_scale)
         self.camera = self._camera((right - left) / (bottom - top))
         reach = self.camera.reach
         self._width = min(max(WIDTH * drawing.size, THINNEST * reach), THICKEST * reach)
         largest = max((np.linalg.norm(t.forces, axis=-1).max(initial=0.0) for t in drawing.touches), default=0.0)
-        self._force_scale = drawing.force_scale
-        if largest > 0.0:
+        if look.force_scale is None and largest > 0.0:
             self._force_scale = min(drawing.force_scale, LONGEST * reach / largest)
 
     def picture(self, record: int, time: float | None = None, samples: int | None = None) -> Picture:
@@ -101,7 +101,7 @@ class Show:
         for figure, moves in zip(self.drawing.figures, self._moves, strict=True):
             for row in rows if moves else rows[:1]:
                 color = self._coloring.colors[row] if self._coloring is not None and moves else None
-                found.append((of_figure(figure, record, row, color=color, ruled=not moves), moves))
+                found.append((of_figure(figure, record, row, color=color, ruled=not moves, least=width), moves))
         for curve in self.drawing.curves:
             for row in rows:
                 found += [(group, True) for group in of_curve(curve, record, row, width)]
@@ -125,6 +125,13 @@ class Show:
             if moves or record == 0
         ]
         points, radii = spheres_to_see(self.drawing, items)
+        if self._look.forces:
+            tips = [
+                (touch.points + self._force_scale * touch.forces)[(touch.forces != 0.0).any(axis=-1)]
+                for touch in self.drawing.touches
+            ]
+            points = np.concatenate([points, *tips])
+            radii = np.concatenate([radii, np.zeros(len(points) - len(radii))])
         return framed(
             points,
             radii,
