@@ -42,7 +42,9 @@ if TYPE_CHECKING:
     from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
-    from warpcontact.usd import export_usd
+    from warpcontact.usd import check_usd, export_usd
+    from warpcontact.usd.importing.errors import StageError
+    from warpcontact.viewer import view
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
@@ -85,6 +87,7 @@ _HOME = {
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
     "SpringDamper": "warpcontact.couplings.elements",
+    "StageError": "warpcontact.usd.importing.errors",
     "Status": "warpcontact.status",
     "StoreError": "warpcontact.experiment",
     "Stop": "warpcontact.outcomes.watch",
@@ -94,6 +97,7 @@ _HOME = {
     "bench": "warpcontact.benchmark",
     "compare": "warpcontact.compare",
     "convergence": "warpcontact.analysis",
+    "check_usd": "warpcontact.usd",
     "export_usd": "warpcontact.usd",
     "film": "warpcontact.rendering",
     "frictions": "warpcontact.kernels.frictions",
@@ -114,6 +118,7 @@ _HOME = {
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
     "unilateral": "warpcontact.unilateral",
+    "view": "warpcontact.viewer",
     "write_fan": "warpcontact.analysis",
 }
 
@@ -157,6 +162,7 @@ __all__ = [
     "SplitModel",
     "Spring",
     "SpringDamper",
+    "StageError",
     "Status",
     "Stop",
     "StoreError",
@@ -165,6 +171,7 @@ __all__ = [
     "Template",
     "__version__",
     "bench",
+    "check_usd",
     "compare",
     "convergence",
     "export_usd",
@@ -187,6 +194,7 @@ __all__ = [
     "springs",
     "table",
     "unilateral",
+    "view",
     "write_fan",
 ]
 
