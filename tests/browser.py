@@ -45,10 +45,11 @@ def executable():
 def browser(folder):
     """Starts Chromium with its profile in ``folder``; yields what opens pages: ``page(url, size, dark)``."""
     profile = Path(folder) / "profile"
+    port_file = profile / "DevToolsActivePort"
+    port_file.unlink(missing_ok=True)  # of a browser that had the folder before
     command = [executable(), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        port_file = profile / "DevToolsActivePort"
         _wait(lambda: port_file.is_file() and "\n" in port_file.read_text(), 60.0, "Chromium to start")
         port = int(port_file.read_text().split("\n")[0])
 
