@@ -192,6 +192,8 @@ def item_dimension(scene: Scene, element: str) -> str:
     """Returns the name of the item axis of a set: sets of different size cannot share one."""
     sizes = {points.count for points in scene.points if not points.single}
     sizes |= {body.count for body in scene.bodies if not body.single}
+    # A mutual contact has one item for each of its shapes, which may be those of several sets.
+    sizes |= {pile.count for pile in scene.mutual_contacts if pile.name == element}
     return "item" if len(sizes) == 1 else f"{element}.item"
 
 
