@@ -5,8 +5,8 @@ from example_files import FOLDER
 
 import warpcontact as wc
 
-# Those that record nothing over time, and the one whose records are far apart.
-WITHOUT = ("lander",)
+# These record nothing over time; the records of the other are far apart.
+WITHOUT = ("lander", "stopping_distance")
 DURATION = {"buoy": 2.0}
 
 
