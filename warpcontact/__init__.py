@@ -36,12 +36,15 @@ if TYPE_CHECKING:
     from warpcontact.outcomes.watch import Events, Stop
     from warpcontact.quarantine import QuarantineError
     from warpcontact.recorder import Recording
+    from warpcontact.rendering import film, render
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
     from warpcontact.usd import check_usd, export_usd
+    from warpcontact.usd.importing.errors import StageError
+    from warpcontact.viewer import view
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
@@ -84,6 +87,7 @@ _HOME = {
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
     "SpringDamper": "warpcontact.couplings.elements",
+    "StageError": "warpcontact.usd.importing.errors",
     "Status": "warpcontact.status",
     "StoreError": "warpcontact.experiment",
     "Stop": "warpcontact.outcomes.watch",
@@ -95,6 +99,7 @@ _HOME = {
     "convergence": "warpcontact.analysis",
     "check_usd": "warpcontact.usd",
     "export_usd": "warpcontact.usd",
+    "film": "warpcontact.rendering",
     "frictions": "warpcontact.kernels.frictions",
     "integrators": "warpcontact.integrators",
     "laws": "warpcontact.kernels.laws",
@@ -106,12 +111,14 @@ _HOME = {
     "outcomes": "warpcontact.outcomes",
     "parameter": "warpcontact.kernels.formula",
     "quantile_fan": "warpcontact.analysis",
+    "render": "warpcontact.rendering",
     "sample_surface": "warpcontact.meshes",
     "sensitivity": "warpcontact.analysis",
     "shapes": "warpcontact.kernels.smooth.shapes",
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
     "unilateral": "warpcontact.unilateral",
+    "view": "warpcontact.viewer",
     "write_fan": "warpcontact.analysis",
 }
 
@@ -155,6 +162,7 @@ __all__ = [
     "SplitModel",
     "Spring",
     "SpringDamper",
+    "StageError",
     "Status",
     "Stop",
     "StoreError",
@@ -167,6 +175,7 @@ __all__ = [
     "compare",
     "convergence",
     "export_usd",
+    "film",
     "frictions",
     "integrators",
     "laws",
@@ -178,12 +187,14 @@ __all__ = [
     "outcomes",
     "parameter",
     "quantile_fan",
+    "render",
     "sample_surface",
     "sensitivity",
     "shapes",
     "springs",
     "table",
     "unilateral",
+    "view",
     "write_fan",
 ]
 
