@@ -16,6 +16,7 @@ from warpcontact.usd import geometry, physics
 from warpcontact.usd.author import identifiers, mark, pose_attributes, series, write_samples
 from warpcontact.usd.contacts import WIDTH, ForceLines, Readings, length_scale
 from warpcontact.usd.couplings import CouplingCurve
+from warpcontact.usd.description import write_description
 from warpcontact.usd.forms import FormPlacement, FormSwarm
 from warpcontact.usd.replay import Replay
 from warpcontact.usd.surfaces import Placement, define_shapes, define_surfaces
@@ -159,6 +160,7 @@ class _Export:
         if len(paths) > 1:
             shared = None if apart else surfaces
             physics.define_collision_groups(self.stage, "/World/CollisionGroups", paths, shared)
+        write_description(self.stage, self.replay.scene, self.names)
 
     def _forces(self) -> list[str]:
         """Returns the names of the contacts and of their couplings."""

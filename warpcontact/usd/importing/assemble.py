@@ -73,9 +73,7 @@ class _Assembly:
                 for collider, one in zip(self.physics["colliders"], found, strict=True)
                 if collider["body"] == number and one is not None
             ]
-            made = self._tried(
-                record, lambda record=record, name=name, own=own: self._body(scene, record, name, own)
-            )
+            made = self._tried(record, partial(self._body, scene, record, name, own))
             bodies.append(made)
             centres.append(np.zeros(3) if made is None else _local(record, made.position))
         self._refuse(subject, skip)
