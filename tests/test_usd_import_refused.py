@@ -98,7 +98,7 @@ UNSUPPORTED = {
         prim("Xform", "robot", 'prepend apiSchemas = ["PhysicsArticulationRootAPI"]'), "/robot: an articulation"
     ),
     "a deformable": (
-        prim("Mesh", "cloth", 'prepend apiSchemas = ["PhysxDeformableBodyAPI"]'), "/cloth: a deformable body, Physx"
+        prim("Mesh", "cloth", 'prepend apiSchemas = ["PhysxDeformableBodyAPI"]'), "/cloth: a deformable body"
     ),
     "a prim of another program": (prim("MjcActuator", "motor"), "/motor: MjcActuator, of another program"),
     "an instancer": (

@@ -17,6 +17,7 @@ from warpcontact.scene import Scene
 from warpcontact.smooth.elements import Shape
 from warpcontact.usd.importing.findings import Wrong
 from warpcontact.usd.importing.forms import Solidity
+from warpcontact.usd.importing.together import share_of
 
 #: Friction and restitution where no physics material is bound.
 NO_MATERIAL = {"static": 0.5, "dynamic": 0.5, "restitution": 0.0}
@@ -166,25 +167,28 @@ class Touching:
             radius = ball.own.form.radius  # type: ignore[union-attr]
             scene.add_contact(ball.middle(scene), around.surface(scene), template, radius=radius, name=name)
         elif other.is_a(shapes.Plane):
-            scene.add_contact(one.sampled(scene, self.samples), other.surface(scene), template, name=name)
+            self._add_points(one, other, template, name, 1.0)
         else:
             self._add_surfaces(one, other, template, name)
 
     def _add_surfaces(self, one: Collider, other: Collider, template: Template, name: str) -> None:
         """Lets points of two surfaces touch the other one; of one at rest only if they are not too many."""
-        scene = self.scene
-        both = other.moves or len(other.surface(scene).mesh.vertices) <= MOST_POINTS
-        points, outside = one.sampled(scene, self.samples), other.surface(scene)
-        scene.add_contact(points, outside, template, share=0.5 if both else 1.0, name=name)
+        both = other.moves or len(other.surface(self.scene).mesh.vertices) <= MOST_POINTS
+        self._add_points(one, other, template, name, 0.5 if both else 1.0)
         if both:
-            points, outside = other.sampled(scene, self.samples), one.surface(scene)
-            again = scene.new_name(f"{other.name}_{one.name}", None)
-            scene.add_contact(points, outside, template, share=0.5, name=again)
+            self._add_points(other, one, template, self.scene.new_name(f"{other.name}_{one.name}", None), 0.5)
         else:
             self.remarks.append(
-                f"{other.path}: it has more than {MOST_POINTS} vertices and does not move: vertices of "
+                f"{other.path}: it has more than {MOST_POINTS} vertices and does not move: points of "
                 f"{one.path} touch it, and not the reverse"
             )
+
+    def _add_points(self, one: Collider, other: Collider, template: Template, name: str, part: float) -> None:
+        """Lets points of one surface touch the other; ``part``: of the force of the pair."""
+        points, outside = one.sampled(self.scene, self.samples), other.surface(self.scene)
+        reach = 0.5 * float(np.linalg.norm(np.ptp(outside.mesh.bounds, axis=0)))
+        share = part * share_of(points.positions, reach, convex=one.moves)
+        self.scene.add_contact(points, outside, template, share=share, name=name)
 
     def _template(self, one: Collider, other: Collider) -> Template:
         """Returns law and friction of a pair: means of what materials say, and a spring of the contact time."""
