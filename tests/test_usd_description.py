@@ -146,7 +146,7 @@ ELEMENTS = "/World/Description/Elements"
         ("touching", "Elements/ball.warpcontact:mass", None, "Elements/ball: mass is missing"),
         ("touching", "Elements/ball.warpcontact:name", "a b", "name of a body must be letters"),
         ("touching", "Elements/ball.warpcontact:kind", "build", "kind must be one of body, bodies"),
-        ("touching", "Elements/touch_1.warpcontact:search", "all", "touch-1.search must be one of"),
+        ("touching", "Elements/touch_1.warpcontact:entry", "all", "touch-1.entry must be one of"),
         ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/ball"], "must come from add_point"),
         ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/nobody"], "that come before"),
         ("touching", "Elements/touch_1.warpcontact:points", [], "points must have one target, got 0"),
