@@ -64,7 +64,7 @@ class _Restoration:
 
     def scene(self) -> Scene:
         values = self.root["values"]
-        if values["schema"] not in _SCHEMAS:
+        if not isinstance(values["schema"], int) or values["schema"] not in _SCHEMAS:
             version = shortened(values.get("version", "an unknown version"))
             raise self._error([f"{self.root['path']} was written by warpcontact {version}, which is newer"])
         given = {name: values[name] for name in ("gravity", "max_speed", "max_distance") if name in values}
