@@ -36,12 +36,15 @@ if TYPE_CHECKING:
     from warpcontact.outcomes.watch import Events, Stop
     from warpcontact.quarantine import QuarantineError
     from warpcontact.recorder import Recording
+    from warpcontact.rendering import film, render
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
     from warpcontact.usd import export_usd
+    from warpcontact.usd.importing.errors import StageError
+    from warpcontact.viewer import view
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
@@ -84,6 +87,7 @@ _HOME = {
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
     "SpringDamper": "warpcontact.couplings.elements",
+    "StageError": "warpcontact.usd.importing.errors",
     "Status": "warpcontact.status",
     "StoreError": "warpcontact.experiment",
     "Stop": "warpcontact.outcomes.watch",
@@ -94,6 +98,7 @@ _HOME = {
     "compare": "warpcontact.compare",
     "convergence": "warpcontact.analysis",
     "export_usd": "warpcontact.usd",
+    "film": "warpcontact.rendering",
     "frictions": "warpcontact.kernels.frictions",
     "integrators": "warpcontact.integrators",
     "laws": "warpcontact.kernels.laws",
@@ -105,12 +110,14 @@ _HOME = {
     "outcomes": "warpcontact.outcomes",
     "parameter": "warpcontact.kernels.formula",
     "quantile_fan": "warpcontact.analysis",
+    "render": "warpcontact.rendering",
     "sample_surface": "warpcontact.meshes",
     "sensitivity": "warpcontact.analysis",
     "shapes": "warpcontact.kernels.smooth.shapes",
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
     "unilateral": "warpcontact.unilateral",
+    "view": "warpcontact.viewer",
     "write_fan": "warpcontact.analysis",
 }
 
@@ -154,6 +161,7 @@ __all__ = [
     "SplitModel",
     "Spring",
     "SpringDamper",
+    "StageError",
     "Status",
     "Stop",
     "StoreError",
@@ -165,6 +173,7 @@ __all__ = [
     "compare",
     "convergence",
     "export_usd",
+    "film",
     "frictions",
     "integrators",
     "laws",
@@ -176,12 +185,14 @@ __all__ = [
     "outcomes",
     "parameter",
     "quantile_fan",
+    "render",
     "sample_surface",
     "sensitivity",
     "shapes",
     "springs",
     "table",
     "unilateral",
+    "view",
     "write_fan",
 ]
 

@@ -188,8 +188,8 @@ def _tracks(recording: Recording, body: Body, chosen: NDArray[np.int_]) -> NDArr
 
 def _coupling_shapes(recording: Recording) -> list[NDArray[Any]]:
     """Returns the couplings of the first environment at the end, (n, 3) each, world [m]."""
-    from warpcontact.usd.couplings import CouplingCurve
-    from warpcontact.usd.replay import Replay
+    from warpcontact.replay.couplings import CouplingCurve
+    from warpcontact.replay.replay import Replay
 
     shown = [coupling for coupling in recording.scene.couplings if coupling.visible]
     if not shown:

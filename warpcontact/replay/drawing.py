@@ -1,11 +1,14 @@
 """What is seen of a recording: bodies that move, surfaces, lines and forces, whatever draws them."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
+from warpcontact.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,7 @@ class Figure:
         positions: Origins of the frame of the shape, (time, env, item, 3), world [m].
         orientations: Rotations of the shape to the world, (time, env, item, 4), x, y, z, w.
         scales: Factors along the axes of the shape, (env, item, 3).
-        there: Whether it is in an environment at all, (env,).
+        there: Whether it is in an environment at all, (env, item).
     """
 
     name: str
@@ -109,3 +112,12 @@ class Drawing:
     touches: list[Touch]
     size: float
     force_scale: float
+
+    @classmethod
+    def of(
+        cls, recording: xr.Dataset, scene: Scene | None = None, envs: int | Iterable[int] | None = None
+    ) -> "Drawing":
+        """Returns what is seen of some environments of a recording; arguments and errors as of ``drawing_of``."""
+        from warpcontact.replay.draw import drawing_of
+
+        return drawing_of(recording, scene, envs)

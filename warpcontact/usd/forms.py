@@ -1,96 +1,73 @@
 """Shapes of analytic form on a stage: as the primitives that USD has, or as meshes."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed, product
+from warpcontact.frames import placed
 from warpcontact.kernels.smooth import shapes
 from warpcontact.kernels.smooth.base import Shape as Form
+from warpcontact.kernels.smooth.patch import Patch
 from warpcontact.kernels.smooth.plane import Plane
-from warpcontact.smooth.elements import Shape
+from warpcontact.kernels.smooth.torus import Torus
+from warpcontact.replay.forms import PLANE, FormPlacement, FormSwarm
 from warpcontact.smooth.tessellate import tessellate
-from warpcontact.usd.author import add_pose, mark, vectors, write_samples
-from warpcontact.usd.geometry import body_color, set_color
-from warpcontact.usd.replay import Replay
-
-# Half the side of what is drawn of a half-space, in sizes of the scene.
-PLANE = 10.0
+from warpcontact.usd.author import Samples, add_pose, integers, mark, quaternions, vectors, write_box
+from warpcontact.usd.geometry import set_color
 
 
-@dataclass(frozen=True)
-class FormPlacement:
-    """A shape in the environments of an export; arrays are (env, item, …).
+def write_form(
+    stage: Any,
+    path: str,
+    form: FormPlacement,
+    row: int,
+    size: float,
+    *,
+    item: int = 0,
+    physics: bool = True,
+    color: bool = True,
+) -> None:
+    """Writes a shape as in environment number ``row``.
 
-    Attributes:
-        shape: The shape, or a set of them.
-        positions: Origins of their frames in those of their carriers [m].
-        orientations: Rotations to those, x, y, z, w.
-        sizes: Their parameters by name.
+    Args:
+        stage: The stage.
+        path: Where to.
+        form: The shape.
+        row: The environment.
+        size: That of the scene [m].
+        item: Which one of a set.
+        physics: Whether it collides.
+        color: Whether it has a colour of its own.
     """
+    from pxr import Usd, UsdGeom, UsdPhysics
 
-    shape: Shape
-    positions: Array
-    orientations: Array
-    sizes: dict[str, Array]
-
-    @classmethod
-    def of(cls, replay: Replay, shape: Shape) -> "FormPlacement":
-        """Returns the shape as recorded, or else as in the scene."""
-
-        def setting(key: str, default: Array) -> Array:
-            found = replay.setting(f"{shape.name}.{key}", default[0] if shape.single else default)
-            return found[:, None] if shape.single else found
-
-        return cls(
-            shape,
-            setting("position", shape.positions),
-            setting("orientation", shape.orientations),
-            {key: setting(key, values) for key, values in shape.sizes.items()},
-        )
-
-    @property
-    def shared(self) -> bool:
-        """Whether it is the same in all environments."""
-        arrays = (self.positions, self.orientations, *self.sizes.values())
-        return all(bool((values == values[:1]).all()) for values in arrays)
-
-    @property
-    def reach(self) -> float:
-        """How far it reaches at most from the origin of its carrier [m]; 0 of a half-space."""
-        if issubclass(self.shape.kind, Plane):
-            return 0.0
-        far = [np.linalg.norm(tessellate(self.shape.kind, self.of_item(0, 0))[0], axis=1).max()]
-        return float(max(far) + np.linalg.norm(self.positions, axis=-1).max())
-
-    def of_item(self, row: int, item: int) -> dict[str, Array]:
-        """Returns the parameters of one of them in environment number ``row``."""
-        return {key: values[row, item] for key, values in self.sizes.items()}
-
-    def write(self, stage: Any, path: str, row: int, size: float) -> None:
-        """Writes a single shape as in environment number ``row``; ``size`` is that of the scene [m]."""
-        from pxr import Usd, UsdGeom, UsdPhysics
-
-        gprim = define_form(stage, path, self.shape.kind, self.of_item(row, 0), PLANE * size)
-        prim = gprim.GetPrim()
-        shift = np.array([0.0, 0.0, self.sizes["height"][row, 0] / 2]) if self._is_cone else np.zeros(3)
-        position, orientation = self.positions[row, 0], self.orientations[row, 0]
-        add_pose(UsdGeom.Xformable(prim), placed(shift[None], position, orientation)[0], orientation)
-        color = body_color(self.shape.body) if self.shape.color is None else self.shape.color
-        set_color(gprim, color)
-        mark(prim, self.shape.name)
-        UsdPhysics.CollisionAPI.Apply(prim)
-        if not self.shape.visible:
-            UsdGeom.Imageable(prim).MakeInvisible()
-        if self.shape.body is None:
-            Usd.ModelAPI(prim).SetKind("component")
-
-    @property
-    def _is_cone(self) -> bool:
-        return issubclass(self.shape.kind, shapes.Cone)
+    gprim = define_form(stage, path, form.shape.kind, form.of_item(row, item), PLANE * size)
+    prim = gprim.GetPrim()
+    shift = (
+        np.array([0.0, 0.0, form.sizes["height"][row, item] / 2])
+        if issubclass(form.shape.kind, shapes.Cone)
+        else np.zeros(3)
+    )
+    position, orientation = form.positions[row, item], form.orientations[row, item]
+    add_pose(UsdGeom.Xformable(prim), placed(shift[None], position, orientation)[0], orientation)
+    mark(prim, form.shape.name)
+    if not form.shape.visible:
+        UsdGeom.Imageable(prim).MakeInvisible()
+    if color:
+        set_color(gprim, form.color)
+    if not physics:
+        return
+    UsdPhysics.CollisionAPI.Apply(prim)
+    if prim.IsA(UsdGeom.Mesh):
+        hollow = issubclass(form.shape.kind, Torus | Patch)
+        tokens = UsdPhysics.Tokens
+        shown = tokens.none if hollow else tokens.convexHull
+        UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(shown)
+    if form.shape.body is None:
+        Usd.ModelAPI(prim).SetKind("component")
+        write_box(prim, *np.array(gprim.GetExtentAttr().Get()))
 
 
 def _sphere(stage: Any, path: str, sizes: Mapping[str, Array]) -> Any:
@@ -162,66 +139,40 @@ def define_form(stage: Any, path: str, kind: type[Form], sizes: Mapping[str, Arr
     return mesh
 
 
-class FormSwarm:
-    """Shapes on the bodies of a set, one ``UsdGeom.PointInstancer`` that moves.
+def declare_form_swarm(stage: Any, path: str, swarm: FormSwarm, size: float) -> None:
+    """Writes what they have in common in all environments."""
+    from pxr import Sdf, UsdGeom
 
-    Args:
-        placement: The shapes.
-        poses: Positions (time, env, item, 3) and orientations of the bodies.
-    """
-
-    def __init__(self, placement: FormPlacement, poses: tuple[Array, Array]) -> None:
-        self.placement = placement
-        positions, orientations = poses
-        self.places = placed(placement.positions[..., None, :], positions, orientations)[..., 0, :]
-        turns = np.broadcast_to(placement.orientations, orientations.shape)
-        self.turns = product(orientations, turns)
-        # One prototype for all of one size; spheres and ellipsoids are scaled from one.
-        sizes = placement.sizes
-        self._scaled = issubclass(placement.shape.kind, shapes.Sphere | shapes.Ellipsoid)
-        shape = placement.positions.shape[:2]
-        rows = np.concatenate([values.reshape(*shape, -1) for values in sizes.values()], axis=-1)
-        flat = rows.reshape(shape[0] * shape[1], -1)
-        _, self._first, numbers = np.unique(flat, axis=0, return_index=True, return_inverse=True)
-        self._numbers = numbers.reshape(shape)
-
-    def declare(self, stage: Any, path: str, size: float) -> None:
-        """Writes what they have in common in all environments."""
-        from pxr import Sdf, UsdGeom
-
-        shape, items = self.placement.shape, self.placement.positions.shape[1]
-        instancer = UsdGeom.PointInstancer.Define(stage, path)
-        targets = []
-        for number, first in enumerate([0] if self._scaled else self._first):
-            sizes = {} if self._scaled else self.placement.of_item(first // items, first % items)
-            own = f"{path}/form_{number}"
-            gprim = define_form(stage, own, shape.kind, sizes, PLANE * size)
-            set_color(gprim, body_color(shape.body) if shape.color is None else shape.color)
-            targets.append(Sdf.Path(own))
-        instancer.CreatePrototypesRel().SetTargets(targets)
-        if not shape.visible:
-            instancer.MakeInvisible()
-        mark(instancer.GetPrim(), shape.name)
-
-    def write(self, prim: Any, codes: Sequence[float], row: int) -> None:
-        """Writes where they are in environment number ``row`` of the export."""
-        from pxr import UsdGeom, Vt
-
-        instancer, sizes = UsdGeom.PointInstancer(prim), self.placement.sizes
-        numbers = np.zeros_like(self._numbers[row]) if self._scaled else self._numbers[row]
-        instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(numbers.astype(np.int32)))
-        if self._scaled:
-            scales = (
-                sizes["semi_axes"] if "semi_axes" in sizes else np.repeat(sizes["radius"][..., None], 3, axis=2)
-            )
-            instancer.CreateScalesAttr(vectors(scales[row]))
-        write_samples(instancer.CreatePositionsAttr(), codes, [vectors(entry) for entry in self.places[:, row]])
-        turns = [Vt.QuathArray([_half(q) for q in entry]) for entry in self.turns[:, row]]
-        write_samples(instancer.CreateOrientationsAttr(), codes, turns)
+    shape, items = swarm.placement.shape, swarm.placement.positions.shape[1]
+    instancer = UsdGeom.PointInstancer.Define(stage, path)
+    targets = []
+    for number, first in enumerate([0] if swarm.scaled else swarm.first):
+        sizes = {} if swarm.scaled else swarm.placement.of_item(first // items, first % items)
+        own = f"{path}/form_{number}"
+        gprim = define_form(stage, own, shape.kind, sizes, PLANE * size)
+        set_color(gprim, swarm.placement.color)
+        targets.append(Sdf.Path(own))
+    instancer.CreatePrototypesRel().SetTargets(targets)
+    if not shape.visible:
+        instancer.MakeInvisible()
+    mark(instancer.GetPrim(), shape.name)
 
 
-def _half(q: Array) -> Any:
-    from pxr import Gf
+def write_form_swarm(prim: Any, samples: Samples, swarm: FormSwarm, row: int) -> None:
+    """Writes where they are in environment number ``row`` of the export."""
+    from pxr import UsdGeom
 
-    x, y, z, w = q.tolist()
-    return Gf.Quath(w, x, y, z)
+    instancer, sizes = UsdGeom.PointInstancer(prim), swarm.placement.sizes
+    reach = swarm.placement.reach
+    if samples.defaults:
+        numbers = np.zeros_like(swarm.numbers[row]) if swarm.scaled else swarm.numbers[row]
+        instancer.CreateProtoIndicesAttr(integers(numbers))
+        if swarm.scaled:
+            radii = np.repeat(sizes["radius"][..., None], 3, axis=2) if "radius" in sizes else sizes["semi_axes"]
+            instancer.CreateScalesAttr(vectors(radii[row]))
+    places = swarm.places[:, row]
+    extents = np.stack([places.min(axis=1) - reach, places.max(axis=1) + reach], axis=1)
+    samples.write(instancer.CreatePositionsAttr(), [vectors(entry) for entry in places])
+    turns = [quaternions(entry) for entry in swarm.turns[:, row]]
+    samples.write(instancer.CreateOrientationsfAttr(), turns)
+    samples.write(instancer.CreateExtentAttr(), [vectors(entry) for entry in extents])

@@ -1,107 +1,78 @@
 """Surfaces of a stage: as they are in all environments, or in each its own pose, size and mesh."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
 
-from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.replay.surfaces import INACTIVE, Placement, surface_color
 from warpcontact.scene import Surface
-from warpcontact.usd.author import add_pose, mark, vectors
-from warpcontact.usd.geometry import body_color, set_color
-from warpcontact.usd.replay import Replay
-
-# Brightness of the faces that nothing can touch.
-INACTIVE = 0.4
+from warpcontact.usd.author import add_pose, mark, vectors, write_box
+from warpcontact.usd.geometry import set_color
 
 
-@dataclass(frozen=True)
-class Placement:
-    """A surface in the environments of an export.
+def write_surface(
+    stage: Any,
+    path: str,
+    placement: Placement,
+    row: int,
+    mesh: str | None = None,
+    *,
+    physics: bool = True,
+    color: bool = True,
+) -> None:
+    """Writes it as in environment number ``row``.
 
-    Attributes:
-        surface: The surface.
-        position: Origin of its frame in that of its carrier, (env, 3) [m].
-        orientation: Rotation to that of its carrier, (env, 4), x, y, z, w.
-        scale: Size, (env,).
-        mesh: Which of its meshes it has, (env,).
+    Args:
+        stage: The stage.
+        path: Where to.
+        placement: The surface.
+        row: The environment.
+        mesh: A prim to refer to for its shape.
+        physics: Whether it collides.
+        color: Whether it has colours of its own.
     """
+    from pxr import Gf, Kind, Usd, UsdGeom
 
-    surface: Surface
-    position: Array
-    orientation: Array
-    scale: Array
-    mesh: Array
-
-    @classmethod
-    def of(cls, replay: Replay, surface: Surface) -> "Placement":
-        """Returns the surface as recorded, or else as in the scene."""
-        return cls(surface, *replay.pose_of(surface), replay.setting(f"{surface.name}.mesh", np.zeros(())))
-
-    @property
-    def reach(self) -> float:
-        """How far it reaches at most from the origin of its carrier [m]."""
-        # Rotation of the mesh in its own frame does not change how far it reaches from that frame's origin.
-        far = np.array([np.linalg.norm(mesh.vertices, axis=1).max() for mesh in self.surface.meshes])
-        return float((self.scale * far[self.mesh.astype(int)] + np.linalg.norm(self.position, axis=1)).max())
-
-    @property
-    def corners(self) -> Array:
-        """Corners of the boxes that it fills in its own frame, in that of its carrier, (n, 3) [m]."""
-        bounds = np.array([mesh.bounds for mesh in self.surface.meshes])[self.mesh.astype(int)]
-        box = np.stack([bounds[:, [i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)], axis=1)
-        return placed(self.scale[:, None, None] * box, self.position, self.orientation).reshape(-1, 3)
-
-    @property
-    def shared(self) -> bool:
-        """Whether it is the same in all environments."""
-        return all(
-            (values == values[:1]).all() for values in (self.position, self.orientation, self.scale, self.mesh)
-        )
-
-    def write(self, stage: Any, path: str, row: int, mesh: str | None = None) -> None:
-        """Writes it as in environment number ``row``; ``mesh``: a prim to refer to for its shape."""
-        from pxr import Gf, Kind, Usd, UsdGeom
-
-        if mesh is None:
-            prim = define_mesh(stage, path, self.surface, int(self.mesh[row]))
-        else:
-            prim = stage.DefinePrim(path, "Mesh")
-            prim.GetReferences().AddInternalReference(mesh)
-        xformable = UsdGeom.Xformable(prim)
-        add_pose(xformable, self.position[row], self.orientation[row])
-        if self.scale[row] != 1.0:
-            xformable.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(float(self.scale[row])))
-        if self.surface.body is None:
-            Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
+    if mesh is None:
+        prim = define_mesh(stage, path, placement.surface, int(placement.mesh[row]), physics=physics, color=color)
+    else:
+        prim = stage.DefinePrim(path, "Mesh")
+        prim.GetReferences().AddInternalReference(mesh)
+    xformable = UsdGeom.Xformable(prim)
+    add_pose(xformable, placement.position[row], placement.orientation[row])
+    if placement.scale[row] != 1.0:
+        xformable.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(float(placement.scale[row])))
+    if placement.surface.body is None:
+        Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
+        write_box(prim, *placement.surface.meshes[int(placement.mesh[row])].bounds)
 
 
 def define_surfaces(stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str]) -> None:
-    """Writes the surfaces that are fixed to the world and the same everywhere, below ``path``."""
-    from pxr import Kind, Usd, UsdGeom
-
-    scope = UsdGeom.Scope.Define(stage, path)
-    Usd.ModelAPI(scope).SetKind(Kind.Tokens.group)
+    """Writes surfaces below ``path`` as they are in the first environment."""
     for name, placement in placements.items():
-        if placement.surface.body is None and placement.shared:
-            placement.write(stage, f"{path}/{names[name]}", 0)
+        write_surface(stage, f"{path}/{names[name]}", placement, 0)
 
 
-def define_shapes(stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str]) -> None:
-    """Writes the meshes of the surfaces that differ between environments, as classes below ``path``."""
-    own = {name: placement for name, placement in placements.items() if not placement.shared}
+def define_shapes(
+    stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str], own: Collection[str]
+) -> None:
+    """Writes the meshes of the surfaces ``own``, which differ between environments, as classes below ``path``."""
     if not own:
         return
     stage.CreateClassPrim(path)
-    for name, placement in own.items():
-        for index in sorted({int(mesh) for mesh in placement.mesh}):
-            define_mesh(stage, f"{path}/{names[name]}_{index}", placement.surface, index)
+    for name in sorted(own):
+        for index in sorted({int(mesh) for mesh in placements[name].mesh}):
+            define_mesh(stage, f"{path}/{names[name]}_{index}", placements[name].surface, index)
 
 
-def define_mesh(stage: Any, path: str, surface: Surface, index: int) -> Any:
-    """Writes mesh number ``index`` of a surface as one that collides, in its own frame, and returns its prim."""
+def define_mesh(
+    stage: Any, path: str, surface: Surface, index: int, *, physics: bool = True, color: bool = True
+) -> Any:
+    """Writes mesh number ``index`` of a surface in its own frame, and returns its prim.
+
+    With ``physics`` it collides; with ``color`` it has colours of its own.
+    """
     from pxr import UsdGeom, UsdPhysics, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, path)
@@ -115,11 +86,13 @@ def define_mesh(stage: Any, path: str, surface: Surface, index: int) -> Any:
     mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
     mesh.CreateDoubleSidedAttr(True)
     mesh.CreateExtentAttr(vectors(np.array([vertices.min(axis=0), vertices.max(axis=0)])))
-    _color_faces(mesh, surface, index)
     if not surface.visible:
         mesh.MakeInvisible()
-    UsdPhysics.CollisionAPI.Apply(prim)
-    UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.none)
+    if color:
+        _color_faces(mesh, surface, index)
+    if physics:
+        UsdPhysics.CollisionAPI.Apply(prim)
+        UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.none)
     return prim
 
 
@@ -127,7 +100,7 @@ def _color_faces(mesh: Any, surface: Surface, index: int) -> None:
     """Colours the active faces, dims the others, and names the active ones as a subset."""
     from pxr import UsdGeom, Vt
 
-    color = body_color(surface.body) if surface.color is None else surface.color
+    color = surface_color(surface)
     active = surface.active[index]
     if active.all():
         set_color(mesh, color)

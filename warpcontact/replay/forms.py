@@ -1,0 +1,96 @@
+"""Shapes of analytic form, on single bodies and on sets of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.frames import placed, product
+from warpcontact.kernels.smooth import shapes
+from warpcontact.kernels.smooth.plane import Plane
+from warpcontact.replay.replay import Replay
+from warpcontact.replay.spheres import body_color
+from warpcontact.smooth.elements import Shape
+from warpcontact.smooth.tessellate import tessellate
+
+# Half the side of what is drawn of a half-space, in sizes of the scene.
+PLANE = 10.0
+
+
+@dataclass(frozen=True)
+class FormPlacement:
+    """A shape in the environments of an export; arrays are (env, item, …).
+
+    Attributes:
+        shape: The shape, or a set of them.
+        positions: Origins of their frames in those of their carriers [m].
+        orientations: Rotations to those, x, y, z, w.
+        sizes: Their parameters by name.
+    """
+
+    shape: Shape
+    positions: Array
+    orientations: Array
+    sizes: dict[str, Array]
+
+    @classmethod
+    def of(cls, replay: Replay, shape: Shape) -> "FormPlacement":
+        """Returns the shape as recorded, or else as in the scene."""
+
+        def setting(key: str, default: Array) -> Array:
+            found = replay.setting(f"{shape.name}.{key}", default[0] if shape.single else default)
+            return found[:, None] if shape.single else found
+
+        return cls(
+            shape,
+            setting("position", shape.positions),
+            setting("orientation", shape.orientations),
+            {key: setting(key, values) for key, values in shape.sizes.items()},
+        )
+
+    @property
+    def shared(self) -> bool:
+        """Whether it is the same in all environments."""
+        arrays = (self.positions, self.orientations, *self.sizes.values())
+        return all(bool((values == values[:1]).all()) for values in arrays)
+
+    @property
+    def reach(self) -> float:
+        """How far it reaches at most from the origin of its carrier [m]; 0 of a half-space."""
+        if issubclass(self.shape.kind, Plane):
+            return 0.0
+        far = [np.linalg.norm(tessellate(self.shape.kind, self.of_item(0, 0))[0], axis=1).max()]
+        return float(max(far) + np.linalg.norm(self.positions, axis=-1).max())
+
+    def of_item(self, row: int, item: int) -> dict[str, Array]:
+        """Returns the parameters of one of them in environment number ``row``."""
+        return {key: values[row, item] for key, values in self.sizes.items()}
+
+    @property
+    def color(self) -> Array:
+        """RGB in 0…1."""
+        return body_color(self.shape.body) if self.shape.color is None else self.shape.color
+
+
+class FormSwarm:
+    """Shapes on the bodies of a set, one ``UsdGeom.PointInstancer`` that moves.
+
+    Args:
+        placement: The shapes.
+        poses: Positions (time, env, item, 3) and orientations of the bodies.
+    """
+
+    def __init__(self, placement: FormPlacement, poses: tuple[Array, Array]) -> None:
+        self.placement = placement
+        positions, orientations = poses
+        self.places = placed(placement.positions[..., None, :], positions, orientations)[..., 0, :]
+        turns = np.broadcast_to(placement.orientations, orientations.shape)
+        self.turns = product(orientations, turns)
+        # One prototype for all of one size; spheres and ellipsoids are scaled from one.
+        sizes = placement.sizes
+        self.scaled = issubclass(placement.shape.kind, shapes.Sphere | shapes.Ellipsoid)
+        shape = placement.positions.shape[:2]
+        rows = np.concatenate([values.reshape(*shape, -1) for values in sizes.values()], axis=-1)
+        flat = rows.reshape(shape[0] * shape[1], -1)
+        _, self.first, numbers = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+        self.numbers = numbers.reshape(shape)
