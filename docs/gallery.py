@@ -52,8 +52,9 @@ class Example:
 
     @property
     def picture(self) -> Path:
-        """Where its picture is."""
-        return FOLDER / f"{self.name}.png"
+        """Where its picture is: a plot, or what was rendered."""
+        rendered = not {"render", "recording"}.isdisjoint(self.recipe)
+        return FOLDER / f"{self.name}{'.jpg' if rendered else '.png'}"
 
     @property
     def printed(self) -> Path:

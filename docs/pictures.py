@@ -49,7 +49,7 @@ def run(command: str, folder: Path) -> str:
 
 def make(example: Example, folder: Path) -> None:
     """Runs an example in a folder, takes over its picture, and notes what it prints."""
-    picture = folder / example.picture.name
+    picture = folder / f"{example.name}.png"
     first = example.files[0]
     if "recording" in example.recipe:
         printed = draw_recording(first, example.recipe["recording"], picture)
@@ -93,15 +93,18 @@ def draw_recording(script: Path, options: dict[str, Any], picture: Path) -> str:
 
 
 def shrink(source: Path, target: Path) -> None:
-    """Writes a picture with as many of 256 colours, and as large, as its share of the repository allows."""
+    """Writes a picture as large as its share of the repository allows: plots with few colours, others as JPEG."""
     with Image.open(source) as original:
         picture = original.convert("RGB")
     picture.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
-    for colours in (256, 128, 64, 32):
-        picture.quantize(colours, dither=Image.Dither.NONE).save(target, optimize=True)
+    for quality in (90, 80, 70, 60):
+        if target.suffix == ".jpg":
+            picture.save(target, quality=quality, optimize=True)
+        else:
+            picture.quantize(2 * quality, dither=Image.Dither.NONE).save(target, optimize=True)
         if target.stat().st_size <= BYTES:
             return
-    raise ValueError(f"{source}: takes {target.stat().st_size} bytes with {colours} colours, more than {BYTES}")
+    raise ValueError(f"{source}: takes {target.stat().st_size} bytes at a quality of {quality}, more than {BYTES}")
 
 
 def main() -> None:

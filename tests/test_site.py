@@ -26,7 +26,8 @@ def test_every_example_has_a_place_a_picture_and_what_it_prints(gallery):
         file.stem for file in gallery.EXAMPLES.iterdir() if file.suffix in (".py", ".toml")
     }
     for example in examples:
-        assert example.picture.read_bytes().startswith(b"\x89PNG"), example.name
+        begin = {".png": b"\x89PNG", ".jpg": b"\xff\xd8\xff"}[example.picture.suffix]
+        assert example.picture.read_bytes().startswith(begin), example.name
         assert example.printed.read_text(encoding="utf-8").strip(), example.name
         assert gallery.page(example).count("literalinclude") == len(example.files)
 
