@@ -65,13 +65,17 @@ class Example:
     def summary(self) -> str:
         """The first sentence of its story."""
         first = story(self.files[0]).partition("\n\n")[0].replace("\n", " ")
-        return re.split(r"(?<=[.:]) ", first)[0].rstrip(":.") + "."
+        return re.split(r"(?<=\.) ", first)[0].rstrip(":.") + "."
 
     def command(self, file: Path, picture: str) -> str:
         """Returns the command that runs one of its files, and draws to ``picture`` if it draws."""
         if file.suffix == ".toml":
             return f"warpcontact run examples/{file.name} --out results/{self.name}"
         return f"python examples/{file.name} {self.recipe.get('options', '')}".rstrip().format(picture=picture)
+
+    def render(self, picture: str) -> str:
+        """Returns the command that draws what was run."""
+        return f"warpcontact render results/{self.name} {self.recipe['render']} -o {picture}"
 
 
 def examples() -> list[Example]:
@@ -114,7 +118,10 @@ def uncommented(comment: str) -> str:
 def page(example: Example) -> str:
     """Returns the page of an example as Markdown."""
     told = [story(file) for file in example.files]
-    commands = [example.command(file, f"{example.name}.png") for file in example.files]
+    picture = f"{example.name}.png"
+    commands = [example.command(file, picture) for file in example.files]
+    if "render" in example.recipe:
+        commands.append(example.render(picture))
     promised = [expected(file) for file in example.files]
     parts = [
         f"# {example.title}",

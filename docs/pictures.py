@@ -58,7 +58,7 @@ def make(example: Example, folder: Path) -> None:
     if "render" in example.recipe:
         if first != example.files[-1]:
             run(example.command(example.files[-1], picture.name), folder)
-        run(f"warpcontact render results/{example.name} {example.recipe['render']} -o {picture.name}", folder)
+        run(example.render(picture.name), folder)
     if "left" in example.recipe:
         picture = folder / "results" / example.name / example.recipe["left"]
     shrink(picture, example.picture)
