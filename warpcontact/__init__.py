@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from warpcontact.outcomes.watch import Events, Stop
     from warpcontact.quarantine import QuarantineError
     from warpcontact.recorder import Recording
+    from warpcontact.run_report import report
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.smooth.elements import Shape, SmoothContact
@@ -105,6 +106,7 @@ _HOME = {
     "outcomes": "warpcontact.outcomes",
     "parameter": "warpcontact.kernels.formula",
     "quantile_fan": "warpcontact.analysis",
+    "report": "warpcontact.run_report",
     "sample_surface": "warpcontact.meshes",
     "sensitivity": "warpcontact.analysis",
     "shapes": "warpcontact.kernels.smooth.shapes",
@@ -176,6 +178,7 @@ __all__ = [
     "outcomes",
     "parameter",
     "quantile_fan",
+    "report",
     "sample_surface",
     "sensitivity",
     "shapes",

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from warpcontact import __version__, bench_command, folder_commands, laws_command
+from warpcontact import __version__, bench_command, folder_commands, laws_command, report_command
 
 if TYPE_CHECKING:
     from warpcontact.experiment import Experiment
@@ -164,6 +164,8 @@ def _parser() -> argparse.ArgumentParser:
     folder_commands.add_to(commands)
     commands.choices["status"].set_defaults(command=_of_folder, work=folder_commands.status)
     commands.choices["export"].set_defaults(command=_of_folder, work=folder_commands.export)
+    report_command.add_to(commands)
+    commands.choices["report"].set_defaults(command=_of_folder, work=report_command.run)
     return parser
 
 

@@ -36,7 +36,7 @@ def subtitle(summary: Mapping[str, Any]) -> str:
     return " · ".join(short(word, 80) for word in told if word)
 
 
-def notices(summary: Mapping[str, Any], status: RunStatus, further: list[str]) -> Markup:
+def notices(summary: Mapping[str, Any], status: RunStatus) -> Markup:
     """Returns what has to be known before anything else: what is not finished, failed, or was warned of."""
     parts = []
     if status.state != "finished":
@@ -49,7 +49,7 @@ def notices(summary: Mapping[str, Any], status: RunStatus, further: list[str]) -
     for shard, message in summary.get("failed", {}).items():
         parts.append(element("p", name(shard), " failed: ", short(message, NOTICE), class_="notice bad"))
     listed = summary.get("warnings", [])
-    warnings = [*(listed if isinstance(listed, list) else []), *further]
+    warnings = listed if isinstance(listed, list) else []
     lines = [element("li", short(text, NOTICE)) for text in warnings[:NOTICES]]
     if len(warnings) > NOTICES:
         lines.append(element("li", f"… and {count(len(warnings) - NOTICES)} more, in run.json"))

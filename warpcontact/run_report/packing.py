@@ -1,9 +1,9 @@
 """Arrays as text in a page: quantised where they move, compressed, and read by ``web/src/unpack.js``.
 
 A pack is one stream of bytes, deflated and in base64, and a list that says what is in it: of each array its type,
-``shape`` and, where it is quantised, ``low`` and ``step`` of each of its last axis. Whole numbers of 16 bits are
-stored as differences along the first axis, first all low bytes and then all high ones: what moves smoothly then
-compresses well.
+``shape`` and, where it is quantised, ``low`` and ``step`` of each of its last axis. Whole numbers are stored as
+differences along the first axis, first all low bytes and then all higher ones: what moves smoothly then compresses
+well.
 """
 
 import base64
@@ -33,10 +33,9 @@ class Pack:
         return sum(map(len, self._parts))
 
     def exact(self, values: NDArray[Any]) -> None:
-        """Adds an array as it is, in 32 bits: floats, or whole numbers from 0."""
-        floats = values.dtype.kind == "f"
-        data = np.ascontiguousarray(values, dtype="<f4" if floats else "<u4")
-        self._add("f32" if floats else "u32", data.shape, data.tobytes())
+        """Adds numbers as floats of 32 bits."""
+        data = np.ascontiguousarray(values, dtype="<f4")
+        self._add("float", data.shape, data.tobytes())
 
     def series(self, values: Array, finest: float = 0.0) -> None:
         """Adds an array (time, …, component) in 16 bits between the ends of each component.
@@ -53,11 +52,18 @@ class Pack:
         low, high = (np.where(low <= high, end, 0.0) for end in (low, high))
         step = (high - low) / MOST
         if finest > 0.0 and step.max(initial=0.0) > finest:
-            self.exact(values.astype(np.float32))
+            self.exact(values)
             return
         scale = np.where(step > 0.0, step, 1.0)
         whole = np.where(finite, np.round((np.where(finite, values, low) - low) / scale), NAN).astype(np.uint16)
         self._whole(whole, low, step)
+
+    def indices(self, values: NDArray[Any]) -> None:
+        """Adds whole numbers from 0, in 32 bits, near to those before them."""
+        flat = np.ascontiguousarray(values, dtype=np.uint32).reshape(-1)
+        differences = np.diff(flat, prepend=np.zeros(1, np.uint32)).astype("<u4")
+        planar = np.ascontiguousarray(differences.view(np.uint8).reshape(-1, 4).T)
+        self._add("index", values.shape, planar.tobytes())
 
     def rotations(self, values: Array) -> None:
         """Adds unit quaternions (time, …, 4); of q and −q, which are the same, the one nearer to that before."""
@@ -82,7 +88,7 @@ class Pack:
         differences = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), np.uint16)).astype(np.uint16)
         planar = np.ascontiguousarray(differences.T)
         data = (planar & 0xFF).astype(np.uint8).tobytes() + (planar >> 8).astype(np.uint8).tobytes()
-        self._add("u16", values.shape, data, low=low.tolist(), step=step.tolist())
+        self._add("short", values.shape, data, low=low.tolist(), step=step.tolist())
 
     def _add(self, kind: str, shape: tuple[int, ...], data: bytes, **more: Any) -> None:
         self._about.append({"type": kind, "shape": list(shape), **more})
