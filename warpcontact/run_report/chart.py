@@ -33,7 +33,7 @@ class Axis:
     unit: str
     first: float
     last: float
-    wanted: int = 5
+    wanted: int = 6
     whole: bool = False
     factor: float = field(init=False)
     label: str = field(init=False)
@@ -55,7 +55,7 @@ class Axis:
         low, high = self.low * self.factor, self.high * self.factor
         rough = (high - low) / self.wanted
         power = 10.0 ** math.floor(math.log10(rough))
-        step = next(power * n for n in (1.0, 2.0, 2.5, 5.0, 10.0) if power * n >= rough * (1.0 - 1.0e-9))
+        step = next(power * n for n in (1.0, 2.0, 5.0, 10.0) if power * n >= rough * (1.0 - 1.0e-9))
         if self.whole:
             step = max(1.0, math.ceil(step))
         first, last = math.ceil(low / step - 1.0e-9), math.floor(high / step + 1.0e-9)
@@ -74,7 +74,7 @@ def horizontal(low: float, high: float, unit: str, *, whole: bool = False) -> Ax
 
 def vertical(low: float, high: float, unit: str, *, whole: bool = False) -> Axis:
     """Returns an axis along the left of a chart."""
-    return Axis(low, high, unit, HEIGHT - BOTTOM, TOP, wanted=4, whole=whole)
+    return Axis(low, high, unit, HEIGHT - BOTTOM, TOP, whole=whole)
 
 
 def chart(x: Axis, y: Axis, marks: Sequence[Markup], about: str, x_name: str, **attributes: object) -> Markup:

@@ -8,6 +8,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+# Numbers of a variable in each environment that have columns; sets of bodies and points have more.
+MOST = 12
+# A variable of at most this size is read once, and not once for each of its numbers [bytes].
+AT_ONCE = 256 * 2**20
+
 
 @dataclass(frozen=True, eq=False)
 class Column:
@@ -37,10 +42,12 @@ class Column:
 
 
 def columns_of(data: xr.Dataset, without: Collection[str] = ()) -> Iterator[Column]:
-    """Iterates over the columns of the variables (env, …) of ``data``, without some of these."""
+    """Iterates over the columns of the variables (env, …) of ``data``, without some of these and those of sets."""
     for key, array in data.data_vars.items():
-        if key in without or "env" not in array.dims or array.dtype.kind not in "biuf":
+        if key in without or not _is_shown(array):
             continue
+        if array.nbytes <= AT_ONCE:
+            array = array.compute()  # not once for each number
         axes = [str(dim) for dim in array.dims if dim != "env"]
         for place in np.ndindex(*(array.sizes[dim] for dim in axes)):
             labels = [
@@ -55,6 +62,16 @@ def columns_of(data: xr.Dataset, without: Collection[str] = ()) -> Iterator[Colu
                 variable=str(key),
                 array=array.isel(dict(zip(axes, place, strict=True))),
             )
+
+
+def too_many_in(data: xr.Dataset) -> list[str]:
+    """Returns the names of the variables that have too many numbers in each environment for columns."""
+    return [str(key) for key, array in data.data_vars.items() if "env" in array.dims and not _is_shown(array)]
+
+
+def _is_shown(array: xr.DataArray) -> bool:
+    of_each = int(np.prod([array.sizes[dim] for dim in array.dims if dim != "env"], initial=1))
+    return "env" in array.dims and array.dtype.kind in "biuf" and of_each <= MOST
 
 
 def words_of(array: xr.DataArray) -> dict[int, str]:

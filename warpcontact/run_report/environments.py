@@ -8,14 +8,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.run_report.columns import Column, columns_of
+from warpcontact.run_report.columns import Column, columns_of, too_many_in
 from warpcontact.run_report.markup import Markup, element, joined, short
 from warpcontact.run_report.words import count, several
 
 ROWS = 2000
 COLUMNS = 40
-# Of these a column that is zero everywhere says nothing.
-_QUIET = ("resets", "events_missed", "stopped_by", "cause")
+# Names in a note.
+NAMED = 6
+# Of these a column that is the same everywhere says nothing.
+_QUIET = ("resets", "events_missed", "stopped_by", "cause", "end_time")
 
 
 def rows_of(envs: NDArray[np.int64], first: Iterable[int]) -> NDArray[np.intp]:
@@ -56,6 +58,10 @@ def section(
         ]
     if more:
         told.append(f"{several(more, 'further column')} left out.")
+    if sets := [*too_many_in(shown), *too_many_in(own)]:
+        named = ", ".join(short(one, 40) for one in sets[:NAMED])
+        others = f" and {count(len(sets) - NAMED)} more" if len(sets) > NAMED else ""
+        told.append(f"What has many numbers in each environment is left out: {named}{others}.")
     told.append("Parameters that are the same everywhere are left out.")
     content = joined(
         [

@@ -8,7 +8,7 @@ import xarray as xr
 from warpcontact.checks import Array
 from warpcontact.run_report import chart
 from warpcontact.run_report.markup import Markup, element, joined, name
-from warpcontact.run_report.words import count, quantity, several
+from warpcontact.run_report.words import quantity, several
 
 CHARTS = 6
 # Records of one environment, from the first in contact on.
@@ -105,6 +105,7 @@ def _picture(title: str, loops: list[Loop]) -> Markup:
         element("strong", name(title, 40), " ", element("span", f"[{y.label}]", class_="unit")),
         element("span", "normal force over penetration"),
     )
-    told = f"{count(len(loops))} touch; largest force {quantity(largest, 'N')}, {quantity(deepest, 'm')} deep"
+    force, depth = quantity(y.factor * largest, y.label), quantity(x.factor * deepest, x.label)
+    told = f"{several(len(loops), 'environment')} in contact; largest force {force}, {depth} deep"
     drawing = chart.chart(x, y, marks, about, "penetration", data_loops=True)
     return element("figure", caption, drawing, element("p", told, class_="note"), class_="chart")

@@ -12,9 +12,9 @@ from warpcontact.checks import Array
 from warpcontact.experiment.bars import are_counts, edges_of_bars
 from warpcontact.outcomes.watch import RESERVED
 from warpcontact.run_report import chart
-from warpcontact.run_report.columns import Column, columns_of
+from warpcontact.run_report.columns import Column, columns_of, too_many_in
 from warpcontact.run_report.markup import Markup, element, joined, name, table
-from warpcontact.run_report.words import count, number, quantity, several
+from warpcontact.run_report.words import count, number, quantity, scaled, several, unit_suffix
 
 # Rows of the table, and histograms; more are counted.
 ROWS = 60
@@ -42,29 +42,30 @@ class Spread:
 
 
 def spreads_of(outcome: xr.Dataset) -> tuple[list[Spread], int]:
-    """Returns the first outcomes, one in memory at a time, and how many more there are."""
+    """Returns the first outcomes, one in memory at a time, and how many more there are, sets as one."""
     every = columns_of(outcome, without=RESERVED)
     envs = np.asarray(outcome["env"].values)
     halted = np.isin(envs, frozen(outcome))
     found = [_spread(column, envs, halted, drawn=i < HISTOGRAMS) for i, column in enumerate(islice(every, ROWS))]
-    return found, sum(1 for _ in every)
+    return found, sum(1 for _ in every) + len(too_many_in(outcome))
 
 
 def _spread(column: Column, envs: NDArray[np.int64], halted: NDArray[np.bool_], *, drawn: bool) -> Spread:
     values = column.values.astype(np.float64)
     good = np.isfinite(values) & ~halted
     finite, labels = values[good], envs[good]
-    cells: list[Markup | str] = [name(column.name), "" if column.unit == "-" else column.unit, count(len(finite))]
     if not len(finite):
-        return Spread(column, None, None, (*cells, *["–"] * 7), None)
+        unit = "" if column.unit == "-" else column.unit
+        return Spread(column, None, None, (name(column.name), unit, "0", *["–"] * 7), None)
+    factor, unit = scaled(column.unit, float(np.abs(finite).max()))
     least, most = int(finite.argmin()), int(finite.argmax())
     # Offset, so that squares of large numbers neither overflow nor cancel.
     deviation = float(np.std(finite - finite[0]))
     low, middle, high = np.quantile(finite, QUANTILES)
     told = (finite[least], low, middle, finite.mean(), high, finite[most], deviation)
-    cells += [number(value) for value in told]
+    cells = (name(column.name), unit, count(len(finite)), *(number(factor * value) for value in told))
     picture = _histogram(column, finite, int((~halted).sum() - len(finite))) if drawn else None
-    return Spread(column, int(labels[least]), int(labels[most]), tuple(cells), picture)
+    return Spread(column, int(labels[least]), int(labels[most]), cells, picture)
 
 
 def section(spreads: list[Spread], more: int, envs: int, halted: int) -> Markup:
@@ -99,8 +100,8 @@ def _histogram(column: Column, values: Array, missing: int) -> Markup:
     heights, _ = np.histogram(values, bins=edges)
     x = chart.horizontal(float(edges[0]), float(edges[-1]), column.unit, whole=are_counts(values))
     y = chart.vertical(0.0, float(heights.max()), "-", whole=True)
+    unit, factor = x.label or "-", x.factor
     floor, tops, sides = float(y.place(np.zeros(()))), y.place(heights), x.place(edges)
-    unit = column.unit
     bars = [
         chart.rectangle(
             sides[i] + 0.4,
@@ -108,20 +109,19 @@ def _histogram(column: Column, values: Array, missing: int) -> Markup:
             sides[i + 1] - 0.4,
             floor,
             "bar",
-            f"{number(edges[i])} to {quantity(edges[i + 1], unit)}: {several(int(heights[i]), 'environment')}",
+            f"{number(factor * edges[i])} to {quantity(factor * edges[i + 1], unit)}: {several(int(heights[i]), 'environment')}",
         )
         for i in np.flatnonzero(heights)
     ]
     quantiles = np.quantile(values, QUANTILES)
+    low, middle, high = (number(factor * value) for value in quantiles)
+    suffix = unit_suffix(unit)
     rules = [
         chart.rule(float(x.place(at)), "median" if q == 0.5 else "quantile")
         for q, at in zip(QUANTILES, quantiles, strict=True)
     ]
-    about = (
-        f"Histogram of {column.name}: 5 % below {quantity(quantiles[0], unit)}, median {quantity(quantiles[1], unit)}, "
-        f"95 % below {quantity(quantiles[2], unit)}"
-    )
-    told = f"median {quantity(quantiles[1], unit)}; 90 % from {number(quantiles[0])} to {quantity(quantiles[2], unit)}"
+    about = f"Histogram of {column.name}: 5 % below {low}{suffix}, median {middle}{suffix}, 95 % below {high}{suffix}"
+    told = f"median {middle}{suffix}; 90 % from {low} to {high}{suffix}"
     if missing:
         told += f"; {count(missing)} without a finite value"
     title = element("figcaption", element("strong", name(column.name, 40)), element("span", column.about))

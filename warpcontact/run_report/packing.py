@@ -25,6 +25,7 @@ class Pack:
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
+        self._numbers: dict[tuple[Any, ...], int] = {}
         self._about: list[dict[str, Any]] = []
 
     @property
@@ -91,5 +92,10 @@ class Pack:
         self._add("short", values.shape, data, low=low.tolist(), step=step.tolist())
 
     def _add(self, kind: str, shape: tuple[int, ...], data: bytes, **more: Any) -> None:
+        same = self._numbers.setdefault((kind, shape, data, str(more)), len(self._about))
+        if same < len(self._about):
+            # Figures of one body share its poses.
+            self._about.append({"type": "same", "of": same})
+            return
         self._about.append({"type": kind, "shape": list(shape), **more})
         self._parts.append(data)

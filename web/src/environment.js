@@ -59,7 +59,7 @@ export function boundsOf(environment, scene, shapes) {
     }
   };
   environment.figures.forEach(({ positions }, i) => {
-    if (scene.figures[i].moves) add(positions, 0.6 * scene.size);
+    if (scene.figures[i].moves) add(positions, 0.4 * scene.size);
   });
   if (!axes[0].length) environment.figures.forEach(({ positions, scales }, i) => {
     if (positions.data.length) add(positions, Math.max(...scales.data.slice(0, 3)) * reachOf(shapes[scene.figures[i].shape]));

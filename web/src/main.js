@@ -1,6 +1,6 @@
 // The page of a report: theme, charts, table and replay.
 import { startCharts } from "./charts.js";
-import { startReplay } from "./replay.js";
+import { startReplay, tell } from "./replay.js";
 import { select } from "./selection.js";
 import { startLinks, startTable } from "./table.js";
 import { startTheme } from "./theme.js";
@@ -17,9 +17,13 @@ startCharts();
 startTable(replayed);
 startLinks(replayed);
 if (scene) {
-  startReplay(scene).then((started) => {
+  const done = (started) => {
     replay = started;
     if (!replay) select("env", scene.envs[0].env);
     window.warpcontact.ready = true;
+  };
+  startReplay(scene).then(done, (error) => {
+    tell(`The replay cannot be shown: ${error.message}`);
+    done(null);
   });
 } else window.warpcontact.ready = true;

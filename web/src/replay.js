@@ -35,7 +35,8 @@ function whyNot() {
   return typeof DecompressionStream === "undefined" ? "This browser is too old for the replay." : "";
 }
 
-function tell(message) {
+/** Shows a message in place of the replay. */
+export function tell(message) {
   element("replay-message").textContent = message;
   element("replay-message").hidden = false;
   element("replay-viewer").classList.add("failed");
@@ -168,11 +169,14 @@ class Replay {
     const { scene } = this.stage;
     scene.remove(...(this.drawn ?? []));
     this.environment = found;
+    const bounds = boundsOf(found, about, this.shapes);
+    // Long lines are to be seen from where all of them is seen.
+    const thickness = Math.max(0.012 * about.size, 0.0016 * Math.hypot(...bounds.high.map((end, i) => end - bounds.low[i])));
     this.figures = found.figures
       .map((arrays, i) => ({ arrays, of: about.figures[i] }))
       .filter(({ arrays }) => arrays.positions.shape[1] > 0)
       .map(({ arrays, of }) => new Figure(of, this.geometries[of.shape], arrays));
-    this.curves = found.curves.map((arrays, i) => new Curve(about.curves[i], arrays, 0.012 * about.size));
+    this.curves = found.curves.map((arrays, i) => new Curve(about.curves[i], arrays, thickness));
     this.touches = found.touches.map((arrays, i) => new Touch(about.touches[i], arrays, about));
     this.drawn = [...this.figures, ...this.curves].map(({ mesh }) => mesh);
     this.drawn.push(...this.touches.flatMap(({ meshes }) => meshes));

@@ -44,8 +44,7 @@ export class Stage {
   fit({ low, high }) {
     const centre = new Vector3(...low).add(new Vector3(...high)).multiplyScalar(0.5);
     const radius = Math.max(0.5 * new Vector3(...high).distanceTo(new Vector3(...low)), 1e-9);
-    const narrow = Math.min(1, this.camera.aspect);
-    const distance = (radius * 0.92) / Math.sin((this.camera.fov * Math.PI) / 360) / narrow;
+    const distance = this.#distance(new Vector3(...high).sub(centre));
     this.controls.target.copy(centre);
     this.camera.position.copy(DIRECTION).multiplyScalar(distance).add(centre);
     this.controls.minDistance = 1e-3 * radius;
@@ -61,6 +60,21 @@ export class Stage {
     this.controls.update();
     this.moved = false;
     this.#clip();
+  }
+
+  /** Returns from how far off a box with this half-diagonal is seen as a whole. */
+  #distance(half) {
+    const across = new Vector3().crossVectors(this.camera.up, DIRECTION).normalize();
+    const upwards = new Vector3().crossVectors(DIRECTION, across);
+    const tangent = Math.tan((this.camera.fov * Math.PI) / 360);
+    let distance = 0;
+    for (let corner = 0; corner < 8; corner++) {
+      const place = new Vector3(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1, corner & 4 ? 1 : -1).multiply(half);
+      const wide = Math.abs(place.dot(across)) / this.camera.aspect;
+      const high = Math.abs(place.dot(upwards));
+      distance = Math.max(distance, place.dot(DIRECTION) + Math.max(wide, high) / tangent);
+    }
+    return 1.06 * distance;
   }
 
   background(dark) {

@@ -100,7 +100,7 @@ export class Touch {
     const f = between(this.forces, moment);
     const force = new Vector3();
     const tip = new Vector3();
-    const width = 0.016 * this.scene.size;
+    const width = 0.02 * this.scene.size;
     this.acting = 0;
     for (let i = 0; i < this.count; i++) {
       interpolated(FROM, this.points, p, 3 * i);
@@ -112,7 +112,7 @@ export class Touch {
       const head = Math.min(0.4 * length, 0.16 * this.scene.size);
       tip.copy(force).multiplyScalar(there ? 1 - head / length : 0).add(FROM);
       placed(this.shafts, i, FROM, force, there ? length - head : 0, width);
-      placed(this.heads, i, tip, force, there ? head : 0, 2.6 * width);
+      placed(this.heads, i, tip, force, there ? head : 0, 2.8 * width);
     }
     if (this.dots) this.#placeDots(p, between(this.gaps, moment));
     for (const mesh of this.meshes) mesh.instanceMatrix.needsUpdate = true;

@@ -50,7 +50,7 @@ class Table {
   #makeHead() {
     const all = [{ name: "env", unit: "", about: "number of the environment" }, ...this.data.columns];
     all.forEach((column, i) => {
-      const cell = make("th", { scope: "col" });
+      const cell = make("th", { scope: "col", className: Object.keys(column.words ?? {}).length ? "" : "number" });
       const button = make("button", { type: "button", className: "sort", title: `${column.name}: ${column.about}` });
       button.append(make("bdi", { textContent: shortened(column.name) }));
       if (column.unit) button.append(make("span", { className: "unit", textContent: column.unit }));

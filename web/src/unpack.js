@@ -14,12 +14,18 @@ export async function unpack(pack) {
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
   let place = 0;
-  return pack.arrays.map((about) => {
+  const found = [];
+  for (const about of pack.arrays) {
+    if (about.type === "same") {
+      found.push(found[about.of]);
+      continue;
+    }
     const size = about.shape.reduce((product, length) => product * length, 1);
     const [data, used] = DECODERS[about.type](bytes, place, size, about);
     place += used;
-    return { shape: about.shape, data };
-  });
+    found.push({ shape: about.shape, data });
+  }
+  return found;
 }
 
 const DECODERS = {
