@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.run_report.markup import Markup, element, joined
@@ -157,7 +158,7 @@ def _path(x: Array, y: Array) -> str:
     return "".join(parts)
 
 
-def _runs(good: Array) -> list[slice]:
+def _runs(good: NDArray[np.bool_]) -> list[slice]:
     """Returns the stretches in which all are good."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

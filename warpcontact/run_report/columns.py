@@ -43,11 +43,10 @@ class Column:
 
 def columns_of(data: xr.Dataset, without: Collection[str] = ()) -> Iterator[Column]:
     """Iterates over the columns of the variables (env, …) of ``data``, without some of these and those of sets."""
-    for key, array in data.data_vars.items():
-        if key in without or not _is_shown(array):
+    for key, variable in data.data_vars.items():
+        if key in without or not _is_shown(variable):
             continue
-        if array.nbytes <= AT_ONCE:
-            array = array.compute()  # not once for each number
+        array = variable.compute() if variable.nbytes <= AT_ONCE else variable
         axes = [str(dim) for dim in array.dims if dim != "env"]
         for place in np.ndindex(*(array.sizes[dim] for dim in axes)):
             labels = [

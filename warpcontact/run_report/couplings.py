@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from warpcontact.contact_coupling_report import CouplingReport
-from warpcontact.run_report.markup import Markup, joined, name, table, element
+from warpcontact.run_report.markup import Markup, element, joined, name, table
 from warpcontact.run_report.words import count, number, quantity
 
 
@@ -30,12 +30,17 @@ def section(reports: Sequence[CouplingReport]) -> Markup | None:
             )
         )
         if report.impact is not None:
-            told = (
-                f": the range was made for a closest distance of {quantity(report.impact.closest, 'm')} and an area of "
-                f"{quantity(report.impact.area, 'm²')}."
-            )
+            closest, area_then = quantity(report.impact.closest, "m"), quantity(report.impact.area, "m²")
+            told = f": the range was made for a closest distance of {closest} and an area of {area_then}."
             expected.append(element("p", name(report.name), told, class_="note"))
-    head = ("coupling", "in range", "smallest distance [m]", "largest area [m²]", "surfaces met", "closer than expected")
+    head = (
+        "coupling",
+        "in range",
+        "smallest distance [m]",
+        "largest area [m²]",
+        "surfaces met",
+        "closer than expected",
+    )
     return joined([table(head, rows, numbers=range(1, 6)), *expected])
 
 

@@ -24,18 +24,24 @@ def section(health: Health, outcome: xr.Dataset) -> Markup:
     if health.good:
         parts.append(element("p", "No environment failed.", class_="note"))
     else:
-        told = f"{several(len(health.frozen), 'environment')} failed, and was held at the last good state before."
-        if len(health.frozen) > 1:
-            told = f"{several(len(health.frozen), 'environment')} failed, and were held at the last good state before."
+        were = "was" if len(health.frozen) == 1 else "were"
+        told = (
+            f"{several(len(health.frozen), 'environment')} failed, and {were} held at the last good state before."
+        )
         if len(health.frozen) > ROWS:
             told += f" The first {ROWS}:"
         rows = [
             (replay_button(int(env)), quantity(time, "s", 6), _CAUSES.get(cause, cause.name))
             for env, cause, time in zip(health.frozen[:ROWS], health.causes, health.times, strict=False)
         ]
-        parts += [element("p", told, class_="note"), table(("environment", "held at", "cause"), rows, numbers=(1,))]
+        parts += [
+            element("p", told, class_="note"),
+            table(("environment", "held at", "cause"), rows, numbers=(1,)),
+        ]
     if len(health.stopped):
-        parts.append(element("p", f"{several(len(health.stopped), 'environment')} stopped by a condition.", class_="note"))
+        parts.append(
+            element("p", f"{several(len(health.stopped), 'environment')} stopped by a condition.", class_="note")
+        )
         if "stopped_by" in outcome:
             codes = outcome["stopped_by"].values
             words = words_of(outcome["stopped_by"])

@@ -30,9 +30,7 @@ def rows_of(envs: NDArray[np.int64], first: Iterable[int]) -> NDArray[np.intp]:
     return np.sort(np.concatenate([must, spread]))
 
 
-def section(
-    params: xr.Dataset, outcome: xr.Dataset, first: Iterable[int]
-) -> tuple[Markup, dict[str, Any]]:
+def section(params: xr.Dataset, outcome: xr.Dataset, first: Iterable[int]) -> tuple[Markup, dict[str, Any]]:
     """Returns the section of the page, and the data of its table.
 
     Args:
@@ -52,9 +50,8 @@ def section(
     told = [f"{several(len(envs), 'environment')}."]
     if len(rows) < len(envs):
         told = [
-            f"{count(len(rows))} of {several(len(envs), 'environment')}: those that failed, those in the replay, those "
-            "in which outcomes are smallest or largest, and others evenly spread. All of them: warpcontact export "
-            "DIR --csv FILE."
+            f"{count(len(rows))} of {several(len(envs), 'environment')}: those that failed, those in the replay, and "
+            "others evenly spread. All of them: warpcontact export DIR --csv FILE."
         ]
     if more:
         told.append(f"{several(more, 'further column')} left out.")
@@ -67,8 +64,14 @@ def section(
         [
             element("p", " ".join(told), class_="note"),
             _filter(),
-            element("div", id="environments-table", class_="scroll", tabindex="0", role="region",
-                    aria_label="table of environments"),
+            element(
+                "div",
+                id="environments-table",
+                class_="scroll",
+                tabindex="0",
+                role="region",
+                aria_label="table of environments",
+            ),
             element("div", id="environments-pages", class_="pages"),
             element("noscript", element("p", "The table needs JavaScript.", class_="note")),
         ]
@@ -119,8 +122,14 @@ def _filter() -> Markup:
         "form",
         element("label", "Filter", for_="environments-filter"),
         element(
-            "input", id="environments-filter", type="search", placeholder="mass > 1 status = frozen", title=advice,
-            autocomplete="off", spellcheck="false", aria_describedby="environments-count",
+            "input",
+            id="environments-filter",
+            type="search",
+            placeholder="mass > 1 status = frozen",
+            title=advice,
+            autocomplete="off",
+            spellcheck="false",
+            aria_describedby="environments-count",
         ),
         element("output", id="environments-count", for_="environments-filter", aria_live="polite"),
         id="environments-form",

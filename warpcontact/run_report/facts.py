@@ -40,8 +40,9 @@ def notices(summary: Mapping[str, Any], status: RunStatus) -> Markup:
     """Returns what has to be known before anything else: what is not finished, failed, or was warned of."""
     parts = []
     if status.state != "finished":
+        every = several(summary["envs"], "environment")
         told = (
-            f"This run is {status.state}: {count(status.finished_envs)} of {several(summary['envs'], 'environment')} "
+            f"This run is {status.state}: {count(status.finished_envs)} of {every} "
             f"are finished, in {count(status.finished_shards)} of {several(status.shards, 'shard')}. "
             "The report has what was committed when it was made."
         )

@@ -53,9 +53,7 @@ def section(series: xr.Dataset | None, chosen: list[int]) -> Markup | None:
         told.append(f"{several(len(pairs) - CHARTS, 'further contact')} left out.")
     if not pictures:
         told = ["No record of the chosen environments is in contact."]
-    return joined(
-        [element("p", " ".join(told), class_="note"), element("div", joined(pictures), class_="charts")]
-    )
+    return joined([element("p", " ".join(told), class_="note"), element("div", joined(pictures), class_="charts")])
 
 
 def _loops(series: xr.Dataset, depth: str, force: str) -> list[Loop]:
@@ -77,7 +75,9 @@ def _loops(series: xr.Dataset, depth: str, force: str) -> list[Loop]:
         touching = np.flatnonzero(good & ((through > 0.0) | (forces[:, item] != 0.0)))
         some = slice(max(0, touching[0] - 1), touching[0] + RECORDS)
         known = good[some]
-        found.append(Loop(int(env), np.where(known, through[some], np.nan), np.where(known, forces[some, item], np.nan)))
+        found.append(
+            Loop(int(env), np.where(known, through[some], np.nan), np.where(known, forces[some, item], np.nan))
+        )
     return found
 
 
@@ -99,7 +99,9 @@ def _picture(title: str, loops: list[Loop]) -> Markup:
                 data_env=loop.env,
             )
         )
-    about = f"Normal force over penetration of {title}: up to {quantity(largest, 'N')}, {quantity(deepest, 'm')} deep"
+    about = (
+        f"Normal force over penetration of {title}: up to {quantity(largest, 'N')}, {quantity(deepest, 'm')} deep"
+    )
     caption = element(
         "figcaption",
         element("strong", name(title, 40), " ", element("span", f"[{y.label}]", class_="unit")),

@@ -46,8 +46,8 @@ def element(tag: str, *content: Any, **attributes: Any) -> Markup:
     Args:
         tag: Its name.
         content: What is in it, one after the other; ``None`` is left out.
-        attributes: Of these ``None`` and ``False`` are left out, ``True`` has no value; ``_`` stands for ``-``, and
-            a last one for nothing, as in ``class_``.
+        attributes: Those that are ``None`` or ``False`` are left out, ``True`` has no value. ``_`` stands for ``-``,
+            and a last one for nothing, as in ``class_``.
     """
     words = [tag]
     for key, value in attributes.items():
@@ -88,7 +88,8 @@ def table(head: Sequence[Any], rows: Iterable[Sequence[Any]], numbers: Iterable[
     def line(tag: str, cells: Sequence[Any]) -> Markup:
         attributes: dict[str, Any] = {"scope": "col"} if tag == "th" else {}
         return element(
-            "tr", *(element(tag, c, class_="number" if i in right else None, **attributes) for i, c in enumerate(cells))
+            "tr",
+            *(element(tag, c, class_="number" if i in right else None, **attributes) for i, c in enumerate(cells)),
         )
 
     body = joined(line("td", row) for row in rows)

@@ -1,5 +1,7 @@
 """Triangles as a page holds them: few enough to be sent and drawn anywhere."""
 
+import functools
+
 import numpy as np
 
 from warpcontact.meshes import icosphere
@@ -18,10 +20,15 @@ def drawable(shape: Shape, copies: int) -> Shape:
     if shape is ball():
         level = next((level for count, level in FEWER if copies > count), None)
         if level is not None:
-            coarse = icosphere(1.0, level)
-            return Shape(coarse.vertices, coarse.faces, normals=coarse.vertices)
+            return _sphere(level)
         return shape
     return shape if len(shape.faces) <= TRIANGLES else _coarser(shape)
+
+
+@functools.cache
+def _sphere(level: int) -> Shape:
+    mesh = icosphere(1.0, level)
+    return Shape(mesh.vertices, mesh.faces, normals=mesh.vertices)
 
 
 def add_shape(pack: Pack, shape: Shape, finest: float) -> dict[str, bool]:
@@ -55,8 +62,6 @@ def _coarser(shape: Shape) -> Shape:
         if whole.sum() <= TRIANGLES:
             break
         cells = int(cells / 1.4)
-    vertices = np.stack(
-        [np.bincount(number, shape.vertices[:, axis]) / counts for axis in range(3)], axis=1
-    )
+    vertices = np.stack([np.bincount(number, shape.vertices[:, axis]) / counts for axis in range(3)], axis=1)
     colors = None if shape.colors is None else shape.colors[whole]
     return Shape(vertices, faces[whole].astype(np.int32), colors)

@@ -14,7 +14,7 @@ from warpcontact.outcomes.watch import RESERVED
 from warpcontact.run_report import chart
 from warpcontact.run_report.columns import Column, columns_of, too_many_in
 from warpcontact.run_report.markup import Markup, element, joined, name, table
-from warpcontact.run_report.words import count, number, quantity, scaled, several, unit_suffix
+from warpcontact.run_report.words import count, number, scaled, several, unit_suffix
 
 # Rows of the table, and histograms; more are counted.
 ROWS = 60
@@ -102,25 +102,21 @@ def _histogram(column: Column, values: Array, missing: int) -> Markup:
     y = chart.vertical(0.0, float(heights.max()), "-", whole=True)
     unit, factor = x.label or "-", x.factor
     floor, tops, sides = float(y.place(np.zeros(()))), y.place(heights), x.place(edges)
-    bars = [
-        chart.rectangle(
-            sides[i] + 0.4,
-            tops[i],
-            sides[i + 1] - 0.4,
-            floor,
-            "bar",
-            f"{number(factor * edges[i])} to {quantity(factor * edges[i + 1], unit)}: {several(int(heights[i]), 'environment')}",
-        )
-        for i in np.flatnonzero(heights)
-    ]
+    suffix = unit_suffix(unit)
+    bars = []
+    for i in np.flatnonzero(heights):
+        first, last = (number(factor * edge) for edge in edges[i : i + 2])
+        title = f"{first} to {last}{suffix}: {several(int(heights[i]), 'environment')}"
+        bars.append(chart.rectangle(sides[i] + 0.4, tops[i], sides[i + 1] - 0.4, floor, "bar", title))
     quantiles = np.quantile(values, QUANTILES)
     low, middle, high = (number(factor * value) for value in quantiles)
-    suffix = unit_suffix(unit)
     rules = [
         chart.rule(float(x.place(at)), "median" if q == 0.5 else "quantile")
         for q, at in zip(QUANTILES, quantiles, strict=True)
     ]
-    about = f"Histogram of {column.name}: 5 % below {low}{suffix}, median {middle}{suffix}, 95 % below {high}{suffix}"
+    about = (
+        f"Histogram of {column.name}: 5 % below {low}{suffix}, median {middle}{suffix}, 95 % below {high}{suffix}"
+    )
     told = f"median {middle}{suffix}; 90 % from {low} to {high}{suffix}"
     if missing:
         told += f"; {count(missing)} without a finite value"

@@ -73,7 +73,13 @@ class Page:
     def _body(self) -> Markup:
         links = [element("a", one.title, href=f"#{one.key}") for one in self.sections]
         theme = element(
-            "button", "Dark", id="theme", type="button", class_="quiet", aria_pressed="false", title="Light or dark"
+            "button",
+            "Dark",
+            id="theme",
+            type="button",
+            class_="quiet",
+            aria_pressed="false",
+            title="Light or dark",
         )
         header = element(
             "header",
@@ -81,9 +87,7 @@ class Page:
             self.head,
             element("nav", joined(links), aria_label="Sections"),
         )
-        parts = [
-            element("section", element("h2", one.title), one.content, id=one.key) for one in self.sections
-        ]
+        parts = [element("section", element("h2", one.title), one.content, id=one.key) for one in self.sections]
         footer = element(
             "footer", f"Made by warpcontact {__version__}. Drawn with three.js, © three.js authors, MIT License."
         )

@@ -56,7 +56,9 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
     records = recording.sizes["time"]
     items = _items(recording, scene)
     if 2 * items > POSES:
-        replay.notes.append(f"There is no replay of {several(items, 'body')} and points of contact: too many for a page.")
+        replay.notes.append(
+            f"There is no replay of {several(items, 'body')} and points of contact: too many for a page."
+        )
         return replay
     rows = thinned(records, min(FRAMES, POSES // items))
     envs = choice.envs[: max(1, POSES // (items * len(rows)))]
@@ -85,8 +87,9 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
 
 def _items(recording: xr.Dataset, scene: Scene) -> int:
     """Returns how many poses and points of forces one record of one environment has."""
-    touching = [contact for contact in (*scene.contacts, *scene.smooth_contacts) if f"{contact.name}.point" in recording]
-    return max(1, sum(body.count for body in scene.bodies) + sum(contact.count for contact in touching))
+    contacts: list[Any] = [*scene.contacts, *scene.smooth_contacts]
+    points = sum(contact.count for contact in contacts if f"{contact.name}.point" in recording)
+    return max(1, points + sum(body.count for body in scene.bodies))
 
 
 def _drawing(recording: xr.Dataset, scene: Scene, envs: list[int]) -> tuple[Drawing | None, list[str]]:
@@ -109,7 +112,8 @@ def _drawing(recording: xr.Dataset, scene: Scene, envs: list[int]) -> tuple[Draw
 
 def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
     """Returns the shapes as a pack, and what all environments have in common."""
-    pack, about = Pack(), []
+    pack = Pack()
+    about: list[dict[str, bool]] = []
     numbers: dict[int, int] = {}
     figures = []
     finest = FINEST * drawing.size
@@ -117,16 +121,16 @@ def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
     for figure in drawing.figures:
         copies = figure.scales.shape[1]
         shape = drawable(figure.shape, copies)
-        if id(figure.shape) not in numbers:
-            numbers[id(figure.shape)] = len(about)
+        if id(shape) not in numbers:
+            numbers[id(shape)] = len(about)
             about.append(add_shape(pack, shape, finest))
-            kept.append(figure.shape)
+            kept.append(shape)
         figures.append(
             {
                 "name": short(figure.name, 200),
                 "kind": figure.kind,
                 "color": _color(figure.color),
-                "shape": numbers[id(figure.shape)],
+                "shape": numbers[id(shape)],
                 "moves": len(figure.positions) > 1 or len(figure.orientations) > 1,
             }
         )
@@ -146,7 +150,8 @@ def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
         "deepest": max(0.0, -float(every.min(initial=0.0))),
         "gaps": bool(len(every)),
         "largestForce": max(
-            (float(np.linalg.norm(touch.forces, axis=-1).max(initial=0.0)) for touch in drawing.touches), default=0.0
+            (float(np.linalg.norm(touch.forces, axis=-1).max(initial=0.0)) for touch in drawing.touches),
+            default=0.0,
         ),
     }
     return pack.content(), scene

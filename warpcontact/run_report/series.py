@@ -73,7 +73,12 @@ def readings_of(series: xr.Dataset) -> list[tuple[str, str | None]]:
     for key, array in series.data_vars.items():
         reading = str(key)
         last = reading.rpartition(".")[2]
-        if array.dims[:2] != ("time", "env") or last in _LEFT_OUT or words_of(array) or array.dtype.kind not in "iuf":
+        if (
+            array.dims[:2] != ("time", "env")
+            or last in _LEFT_OUT
+            or words_of(array)
+            or array.dtype.kind not in "iuf"
+        ):
             continue
         if {"row", "component"} & set(array.dims):
             continue
@@ -157,15 +162,15 @@ def _curves(
         ]
     label = reading if axis is None else f"{reading}.{axis}"
     about = f"{label} over time: median and quantiles over the environments"
-    drawing = chart.chart(
-        x, y, marks, about, "time", data_t0=seconds[0], data_t1=seconds[-1], data_series=True
-    )
+    drawing = chart.chart(x, y, marks, about, "time", data_t0=seconds[0], data_t1=seconds[-1], data_series=True)
     unit_told = element("span", f"[{y.label}]" if y.label else "", class_="unit")
     meaning = f"{word} {whole.attrs.get('long_name', '')}".strip()
     caption = element("figcaption", element("strong", name(label, 40), " ", unit_told), element("span", meaning))
-    places = {} if single else {
-        str(env): _tenths(y.place(lines[:, i])) for i, env in enumerate(chosen) if i < lines.shape[1]
-    }
+    places = (
+        {}
+        if single
+        else {str(env): _tenths(y.place(lines[:, i])) for i, env in enumerate(chosen) if i < lines.shape[1]}
+    )
     return Curves(element("figure", caption, drawing, class_="chart"), places, _whole(across))
 
 
@@ -203,8 +208,8 @@ def _range(fan: NDArray[np.float64], lines: NDArray[np.float64]) -> tuple[float,
 
 
 def _tenths(places: NDArray[np.float64]) -> list[int | None]:
-    return [int(round(10.0 * place)) if np.isfinite(place) and abs(place) < 1.0e4 else None for place in places]
+    return [round(10.0 * place) if np.isfinite(place) and abs(place) < 1.0e4 else None for place in places]
 
 
 def _whole(places: NDArray[np.float64]) -> list[int]:
-    return [int(round(10.0 * place)) for place in places]
+    return [round(10.0 * place) for place in places]

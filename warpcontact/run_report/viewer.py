@@ -33,7 +33,9 @@ def section(replay: Replay) -> Markup:
         class_="stage",
     )
     script = element("noscript", element("p", "The replay needs JavaScript and WebGL.", class_="note"))
-    return joined([script, element("div", stage, _controls(), id="replay-viewer", class_="viewer"), notes, _help()])
+    return joined(
+        [script, element("div", stage, _controls(), id="replay-viewer", class_="viewer"), notes, _help()]
+    )
 
 
 def _controls() -> Markup:
@@ -57,7 +59,10 @@ def _controls() -> Markup:
             class_="group",
         ),
         element(
-            "span", element("label", "Speed", for_="replay-speed"), element("select", id="replay-speed"), class_="group"
+            "span",
+            element("label", "Speed", for_="replay-speed"),
+            element("select", id="replay-speed"),
+            class_="group",
         ),
         _switch("replay-arrows", "Forces"),
         _switch("replay-gaps", "Gaps"),
@@ -90,8 +95,13 @@ def _help() -> Markup:
     close = element("form", element("button", "Close", type="submit"), method="dialog")
     mouse = "Drag turns the view, the wheel or two fingers zoom, the right button or two fingers move it."
     return element(
-        "dialog", element("h3", "Keys of the replay"), element("dl", keys, class_="keys"), element("p", mouse),
-        close, id="replay-help", aria_label="Keys of the replay",
+        "dialog",
+        element("h3", "Keys of the replay"),
+        element("dl", keys, class_="keys"),
+        element("p", mouse),
+        close,
+        id="replay-help",
+        aria_label="Keys of the replay",
     )
 
 

@@ -44,9 +44,8 @@ def several(number_of: int, what: str) -> str:
     return f"{count(number_of)} {what}{'' if number_of == 1 else 's'}"
 
 
-
 def scaled(unit: str, largest: float) -> tuple[float, str]:
-    """Returns what to multiply numbers up to ``largest`` by to read them easily, and the unit that they then have."""
+    """Returns by what to multiply numbers up to ``largest`` so that they are easily read, and their unit then."""
     if not math.isfinite(largest) or largest <= 0.0 or 0.1 <= largest < 1.0e4:
         return 1.0, "" if unit == "-" else unit
     exponent = 3 * math.floor(math.log10(largest) / 3.0)
