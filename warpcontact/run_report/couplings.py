@@ -30,8 +30,8 @@ def section(reports: Sequence[CouplingReport]) -> Markup | None:
             )
         )
         if report.impact is not None:
-            closest, area_then = quantity(report.impact.closest, "m"), quantity(report.impact.area, "m²")
-            told = f": the range was made for a closest distance of {closest} and an area of {area_then}."
+            expected_gap, expected_area = quantity(report.impact.closest, "m"), quantity(report.impact.area, "m²")
+            told = f": the range was made for a closest distance of {expected_gap} and an area of {expected_area}."
             expected.append(element("p", name(report.name), told, class_="note"))
     head = (
         "coupling",

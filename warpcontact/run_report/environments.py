@@ -50,7 +50,7 @@ def section(params: xr.Dataset, outcome: xr.Dataset, first: Iterable[int]) -> tu
     told = [f"{several(len(envs), 'environment')}."]
     if len(rows) < len(envs):
         told = [
-            f"{count(len(rows))} of {several(len(envs), 'environment')}: those that failed, those in the replay, and "
+            f"{count(len(rows))} of {several(len(envs), 'environment')}: those that failed or are replayed, and "
             "others evenly spread. All of them: warpcontact export DIR --csv FILE."
         ]
     if more:
