@@ -1,232 +1,253 @@
-"""A page in headless Chromium, driven by the DevTools protocol: what it shows, does, complains of and asks for."""
+"""A page in headless Chromium, driven over its DevTools protocol: what it shows, asks for and complains of."""
 
 import base64
-import functools
+import contextlib
 import itertools
 import json
 import os
-import re
 import shutil
 import subprocess
-import tempfile
 import time
+import urllib.request
 from pathlib import Path
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-# Software GL on a busy machine of few cores takes its time.
-PATIENCE = 120.0
-_FLAGS = (
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+FLAGS = (
     "--headless=new",
+    "--no-sandbox",
     "--no-first-run",
-    "--no-default-browser-check",
     "--disable-extensions",
     "--disable-background-networking",
     "--disable-component-update",
-    "--disable-sync",
     "--disable-dev-shm-usage",
-    "--hide-scrollbars",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--ignore-gpu-blocklist",
+    # What Chromium itself asks for in the background; a page that asks for it is found by its requests.
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     "--remote-debugging-port=0",
 )
-_ENDPOINT = re.compile(rb"DevTools listening on (ws://\S+)")
+DESKTOP = (1280, 800)
+PHONE = (390, 844)
 
 
-@functools.cache
-def chromium():
-    """Returns the path of a Chromium, or None; ``WARPCONTACT_CHROMIUM`` names one."""
-    named = os.environ.get("WARPCONTACT_CHROMIUM")
-    return named or next(filter(None, map(shutil.which, NAMES)), None)
+def executable():
+    """Path of a Chromium; ``WARPCONTACT_CHROMIUM`` names one. The test is skipped if there is none."""
+    found = os.environ.get("WARPCONTACT_CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), None)
+    if not found:
+        pytest.skip("there is no Chromium to look at pages with")
+    return found
 
 
-def why_not():
-    """Returns why no page can be looked at here, or nothing."""
+@contextlib.contextmanager
+def browser(folder):
+    """Starts Chromium with its profile in ``folder``; yields what opens pages.
+
+    ``page(url, size, dark, still, script)``: ``still`` for who wants no motion, ``script``: whether any runs.
+    """
+    profile = Path(folder) / "profile"
+    command = [executable(), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        import websockets.sync.client  # noqa: F401
-    except ImportError:
-        return "websockets is not installed"
-    if chromium() is None:
-        return f"there is no {' or '.join(NAMES)}; WARPCONTACT_CHROMIUM may name one"
-    return ""
+        port_file = profile / "DevToolsActivePort"
+        _wait(lambda: port_file.is_file() and "\n" in port_file.read_text(), 60.0, "Chromium to start")
+        port = int(port_file.read_text().split("\n")[0])
 
+        @contextlib.contextmanager
+        def page(url, size=DESKTOP, dark=False, still=False, script=True):
+            with contextlib.closing(Page(port, size, dark, still, script)) as opened:
+                opened.go(url)
+                yield opened
 
-class Browser:
-    """A running Chromium; use it with ``with``."""
-
-    def __enter__(self):
-        from websockets.sync.client import connect
-
-        self._profile = tempfile.mkdtemp(prefix="chromium-")
-        sandbox = ("--no-sandbox",) if hasattr(os, "geteuid") and os.geteuid() == 0 else ()
-        command = [chromium(), *_FLAGS, *sandbox, f"--user-data-dir={self._profile}", "about:blank"]
-        self._log = tempfile.TemporaryFile()
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=self._log)
+        yield page
+    finally:
+        process.terminate()
         try:
-            self._socket = connect(self._endpoint(), max_size=None, proxy=None, open_timeout=PATIENCE)
-        except BaseException:
-            self._end()
-            raise
-        self._numbers = itertools.count(1)
-        self.events = []
-        return self
-
-    def __exit__(self, *_):
-        self._socket.close()
-        self._end()
-
-    def _end(self):
-        self._process.kill()
-        self._process.wait()
-        self._log.close()
-        shutil.rmtree(self._profile, ignore_errors=True)
-
-    def _endpoint(self):
-        deadline = time.monotonic() + PATIENCE
-        while time.monotonic() < deadline and self._process.poll() is None:
-            self._log.seek(0)
-            found = _ENDPOINT.search(self._log.read())
-            if found:
-                return found[1].decode()
-            time.sleep(0.05)
-        self._log.seek(0)
-        raise RuntimeError(f"Chromium did not start: {self._log.read()[-2000:].decode(errors='replace')}")
-
-    def send(self, method, session=None, **parameters):
-        """Sends a command and returns its result; events that come before it are kept."""
-        number = next(self._numbers)
-        message = {"id": number, "method": method, "params": parameters}
-        if session:
-            message["sessionId"] = session
-        self._socket.send(json.dumps(message))
-        while True:
-            answer = json.loads(self._socket.recv(timeout=PATIENCE))
-            if answer.get("id") == number:
-                if "error" in answer:
-                    raise RuntimeError(f"{method}: {answer['error']}")
-                return answer["result"]
-            self.events.append(answer)
-
-    def open(self, path, width=1280, height=800, scale=1.0, *, dark=False, phone=False, script=True, features=()):
-        """Opens a file as a page of this size [px]; returns it when it is loaded."""
-        target = self.send("Target.createTarget", url="about:blank")["targetId"]
-        session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        page = Page(self, target, session)
-        for domain in ("Page", "Runtime", "Network", "Log"):
-            page.send(f"{domain}.enable")
-        if not script:
-            page.send("Emulation.setScriptExecutionDisabled", value=True)
-        page.send(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=phone
-        )
-        page.send("Emulation.setTouchEmulationEnabled", enabled=phone)
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        page.send("Emulation.setEmulatedMedia", features=[scheme, *features])
-        page.send("Page.navigate", url=Path(path).resolve().as_uri())
-        if script:
-            page.wait("document.readyState === 'complete'")
-        else:
-            page.wait_for_event("Page.loadEventFired")
-        return page
+            process.wait(20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 class Page:
-    """An open page."""
+    """A tab.
 
-    def __init__(self, browser, target, session):
-        self.browser = browser
-        self.target = target
-        self.session = session
+    Attributes:
+        requests: URLs that the page and its workers asked for, of sockets too, but not what lies in the page.
+        errors: What they logged as errors, and exceptions that nobody caught.
+    """
 
-    def send(self, method, **parameters):
-        return self.browser.send(method, self.session, **parameters)
+    def __init__(self, port, size, dark, still, script):
+        from websockets.sync.client import connect
 
-    def run(self, expression):
-        """Returns the value of an expression in the page; waits for promises."""
-        answer = self.send("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        request = urllib.request.Request(f"http://127.0.0.1:{port}/json/new?about:blank", method="PUT")
+        with urllib.request.urlopen(request) as answer:
+            address = json.load(answer)["webSocketDebuggerUrl"]
+        self._socket = connect(address, max_size=None, compression=None, proxy=None)
+        self._numbers = itertools.count(1)
+        self._answers = {}
+        self.requests, self.errors = [], []
+        self._listen(None)
+        self.call("Page.enable")
+        width, height = size
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < height,
+        )
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        motion = {"name": "prefers-reduced-motion", "value": "reduce" if still else "no-preference"}
+        self.call("Emulation.setEmulatedMedia", features=[scheme, motion])
+        self.call("Emulation.setTouchEmulationEnabled", enabled=width < height)
+        if not script:
+            self.call("Emulation.setScriptExecutionDisabled", value=True)
+
+    def _listen(self, session):
+        # Workers wait until their requests are listened to as well.
+        follow = {"autoAttach": True, "waitForDebuggerOnStart": True, "flatten": True}
+        for method, options in (
+            ("Runtime.enable", {}),
+            ("Log.enable", {}),
+            ("Network.enable", {}),
+            ("Target.setAutoAttach", follow),
+        ):
+            # Of a worker there is no log of its own.
+            with contextlib.suppress(RuntimeError) if session else contextlib.nullcontext():
+                self.call(method, session, **options)
+
+    def call(self, method, session=None, **options):
+        """Calls a method of the DevTools protocol and returns its result."""
+        number = next(self._numbers)
+        message = {"id": number, "method": method, "params": options}
+        self._socket.send(json.dumps(message | ({"sessionId": session} if session else {})))
+        while number not in self._answers:
+            self._take(json.loads(self._socket.recv(timeout=120)))
+        answer = self._answers.pop(number)
+        if "error" in answer:
+            raise RuntimeError(f"{method}: {answer['error']['message']}")
+        return answer["result"]
+
+    def _take(self, event):
+        if "id" in event:
+            # Of the call that waits, or of one that was made before it and took up an event meanwhile.
+            self._answers[event["id"]] = event
+            return
+        method, options = event["method"], event.get("params", {})
+        if method == "Target.attachedToTarget":
+            session = options["sessionId"]
+            self._listen(session)
+            self.call("Runtime.runIfWaitingForDebugger", session)
+        elif method == "Network.requestWillBeSent":
+            if not options["request"]["url"].startswith(("data:", "blob:")):
+                self.requests.append(options["request"]["url"])
+        elif method == "Network.webSocketCreated":
+            self.requests.append(options["url"])
+        elif method == "Runtime.exceptionThrown":
+            details = options["exceptionDetails"]
+            self.errors.append(details.get("exception", {}).get("description") or details["text"])
+        elif method == "Runtime.consoleAPICalled" and options["type"] in ("error", "assert"):
+            self.errors.append(" ".join(str(one.get("value", one.get("description"))) for one in options["args"]))
+        elif method == "Log.entryAdded" and options["entry"]["level"] == "error":
+            entry = options["entry"]
+            self.errors.append(f"{entry['text']} {entry.get('url', '')}".strip())
+
+    def listen(self, seconds):
+        """Waits, and takes what happens meanwhile."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            try:
+                self._take(json.loads(self._socket.recv(timeout=left)))
+            except TimeoutError:
+                return
+
+    def go(self, url):
+        """Opens ``url`` and waits until it is loaded."""
+        self.call("Page.navigate", url=url)
+        self.wait_for("location.href !== 'about:blank' && document.readyState === 'complete'")
+
+    def evaluate(self, expression):
+        """Returns the value of a JavaScript expression, a promise awaited."""
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         if "exceptionDetails" in answer:
-            raise RuntimeError(f"{expression}: {answer['exceptionDetails']}")
+            details = answer["exceptionDetails"]
+            raise AssertionError(details.get("exception", {}).get("description") or details["text"])
         return answer["result"].get("value")
 
-    def wait(self, expression, timeout=PATIENCE):
-        """Waits until an expression holds."""
-        deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline:
-            if self.run(expression):
-                return
-            time.sleep(0.03)
-        raise TimeoutError(expression)
+    def wait_for(self, expression, timeout=60.0):
+        """Waits until an expression is true; returns its value."""
+        found = []
 
-    def wait_for_event(self, method, timeout=PATIENCE):
-        deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline:
-            if any(event.get("method") == method for event in self._events()):
-                return
-            self.send("Page.getFrameTree")  # receives what has come
-            time.sleep(0.03)
-        raise TimeoutError(method)
+        def holds():
+            found[:] = [self.evaluate(expression)]
+            return found[0]
 
-    def state(self):
-        """Returns what the replay shows, once it is drawn."""
-        self.wait("window.warpcontact.ready")
-        return self.run("window.warpcontact.state()")
+        _wait(holds, timeout, expression, self.listen)
+        return found[0]
 
-    def press(self, key, **more):
-        """Presses a key."""
-        text = {"text": key} if len(key) == 1 else {}
-        self.send("Input.dispatchKeyEvent", type="keyDown", key=key, **text, **more)
-        self.send("Input.dispatchKeyEvent", type="keyUp", key=key, **more)
+    def text(self):
+        """What there is to read on the page."""
+        return self.evaluate("document.body.innerText")
 
-    def click(self, selector):
-        """Clicks in the middle of an element, as a reader does."""
-        box = self.run(
-            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); "
-            "e.scrollIntoView({block: 'center', behavior: 'instant'}); const b = e.getBoundingClientRect(); "
-            "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+    def place(self, expression):
+        """The middle of the element that an expression gives, scrolled into view [px]."""
+        box = (
+            f"(e => {{ e.scrollIntoView({{block: 'center'}}); const r = e.getBoundingClientRect(); "
+            f"return [r.x + r.width / 2, r.y + r.height / 2]; }})({expression})"
         )
-        where = {"x": box[0], "y": box[1], "button": "left", "clickCount": 1}
-        self.send("Input.dispatchMouseEvent", type="mousePressed", **where)
-        self.send("Input.dispatchMouseEvent", type="mouseReleased", **where)
+        return self.evaluate(box)
 
-    def drawn(self):
-        """Waits until what was changed is drawn."""
-        self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    def mouse(self, kind, x, y, **options):
+        """Sends an event of the mouse, such as ``mousePressed``."""
+        down = {} if kind == "mouseMoved" and not options.get("buttons") else {"button": "left"}
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **{"clickCount": 1} | down | options)
 
-    def screenshot(self, path=None, *, whole=False):
-        """Returns the picture of the page as PNG, and writes it if ``path`` is given."""
-        self.drawn()
-        answer = self.send("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        content = base64.b64decode(answer["data"])
+    def click(self, expression):
+        """Clicks on the element that an expression gives."""
+        x, y = self.place(expression)
+        self.mouse("mouseMoved", x, y)
+        self.mouse("mousePressed", x, y)
+        self.mouse("mouseReleased", x, y)
+
+    def drag(self, start, end):
+        """Presses the mouse at ``start``, moves it to ``end`` [px] and lets it go."""
+        self.mouse("mouseMoved", *start)
+        self.mouse("mousePressed", *start)
+        for part in (0.25, 0.5, 0.75, 1.0):
+            x, y = (a + part * (b - a) for a, b in zip(start, end, strict=True))
+            self.mouse("mouseMoved", x, y, buttons=1)
+        self.mouse("mouseReleased", *end)
+
+    def key(self, key, code=None, number=0, text=""):
+        """Presses a key and lets it go."""
+        same = {"key": key, "code": code or key, "windowsVirtualKeyCode": number}
+        self.call("Input.dispatchKeyEvent", type="keyDown", text=text, **same)
+        self.call("Input.dispatchKeyEvent", type="keyUp", **same)
+
+    def write(self, text):
+        """Types text where the cursor is."""
+        self.call("Input.insertText", text=text)
+
+    def screenshot(self, path=None):
+        """Takes a picture, a PNG; returns its bytes, and writes them into the file ``path``."""
+        content = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         if path is not None:
             Path(path).write_bytes(content)
         return content
 
     def close(self):
-        self.browser.send("Target.closeTarget", targetId=self.target)
+        """Closes the tab."""
+        with contextlib.suppress(Exception):
+            self.call("Page.close")
+        self._socket.close()
 
-    def complaints(self):
-        """Returns messages of the console, exceptions, and what the browser itself logged, such as violations."""
-        found = []
-        for event in self._events():
-            what, about = event.get("method"), event.get("params", {})
-            if what == "Runtime.consoleAPICalled":
-                words = " ".join(str(arg.get("value", arg.get("description"))) for arg in about["args"])
-                found.append(f"console.{about['type']}: {words}")
-            elif what == "Runtime.exceptionThrown":
-                details = about["exceptionDetails"]
-                found.append(f"exception: {details.get('exception', {}).get('description', details['text'])}")
-            elif what == "Log.entryAdded":
-                found.append(f"{about['entry']['source']} {about['entry']['level']}: {about['entry']['text']}")
-        return found
 
-    def requests(self):
-        """Returns the addresses of all requests but that of the page itself and of data in it."""
-        urls = [
-            event["params"]["request"]["url"]
-            for event in self._events()
-            if event.get("method") == "Network.requestWillBeSent"
-        ]
-        return [url for url in urls[1:] if not url.startswith(("data:", "blob:"))]
-
-    def _events(self):
-        return [event for event in self.browser.events if event.get("sessionId") == self.session]
+def _wait(holds, timeout, what, pause=time.sleep):
+    end = time.monotonic() + timeout
+    while not holds():
+        if time.monotonic() > end:
+            raise TimeoutError(f"waited {timeout:g} s for {what}")
+        pause(0.05)

@@ -59,7 +59,8 @@ def test_points_of_a_set_are_small_spheres_on_their_body(recording, drawing):
 def test_a_fixed_surface_is_one_record_and_dims_what_nothing_can_touch(recording, drawing):
     (floor,) = figures(drawing, "floor")
     assert (floor.kind, floor.positions.shape[0]) == ("surface", 1)
-    np.testing.assert_allclose(corners(floor, 5, 1), recording.scene.surfaces[0].mesh.vertices + (0.1, 0.2, -0.02))
+    expected = np.array([0.1, 0.2, -0.02]) + recording.scene.surfaces[0].mesh.vertices
+    np.testing.assert_allclose(corners(floor, 5, 1), expected)
     np.testing.assert_allclose(floor.shape.colors, [[0.8, 0.6, 0.4], [0.32, 0.24, 0.16]])
 
 

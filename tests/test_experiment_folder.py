@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 import warnings
 
 import numpy as np
@@ -10,6 +12,7 @@ import xarray as xr
 from test_experiment import content
 
 import warpcontact as wc
+from warpcontact.experiment.status import status_of
 
 
 def test_folder_of_something_else_is_left_alone(tmp_path):
@@ -39,6 +42,12 @@ def test_earlier_run_is_replaced_on_request_only(tmp_path):
     assert run.summary["state"] == "finished"
 
 
+def test_what_a_run_left_that_was_killed_at_its_first_file_is_no_obstacle(tmp_path):
+    (tmp_path / "run.json.partial").write_text('{"program": "warpc')
+    assert wc.Experiment(content()).run(tmp_path, device="cpu").finished
+    assert not (tmp_path / "run.json.partial").exists()
+
+
 def test_folder_of_an_unfinished_run_may_be_used_again(tmp_path):
     def interrupt(stage):
         if stage == "running":
@@ -50,8 +59,7 @@ def test_folder_of_an_unfinished_run_may_be_used_again(tmp_path):
     assert json.loads(summary.read_text())["state"] == "interrupted"
     assert wc.Experiment(content()).run(tmp_path, device="cpu").health.good
     written = json.loads(summary.read_text())
-    gone = written | {"state": "unfinished", "process": 2**22 + 1}  # above the largest number of a process
-    summary.write_text(json.dumps(gone))
+    summary.write_text(json.dumps(written | {"state": "unfinished"}))  # as of one that was killed
     with pytest.raises(wc.ExperimentError, match=r"a run that did not finish; .*\(--resume\)"):
         wc.Experiment(content()).run(tmp_path, device="cpu")
     for path in (tmp_path / "commit").iterdir():
@@ -59,13 +67,31 @@ def test_folder_of_an_unfinished_run_may_be_used_again(tmp_path):
     assert wc.Experiment(content()).run(tmp_path, device="cpu").health.good
 
 
-@pytest.mark.skipif(os.name != "posix", reason="other systems do not tell")
-def test_folder_of_a_run_in_progress_is_left_alone(tmp_path):
-    run = wc.Experiment(content()).run(tmp_path, device="cpu")
-    going_on = json.loads(run.files["summary"].read_text()) | {"state": "unfinished", "process": os.getppid()}
-    run.files["summary"].write_text(json.dumps(going_on))
-    with pytest.raises(wc.ExperimentError, match="is running and writes there"):
-        wc.Experiment(content()).run(tmp_path, device="cpu", overwrite=True)
+WRITER = """
+import sys, pathlib
+from warpcontact.experiment.lock import writing
+with writing(pathlib.Path(sys.argv[1])):
+    print("writing", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="other systems have no locks on folders")
+@pytest.mark.parametrize("way", [{"overwrite": True}, {"resume": True}], ids=str)
+def test_folder_of_a_run_in_progress_is_left_alone(tmp_path, way):
+    experiment = wc.Experiment(content())
+    before = experiment.run(tmp_path, device="cpu").digest()
+    summary = tmp_path / "run.json"
+    summary.write_text(json.dumps(json.loads(summary.read_text()) | {"state": "unfinished"}))
+    with subprocess.Popen([sys.executable, "-c", WRITER, tmp_path], stdin=-1, stdout=-1) as writer:
+        assert writer.stdout.readline() == b"writing\n"
+        assert status_of(tmp_path).state == "running"
+        with pytest.raises(wc.ExperimentError, match="is running and writes there"):
+            experiment.run(tmp_path, device="cpu", **way)
+        writer.kill()  # however it ends
+        writer.wait()
+    assert status_of(tmp_path).state == "stopped"
+    assert experiment.run(tmp_path, device="cpu", **way).digest() == before
 
 
 def test_warnings_of_python_are_kept_and_take_their_way(tmp_path):

@@ -6,7 +6,7 @@ from pxr import Usd, UsdGeom
 from usd_stages import findings
 
 import warpcontact as wc
-from warpcontact.replay.couplings import LINE_POINTS, PER_TURN, TURNS, coil
+from warpcontact.replay.couplings import LINE_POINTS, PER_TURN, TURNS, Coil, coiled
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,8 @@ def test_readings_colour_and_visibility(recording, stage):
 def test_a_coil_keeps_its_radius_and_does_not_jump():
     angle = np.linspace(0.0, 2.0 * np.pi, 200)
     ends = np.stack([np.cos(angle), np.sin(angle), np.full_like(angle, 0.3)], axis=-1)
-    points = coil(np.zeros_like(ends), ends)
+    start = np.zeros_like(ends)
+    points = coiled(start, ends, Coil.of(start, ends))
     assert np.isfinite(points).all()
     along = ends / np.linalg.norm(ends, axis=-1, keepdims=True)
     inner = points[:, 1:-1]
@@ -89,7 +90,8 @@ def test_a_coil_keeps_its_radius_and_does_not_jump():
     np.testing.assert_allclose(radius, radius[0, 0], rtol=1e-12)
     # A turn of 2π/199 moves points by no more than some of that.
     assert np.linalg.norm(np.diff(points, axis=0), axis=-1).max() < 3.0 * 2.0 * np.pi / 199
-    assert np.isfinite(coil(np.zeros((1, 3)), np.zeros((1, 3)))).all()
+    nowhere = np.zeros((1, 3))
+    assert np.isfinite(coiled(nowhere, nowhere, Coil.of(nowhere, nowhere))).all()
 
 
 def test_a_catenary_hangs_as_it_did(device, tmp_path):

@@ -95,7 +95,7 @@ def spoiled(recording, name, index, number):
 @pytest.mark.parametrize(
     ("change", "options", "error", "message"),
     [
-        (None, {"path": "a.obj"}, ValueError, r"must end in \.usd, \.usda, \.usdc, got .*a\.obj"),
+        (None, {"path": "a.obj"}, ValueError, r"must end in \.usd, \.usda, \.usdc, \.usdz, got .*a\.obj"),
         (None, {"path": "a"}, ValueError, "must end in"),
         (None, {"envs": 4}, ValueError, "environment 4 is not in the recording, which has 0 to 3"),
         (None, {"envs": [0, -1]}, ValueError, "environment -1 .* 0 to 3"),

@@ -65,6 +65,26 @@ def world(stage, path, code):
     return matrix[:3, :3].T, matrix[3, :3]
 
 
+def arrows(stage, path, code):
+    """Starts and vectors (n, 3) of the arrows at ``path``, NaN where none is seen."""
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath(path))
+    ids = np.array(instancer.GetIdsAttr().Get(code))
+    every = UsdGeom.PointInstancer.IgnoreMask
+    given = instancer.ComputeInstanceTransformsAtTime(code, code, UsdGeom.PointInstancer.IncludeProtoXform, every)
+    matrices = np.array(given)
+    count = len(matrices) // 2
+    assert list(instancer.GetProtoIndicesAttr().Get()) == [0] * count + [1] * count
+    start = matrices[:count, 3, :3] - 0.5 * matrices[:count, 2, :3]
+    end = matrices[count:, 3, :3] + 0.5 * matrices[count:, 2, :3]
+    neck = matrices[:count, 3, :3] + 0.5 * matrices[:count, 2, :3]
+    behind = matrices[count:, 3, :3] - 0.5 * matrices[count:, 2, :3]
+    hidden = np.isin(ids, np.array(instancer.GetInvisibleIdsAttr().Get(code))).reshape(2, count)
+    assert (hidden[0] == hidden[1]).all()
+    unseen = np.where(hidden[0][:, None], np.nan, 0.0)
+    np.testing.assert_allclose(neck + unseen, behind + unseen, atol=1e-5, err_msg="a head sits on its shaft")
+    return start + unseen, end - start + unseen
+
+
 def findings(stage):
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert len(validators) >= 20

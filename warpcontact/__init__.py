@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from warpcontact.outcomes.watch import Events, Stop
     from warpcontact.quarantine import QuarantineError
     from warpcontact.recorder import Recording
+    from warpcontact.rendering import film, render
     from warpcontact.run_report import report
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
     from warpcontact.split_model import SplitModel
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
     from warpcontact.usd import export_usd
+    from warpcontact.usd.importing.errors import StageError
+    from warpcontact.viewer import view
 
 # Where each public name lives; a module stands for itself.
 _HOME = {
@@ -85,6 +88,7 @@ _HOME = {
     "SplitModel": "warpcontact.split_model",
     "Spring": "warpcontact.kernels.springs.base",
     "SpringDamper": "warpcontact.couplings.elements",
+    "StageError": "warpcontact.usd.importing.errors",
     "Status": "warpcontact.status",
     "StoreError": "warpcontact.experiment",
     "Stop": "warpcontact.outcomes.watch",
@@ -95,6 +99,7 @@ _HOME = {
     "compare": "warpcontact.compare",
     "convergence": "warpcontact.analysis",
     "export_usd": "warpcontact.usd",
+    "film": "warpcontact.rendering",
     "frictions": "warpcontact.kernels.frictions",
     "integrators": "warpcontact.integrators",
     "laws": "warpcontact.kernels.laws",
@@ -106,6 +111,7 @@ _HOME = {
     "outcomes": "warpcontact.outcomes",
     "parameter": "warpcontact.kernels.formula",
     "quantile_fan": "warpcontact.analysis",
+    "render": "warpcontact.rendering",
     "report": "warpcontact.run_report",
     "sample_surface": "warpcontact.meshes",
     "sensitivity": "warpcontact.analysis",
@@ -113,6 +119,7 @@ _HOME = {
     "springs": "warpcontact.kernels.springs",
     "table": "warpcontact.kernels.formula",
     "unilateral": "warpcontact.unilateral",
+    "view": "warpcontact.viewer",
     "write_fan": "warpcontact.analysis",
 }
 
@@ -156,6 +163,7 @@ __all__ = [
     "SplitModel",
     "Spring",
     "SpringDamper",
+    "StageError",
     "Status",
     "Stop",
     "StoreError",
@@ -167,6 +175,7 @@ __all__ = [
     "compare",
     "convergence",
     "export_usd",
+    "film",
     "frictions",
     "integrators",
     "laws",
@@ -178,6 +187,7 @@ __all__ = [
     "outcomes",
     "parameter",
     "quantile_fan",
+    "render",
     "report",
     "sample_surface",
     "sensitivity",
@@ -185,6 +195,7 @@ __all__ = [
     "springs",
     "table",
     "unilateral",
+    "view",
     "write_fan",
 ]
 

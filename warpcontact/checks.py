@@ -35,6 +35,8 @@ def limits(
 
 
 FINITE = limits("-")
+# What was divided by its length has a computed length of 1 but for 7 roundings of 1.1e-16 at most.
+UNIT_ROUNDING = 1.0e-15
 
 
 def numbers(name: str, value: ArrayLike, shape: tuple[int, ...], allowed: Mapping[str, Any] = FINITE) -> Array:
@@ -68,6 +70,8 @@ def _brief(value: ArrayLike, values: Array) -> str:
 def unit_quaternions(name: str, value: Array) -> Array:
     """Returns quaternions (…, 4), in the order x, y, z, w, scaled to length 1.
 
+    Those that are of length 1 but for rounding stay as they are: what was scaled once does not change again.
+
     Raises:
         ValueError: If a length differs from 1 by more than 1e-3, more than any rounding.
     """
@@ -79,7 +83,7 @@ def unit_quaternions(name: str, value: Array) -> Array:
             f"{name}{list(map(int, where)) if where else ''} must be a unit quaternion (x, y, z, w), "
             f"got {value[where].tolist()} of length {length[where]:g}"
         )
-    return value / length[..., None]
+    return value / np.where(np.abs(length - 1.0) <= UNIT_ROUNDING, 1.0, length)[..., None]
 
 
 def switches(name: str, value: Array) -> Array:

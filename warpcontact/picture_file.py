@@ -1,5 +1,6 @@
 """Where pictures go: names of files that can be written, and files that depend on nothing but the picture."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +11,12 @@ if TYPE_CHECKING:
 SUFFIXES = (".svg", ".png")
 
 
-def check_path(path: Any) -> Path:
+def check_path(path: Any, suffixes: Sequence[str] = SUFFIXES) -> Path:
     """Returns ``path`` if a picture can be written there, which is tried.
+
+    Args:
+        path: The file.
+        suffixes: What its name may end in.
 
     Raises:
         ValueError: If the suffix is not allowed, it is a folder or in none that exists, or cannot be written.
@@ -19,8 +24,8 @@ def check_path(path: Any) -> Path:
     file = Path(path)
     if file.is_dir():
         raise ValueError(f"{path}: is a folder; the picture needs the name of a file")
-    if file.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"{path}: must end in {' or '.join(SUFFIXES)}, got {file.suffix or 'no suffix'}")
+    if file.suffix.lower() not in suffixes:
+        raise ValueError(f"{path}: must end in {' or '.join(suffixes)}, got {file.suffix or 'no suffix'}")
     if not file.parent.is_dir():
         wrong = "is not a folder" if file.parent.exists() else "does not exist"
         raise ValueError(f"{path}: {file.parent} {wrong}")

@@ -374,6 +374,10 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         """Returns the names of all elements."""
         return tuple(self._elements)
 
+    def elements(self) -> tuple[Any, ...]:
+        """Returns all elements in the order in which they were added."""
+        return tuple(self._elements.values())
+
     def new_name(self, kind: str, name: str | None) -> str:
         """Returns ``name`` if an element can have it, or one made from ``kind`` if it is ``None``."""
         return checks.new_name(kind, name, self._elements)

@@ -3,7 +3,6 @@
 import contextlib
 import datetime
 import hashlib
-import os
 import platform
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -22,6 +21,7 @@ from warpcontact.experiment import store
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.fingerprint import differences, fingerprint
+from warpcontact.experiment.lock import writing
 from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.plan import Plan
 from warpcontact.experiment.progress import Bar
@@ -87,8 +87,8 @@ class Job:
 Runs = Callable[[Iterable[Shard], Mapping[int, Commit], Bar], dict[str, str]]
 
 
-def start(runner: ShardRunner, job: Job) -> None:
-    """Makes the folder of a new run with its empty store.
+def start(runner: ShardRunner, job: Job, alone: contextlib.ExitStack) -> None:
+    """Makes the folder of a new run with its empty store, and keeps others away from it until ``alone`` ends.
 
     Raises:
         ValueError: If a value does not fit into the precision of the device, before anything is removed.
@@ -97,6 +97,8 @@ def start(runner: ShardRunner, job: Job) -> None:
     for shard in reversed(job.shards):
         runner.take(shard)
     with _naming(job.folder):
+        job.folder.mkdir(parents=True, exist_ok=True)
+        alone.enter_context(writing(job.folder))
         _make_folder(runner, job)
 
 
@@ -159,7 +161,6 @@ def _proceed(job: Job, run_shards: Runs) -> Run:
         path.unlink()
     summary = (files_of.read_summary(folder) or {}) | {
         "state": files_of.UNFINISHED,
-        "process": os.getpid(),
         "host": platform.node(),
     }
     for key in ("failed", "error"):
@@ -261,7 +262,6 @@ def _first_summary(model: Environments, job: Job) -> dict[str, Any]:
     laws = {name: hashlib.sha256(content).hexdigest() for name, content in job.copy.files.items()}
     return {
         "state": files_of.UNFINISHED,
-        "process": os.getpid(),
         "name": settings.name,
         "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "versions": {

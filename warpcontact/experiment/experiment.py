@@ -1,5 +1,6 @@
 """Experiments: a scene, what varies between its environments, how long, and what is recorded."""
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -16,6 +17,7 @@ from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
 from warpcontact.experiment.execute import Job, check_resumable, here, proceed, start
+from warpcontact.experiment.lock import writing
 from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.observation import check_watched, watching
 from warpcontact.experiment.own import OwnFiles
@@ -210,12 +212,16 @@ class Experiment:
         _check_pace(threads, checkpoint, self.source)
         folder, experiment = Path(out), self.changed(envs=envs, duration=duration)
         copy = files_of.copied(experiment.settings, experiment.folder, folder, experiment._own)
-        summary = files_of.check_started(folder) if resume else None
-        if summary is None:
-            files_of.check_new(folder, overwrite, copy.files)
         notices = Notices(on_warning)
         say = on_stage or _say_nothing
-        with notices.listening(), experiment._own.blamed():
+        with notices.listening(), experiment._own.blamed(), contextlib.ExitStack() as alone:
+            summary = None
+            if resume:
+                if folder.is_dir():
+                    alone.enter_context(writing(folder))
+                summary = files_of.check_started(folder)
+            else:
+                files_of.check_new(folder, overwrite, copy.files)
             experiment._tell_of_meshes(notices)
             draft = experiment.draft(device)
             place = cluster.connect(ray) if ray else None
@@ -247,7 +253,7 @@ class Experiment:
             say(f"building {plan.shard} environments")
             runner = job.runner(draft.build(plan.shard))
             if summary is None:
-                start(runner, job)
+                start(runner, job, alone)
             if place is not None:
                 del runner, draft  # whoever runs shards needs the room
                 return proceed(job, place.runs(job, device))

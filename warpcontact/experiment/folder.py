@@ -3,7 +3,6 @@
 import itertools
 import json
 import os
-import platform
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -11,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact._version import __version__
-from warpcontact.durable import write_json
+from warpcontact.durable import PARTIAL, write_json
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh, own_class
 from warpcontact.experiment.errors import ExperimentError, shown
+from warpcontact.experiment.lock import busy, is_written
 from warpcontact.experiment.observation import OutcomeSettings
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import FORMULA_SECTIONS, ROW_KEYS, Settings
@@ -73,14 +73,16 @@ def check_new(folder: Path, overwrite: bool, files: Mapping[str, bytes]) -> None
         return
     if not folder.is_dir():
         raise ExperimentError(str(folder), ["is not a folder"])
-    if not any(folder.iterdir()):
+    # A run that was killed at its first file leaves no more than a part of that.
+    if {path.name for path in folder.iterdir()} <= {f"{SUMMARY}{PARTIAL}"}:
         return
     summary = read_summary(folder)
     if summary is None:
         raise ExperimentError(
             str(folder), ["is not empty, and what is in it is no earlier run; choose a new folder"]
         )
-    _check_idle(folder, summary)
+    if is_written(folder):
+        raise busy(folder)
     if not overwrite and (summary.get("state") not in (UNFINISHED, INTERRUPTED, FAILED) or _has_commits(folder)):
         kind = "an earlier run" if summary.get("state") == FINISHED else "a run that did not finish"
         resume = "" if summary.get("state") == FINISHED else ", or go on with it (--resume)"
@@ -96,13 +98,12 @@ def check_started(folder: Path) -> dict[str, Any]:
     """Returns the content of ``run.json`` of a run that may go on.
 
     Raises:
-        ExperimentError: If there is none, it is of another schema, or a process is at work on it.
+        ExperimentError: If there is none, or it is of another schema.
     """
     summary = read_summary(folder)
     if summary is None:
         raise ExperimentError(str(folder), ["holds no run that could go on; start one without --resume"])
     check_schema(folder, summary)
-    _check_idle(folder, summary)
     if not (folder / DATA).is_dir():
         raise ExperimentError(
             str(folder), ["the run was ended before anything was kept; start it anew, without --resume"]
@@ -170,31 +171,10 @@ def law_files(summary: Mapping[str, Any] | None) -> set[str]:
     return {name for name in names if Path(name).name == name and name.endswith(".py")}
 
 
-def _check_idle(folder: Path, summary: Mapping[str, Any]) -> None:
-    if is_running(summary):
-        raise ExperimentError(str(folder), [f"process {summary['process']} is running and writes there"])
-
-
-def is_running(summary: Mapping[str, Any]) -> bool:
-    """Whether another process of this machine is, as far as one can tell, at work on the run."""
-    process = summary.get("process")
-    if summary.get("state") != UNFINISHED or summary.get("host") != platform.node() or os.name != "posix":
-        return False
-    if not isinstance(process, int) or process <= 0 or process == os.getpid():
-        return False
-    try:
-        os.kill(process, 0)  # sends nothing
-    except PermissionError:
-        return True
-    except (OSError, OverflowError):
-        return False
-    return True
-
-
 def clear(folder: Path) -> None:
     """Makes ``folder``, or removes the files of the earlier run in it; others stay."""
     folder.mkdir(parents=True, exist_ok=True)
-    own = (DATA, f"{DATA}.partial", STAGING, CHECKPOINTS, COMMITS, PROGRESS, ANIMATION, PICTURE, EXPERIMENT)
+    own = (DATA, f"{DATA}{PARTIAL}", STAGING, CHECKPOINTS, COMMITS, PROGRESS, ANIMATION, PICTURE, EXPERIMENT)
     for name in (*own, *law_files(read_summary(folder)), SUMMARY):
         path = folder / name
         if path.is_dir() and not path.is_symlink():

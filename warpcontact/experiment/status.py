@@ -8,6 +8,7 @@ from typing import Any
 
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.lock import is_written
 from warpcontact.experiment.probe import spoken
 from warpcontact.experiment.progress import told
 from warpcontact.experiment.store import Ledger, shards_of
@@ -98,7 +99,7 @@ def status_of(path: str | PathLike[str]) -> RunStatus:
     finished = [shards[number] for number, commit in commits.items() if commit.finished]
     state = summary["state"]
     if state == files_of.UNFINISHED:
-        state = "running" if files_of.is_running(summary) or running != steps else "stopped"
+        state = "running" if is_written(folder) or running != steps else "stopped"
     return RunStatus(
         folder=folder,
         summary=summary,

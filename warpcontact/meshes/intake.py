@@ -1,6 +1,6 @@
 """From a mesh file to arrays and a report on them, in a process of its own or in that of the caller."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import inf
 from typing import Any, NamedTuple
 
@@ -103,6 +103,23 @@ def carry_out(task: Task, *, confined: bool) -> Examined:
         notes=(*content.notes, *report.notes),
     )
     return Examined(vertices, faces, groups, report)
+
+
+def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[npt.NDArray[Any]]]:
+    """Returns what the process that reads answers: a header, and the arrays that it announces, flat."""
+    vertices, faces, groups, report = carry_out(Task(**task), confined=True)
+    arrays = [
+        np.ascontiguousarray(vertices, dtype="<f8"),
+        np.ascontiguousarray(faces, dtype="<i8"),
+        *(np.ascontiguousarray(members, dtype="<i8") for members in groups.values()),
+    ]
+    header = {
+        "vertices": len(vertices),
+        "faces": len(faces),
+        "groups": [[name, len(members)] for name, members in groups.items()],
+        "report": asdict(report),
+    }
+    return header, [array.reshape(-1) for array in arrays if array.size]
 
 
 def unreadable(title: str, error: Unreadable) -> Examined:

@@ -1,4 +1,4 @@
-"""Reads mesh files in a process of their own, which cannot take this one with it.
+"""Reads files in a process of their own, which cannot take this one with it.
 
 No reader is safe on files from anywhere: those of USD can end the process, compose for hours, or fill the memory;
 and a small file may place one part many times, which takes as much to repair and to examine. The process imports
@@ -12,12 +12,13 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from math import inf
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import numpy as np
 
@@ -27,6 +28,8 @@ from warpcontact.meshes.reader_process import OUT_OF_MEMORY
 from warpcontact.meshes.readers import Unreadable
 from warpcontact.meshes.repair import mendable
 from warpcontact.meshes.report import restored
+
+_Answer = TypeVar("_Answer")
 
 _START = """
 import json, sys, types
@@ -91,13 +94,30 @@ def carry_out_apart(task: Task, limits: Limits) -> Examined:
     Raises:
         Unreadable: If doing so crashes or passes a limit.
     """
+    return read_apart("warpcontact.meshes.intake", asdict(task), limits, partial(_answer, limits=limits))
+
+
+def read_apart(module: str, task: dict[str, Any], limits: Limits, take: Callable[[IO[bytes]], _Answer]) -> _Answer:
+    """Has a file read in a process of its own.
+
+    Args:
+        module: Its function ``answer`` is given the task there, and returns a header and flat arrays.
+        task: What to do, in plain values.
+        limits: What it may take.
+        take: Makes the answer of what the process writes, see ``header_of`` and ``array_of``.
+
+    Raises:
+        Unreadable: If doing so crashes or passes a limit.
+    """
     meshes = Path(__file__).resolve().parent
+    folders = {"": meshes.parent, ".meshes": meshes, ".usd": meshes.parent / "usd"}
     request = {
-        "task": asdict(task),
+        "module": module,
+        "task": task,
         "memory": limits.memory,
         "seconds": limits.seconds,
         "path": [os.path.abspath(entry) for entry in sys.path if entry],
-        "packages": {"warpcontact": str(meshes.parent), "warpcontact.meshes": str(meshes)},
+        "packages": {f"warpcontact{name}": str(folder) for name, folder in folders.items()},
     }
     with _process(limits.seconds) as (process, expired):
         output, errors = process.stdout, process.stderr
@@ -107,7 +127,7 @@ def carry_out_apart(task: Task, limits: Limits) -> Examined:
         try:
             process.stdin.write(json.dumps(request).encode())
             process.stdin.close()
-            return _answer(output, limits)
+            return take(output)
         except (EOFError, BrokenPipeError):
             # Nothing was read, or not all of it: how the process ended says why.
             output.close()
@@ -159,35 +179,46 @@ def _answer(output: IO[bytes], limits: Limits) -> Examined:
         EOFError: If it ends early.
         Unreadable: If it is a reason instead of arrays, or makes no sense.
     """
-    length = int.from_bytes(_bytes(output, 8), "little")
-    if length > min(limits.memory, _MOST_HEADER):
-        raise _nonsense("a header that is too long")
     try:
-        header = json.loads(_bytes(output, length))
-        if "error" in header:
-            raise Unreadable(str(header["error"]))
+        header = header_of(output, limits)
         vertices, faces = header["vertices"], header["faces"]
         sizes = {str(name): size for name, size in header["groups"]}
         if max(faces, vertices / 3) > limits.faces or 8 * (sum(sizes.values()) + 3 * faces) > limits.memory:
-            raise _nonsense("more than is allowed")
+            raise nonsense("more than is allowed")
         answer = Examined(
-            _array(output, vertices * 3, "<f8").reshape(-1, 3),
-            _array(output, faces * 3, "<i8").reshape(-1, 3),
-            {name: _array(output, size, "<i8") for name, size in sizes.items()},
+            array_of(output, vertices * 3, "<f8").reshape(-1, 3),
+            array_of(output, faces * 3, "<i8").reshape(-1, 3),
+            {name: array_of(output, size, "<i8") for name, size in sizes.items()},
             restored(header["report"]),
         )
     except Unreadable:
         raise
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
-        raise _nonsense(f"{type(error).__name__}: {error}") from error
+        raise nonsense(f"{type(error).__name__}: {error}") from error
     # A process that was taken over may say that it has examined what it has not.
     groups = all(0 <= members.min() <= members.max() < faces for members in answer.groups.values() if len(members))
     if not groups or (answer.report.usable and not mendable(answer.vertices, answer.faces)):
-        raise _nonsense("what is no mesh")
+        raise nonsense("what is no mesh")
     return answer
 
 
-def _nonsense(what: str) -> Unreadable:
+def header_of(output: IO[bytes], limits: Limits) -> dict[str, Any]:
+    """Returns the header of an answer.
+
+    Raises:
+        EOFError: If it ends early.
+        ValueError: If it is none; ``Unreadable`` if it is a reason instead.
+    """
+    length = int.from_bytes(_bytes(output, 8), "little")
+    if length > min(limits.memory, _MOST_HEADER):
+        raise nonsense("a header that is too long")
+    header: dict[str, Any] = json.loads(_bytes(output, length))
+    if "error" in header:
+        raise Unreadable(str(header["error"]))
+    return header
+
+
+def nonsense(what: str) -> Unreadable:
     """Returns what is said of a process that answers with what it cannot have been told to."""
     return Unreadable(f"the process that reads it answered with {' '.join(what.split())[:200]}")
 
@@ -199,7 +230,12 @@ def _bytes(output: IO[bytes], count: int) -> bytes:
     return data
 
 
-def _array(output: Any, count: int, dtype: str) -> Any:
+def array_of(output: Any, count: int, dtype: str) -> Any:
+    """Returns the next array of an answer, flat; its size must have been checked.
+
+    Raises:
+        EOFError: If the answer ends early.
+    """
     array = np.empty(count, dtype)
     if count and output.readinto(array.view(np.uint8)) < array.nbytes:
         raise EOFError

@@ -1,10 +1,11 @@
-"""What runs in the process that reads a mesh file: limits first, then all that there is to do, then the answer.
+"""What runs in the process that reads a file: limits first, then all that there is to do, then the answer.
 
 Started by ``isolation``, never imported by the rest. The answer goes to what was standard output: eight bytes with
 the length of a header, the header as JSON, and the bytes of the arrays that it announces.
 """
 
 import contextlib
+import importlib
 import json
 import os
 import sys
@@ -20,7 +21,8 @@ def main(request: dict[str, Any]) -> None:
     """Reads one file.
 
     Args:
-        request: ``task``, the fields of a ``Task``, and the limits ``memory`` [bytes] and ``seconds``.
+        request: ``module`` with a function ``answer``, which returns the header and flat arrays; what that is
+            given, ``task``; and the limits ``memory`` [bytes] and ``seconds``.
     """
     limit(request["memory"], request["seconds"])
     answer = os.fdopen(os.dup(1), "wb")
@@ -29,7 +31,7 @@ def main(request: dict[str, Any]) -> None:
     for stream in (1, 2):
         os.dup2(nowhere, stream)
     try:
-        header, arrays = _examined(request["task"])
+        header, arrays = importlib.import_module(request["module"]).answer(request["task"])
     except MemoryError:
         header, arrays = {"error": "it needs more memory than is allowed, see Limits"}, []
     except Exception as error:  # standard error leads nowhere now
@@ -41,28 +43,6 @@ def main(request: dict[str, Any]) -> None:
         answer.write(array.data)
     answer.flush()
     os._exit(0)  # libraries have nothing to tidy up, and might crash at it
-
-
-def _examined(task: dict[str, Any]) -> tuple[dict[str, Any], list[Any]]:
-    from dataclasses import asdict
-
-    import numpy as np
-
-    from warpcontact.meshes.intake import Task, carry_out
-
-    vertices, faces, groups, report = carry_out(Task(**task), confined=True)
-    arrays = [
-        np.ascontiguousarray(vertices, dtype="<f8"),
-        np.ascontiguousarray(faces, dtype="<i8"),
-        *(np.ascontiguousarray(members, dtype="<i8") for members in groups.values()),
-    ]
-    header = {
-        "vertices": len(vertices),
-        "faces": len(faces),
-        "groups": [[name, len(members)] for name, members in groups.items()],
-        "report": asdict(report),
-    }
-    return header, [array.reshape(-1) for array in arrays if array.size]
 
 
 def limit(memory: int, seconds: float) -> None:

@@ -1,11 +1,12 @@
 """What an environment holds that can be seen, whatever shows it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from warpcontact.checks import Array
-from warpcontact.replay.couplings import CouplingCurve
-from warpcontact.replay.forces import ForceLines, length_scale
+from warpcontact.replay.couplings import Coil, CouplingCurve
+from warpcontact.replay.forces import ForceLines, length_scale, resultants_of
 from warpcontact.replay.forms import FormPlacement, FormSwarm
 from warpcontact.replay.replay import Replay
 from warpcontact.replay.spheres import Spheres, scene_size, spheres_of
@@ -29,6 +30,7 @@ class Content:
         form_swarms: Shapes on sets of bodies.
         swarms: Spheres and points on sets of bodies.
         lines: Forces of contacts.
+        resultants: Forces of contact couplings and of mutual contacts, of which only sums are recorded.
         curves: Couplings.
         size: Length of the largest body [m].
         force_scale: Metres per newton that draw the largest force at 1.5 times ``size``.
@@ -42,13 +44,14 @@ class Content:
     form_swarms: list[FormSwarm]
     swarms: list[Swarm]
     lines: list[ForceLines]
+    resultants: list[ForceLines]
     curves: list[CouplingCurve]
     size: float
     force_scale: float
 
     @classmethod
-    def of(cls, replay: Replay) -> "Content":
-        """Gathers it."""
+    def of(cls, replay: Replay, coils: Mapping[str, Coil] | None = None) -> "Content":
+        """Gathers it; ``coils``: of springs by their names, if ``replay`` holds not all records."""
         scene = replay.scene
         spheres = spheres_of(replay)
         placements = {surface.name: Placement.of(replay, surface) for surface in scene.surfaces}
@@ -58,6 +61,7 @@ class Content:
         size = max([scene_size(replay, list(placements.values()), spheres), *reaches])
         pushing: list[Any] = [*scene.contacts, *scene.smooth_contacts]
         lines = [line for contact in pushing if (line := ForceLines.of(replay, contact))]
+        resultants = resultants_of(replay, poses, lines)
         return cls(
             replay=replay,
             poses=poses,
@@ -71,7 +75,8 @@ class Content:
             ],
             swarms=swarms_of(scene, spheres, poses),
             lines=lines,
-            curves=[CouplingCurve(replay, coupling) for coupling in scene.couplings],
+            resultants=resultants,
+            curves=[CouplingCurve(replay, one, (coils or {}).get(one.name)) for one in scene.couplings],
             size=size,
-            force_scale=length_scale(lines, size),
+            force_scale=length_scale([*lines, *resultants], size),
         )

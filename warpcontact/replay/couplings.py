@@ -1,6 +1,7 @@
 """Couplings as curves: springs as coils, catenaries as they hang, all else as a line between its ends."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,24 +22,60 @@ COIL_RADIUS = 0.05
 LINE_POINTS = 48
 
 
+@dataclass(frozen=True, eq=False)
+class Coil:
+    """What coils of a spring have in common in all records, so that they do not jump from one to the next.
+
+    Attributes:
+        length: The greatest distance of its ends [m].
+        along: How much it lies along each axis of the world at most, (3,) from 0 to 1.
+    """
+
+    length: float
+    along: Array
+
+    @classmethod
+    def of(cls, start: Array, end: Array) -> "Coil":
+        """Returns it of coils between places (…, 3) [m]."""
+        length, axis = _axis(start, end)
+        return cls(float(length.max()), np.abs(axis).reshape(-1, 3).max(axis=0))
+
+    def with_records_of(self, other: "Coil") -> "Coil":
+        """Returns it of the records of both."""
+        return Coil(max(self.length, other.length), np.maximum(self.along, other.along))
+
+    @property
+    def radius(self) -> float:
+        """Radius [m]."""
+        return COIL_RADIUS * self.length
+
+
 class CouplingCurve:
     """The shape of a coupling over time.
+
+    Args:
+        replay: Some records.
+        coupling: The coupling.
+        coil: Of a spring, what its coils in all records have in common; ``None``: these are all.
 
     Attributes:
         coupling: The coupling.
         points: Its points, (time, env, n, 3), world [m].
         shown: Whether it is there, (time, env): a broken one is not.
         color: RGB in 0…1.
+        coil: What its coils have in common; ``None``: it has none.
     """
 
-    def __init__(self, replay: Replay, coupling: Coupling) -> None:
+    def __init__(self, replay: Replay, coupling: Coupling, coil: Coil | None = None) -> None:
         self.coupling = coupling
         self.color = np.array(WORLD_COLOR) if coupling.color is None else coupling.color
         ends = [_places(replay, point) for point in (coupling.point_a, coupling.point_b)]
+        self.coil: Coil | None = None
         if isinstance(coupling, Catenary):
             self.points = hanging(replay, coupling, *ends)
         elif _is_coiled(coupling):
-            self.points = coil(*ends)
+            self.coil = coil or Coil.of(*ends)
+            self.points = coiled(ends[0], ends[1], self.coil)
         else:
             self.points = np.stack(ends, axis=2)
         status = replay.series(f"{coupling.name}.status")
@@ -47,24 +84,28 @@ class CouplingCurve:
         self.shown = status != COUPLING_BROKEN if may_break else everywhere
 
 
-def coil(start: Array, end: Array) -> Array:
-    """Returns a coil between two places, (…, n, 3), from these (…, 3), all of the radius of the longest."""
+def coiled(start: Array, end: Array, coil: Coil) -> Array:
+    """Returns coils between two places, (…, n, 3), from these (…, 3), all of the radius of the longest."""
     along = end - start
-    length = np.linalg.norm(along, axis=-1, keepdims=True)
-    axis = np.where(length > 0.0, along / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 1.0))
-    # The coordinate axis that all of them are farthest from, so that a coil does not jump from frame to frame.
-    aside = np.eye(3)[int(np.argmin(np.abs(axis).reshape(-1, 3).max(axis=0)))]
-    across = np.cross(axis, aside)
+    _, axis = _axis(start, end)
+    # The coordinate axis that all of them are farthest from.
+    across = np.cross(axis, np.eye(3)[int(np.argmin(coil.along))])
     across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1.0e-9)
     beside = np.cross(axis, across)
     part = np.linspace(0.0, 1.0, TURNS * PER_TURN + 1)
     angle = 2.0 * math.pi * TURNS * part
     lead = 0.5 * (1.0 - COILED)
-    radius = COIL_RADIUS * float(length.max())
     rows = [start]
     for s, a in zip(lead + COILED * part, angle, strict=True):
-        rows.append(start + s * along + radius * (math.cos(a) * across + math.sin(a) * beside))
+        rows.append(start + s * along + coil.radius * (math.cos(a) * across + math.sin(a) * beside))
     return np.stack([*rows, end], axis=-2)
+
+
+def _axis(start: Array, end: Array) -> tuple[Array, Array]:
+    """Returns the distances (…, 1) [m] and directions (…, 3) from places to others."""
+    along = end - start
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    return length, np.where(length > 0.0, along / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 1.0))
 
 
 def hanging(replay: Replay, line: Catenary, start: Array, end: Array) -> Array:

@@ -1,8 +1,14 @@
 """Contact forces: where they act, and how long to draw them."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from warpcontact.checks import Array
+from warpcontact.frames import placed
+from warpcontact.piles.elements import MutualContact
+from warpcontact.replay.forms import FormPlacement
 from warpcontact.replay.replay import Replay
 from warpcontact.scene import Contact
 from warpcontact.smooth.elements import SmoothContact
@@ -16,14 +22,25 @@ class ForceLines:
     """The force of a contact on the body of its points, from where it acts.
 
     Attributes:
-        contact: The contact.
+        contact: The contact; of a contact coupling the first of which it is made.
+        name: Name of the element.
+        meaning: What it is, in a sentence.
         start: Point K where the force acts, (time, env, item, 3), world [m].
         force: The force, (time, env, item, 3), world [N]; zero where there is none.
         color: RGB in 0…1.
     """
 
-    def __init__(self, contact: Contact | SmoothContact, start: Array, force: Array) -> None:
+    def __init__(
+        self,
+        contact: Contact | SmoothContact | MutualContact,
+        start: Array,
+        force: Array,
+        name: str | None = None,
+        meaning: str = "Force on the body of the points, from the point where it acts.",
+    ) -> None:
         self.contact = contact
+        self.name = contact.name if name is None else name
+        self.meaning = meaning
         self.color = np.array(FORCE_COLOR) if contact.color is None else contact.color
         # A failed environment may hold NaN, which must not get into the geometry.
         good = np.all(np.isfinite(force) & np.isfinite(start), axis=-1, keepdims=True)
@@ -48,6 +65,44 @@ class ForceLines:
     def peak(self) -> float:
         """Returns the largest force [N]."""
         return float(np.linalg.norm(self.force, axis=-1).max())
+
+
+def resultants_of(
+    replay: Replay, poses: Mapping[str, tuple[Array, Array]], lines: list[ForceLines]
+) -> list[ForceLines]:
+    """Returns the forces of contact couplings, at the centre of mass, and of mutual contacts, on each shape.
+
+    Those of couplings only where ``lines`` do not show them point by point.
+    """
+    found, drawn = [], {line.name for line in lines}
+    shape = (len(replay.codes), len(replay.envs))
+    for coupling in replay.scene.contact_couplings:
+        body, force = coupling.surface_a.body, replay.series(f"{coupling.name}.force")
+        if body is None or force is None or drawn.issuperset(one.name for one in coupling.contacts):
+            continue
+        start = poses[body.name][0][:, :, None]
+        meaning = "Force on the body of the first surface, from its centre of mass."
+        each = force.astype(np.float64).reshape(*shape, 1, 3)
+        found.append(ForceLines(coupling.contacts[0], start, each, coupling.name, meaning))
+    for pile in replay.scene.mutual_contacts:
+        force = replay.series(f"{pile.name}.force")
+        if force is not None:
+            start = np.concatenate([_centres(replay, poses, one) for one in pile.shapes], axis=2)
+            each = force.astype(np.float64).reshape(*shape, pile.count, 3)
+            meaning = "Force of the others on each shape, from its centre."
+            found.append(ForceLines(pile, start, each, meaning=meaning))
+    return found
+
+
+def _centres(replay: Replay, poses: Mapping[str, tuple[Array, Array]], shape: Any) -> Array:
+    """Returns where shapes are, (time, env, item, 3), world [m]."""
+    local = FormPlacement.of(replay, shape).positions
+    if shape.body is None:
+        return np.broadcast_to(local, (len(replay.codes), *local.shape))
+    positions, orientations = poses[shape.body.name]
+    if shape.single:
+        return placed(np.broadcast_to(local, (len(positions), *local.shape)), positions, orientations)
+    return placed(local[..., None, :], positions, orientations)[..., 0, :]
 
 
 def length_scale(lines: list[ForceLines], size: float) -> float:

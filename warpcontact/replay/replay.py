@@ -1,7 +1,7 @@
 """What is exported of a recording: the chosen environments, checked, as arrays."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from warpcontact.frames import placed
 from warpcontact.scene import Body, Contact, Points, Scene, Surface
 
 DEFAULT_ENVIRONMENTS = 16
+#: Attribute of a recording: parameters that it does not hold and that are those of the scene everywhere.
+UNCHANGED = "unchanged_parameters"
 # Time codes per second of a single record, which has no interval; the default of USD.
 STILL_RATE = 24.0
 
@@ -38,8 +40,13 @@ class Replay:
     rate: float
 
     @classmethod
-    def of(cls, recording: xr.Dataset, scene: Scene | None, envs: int | Iterable[int] | None) -> "Replay":
-        """Chooses environments of a recording; arguments and errors as for ``export_usd``."""
+    def of(
+        cls, recording: xr.Dataset, scene: Scene | None, envs: int | Iterable[int] | None, *, load: bool = True
+    ) -> "Replay":
+        """Chooses environments of a recording; arguments and errors as for ``export_usd``.
+
+        Without ``load`` a recording in a file stays there until ``part`` reads some records of it.
+        """
         if not isinstance(recording, xr.Dataset):
             raise TypeError(f"recording must be what Simulation.run returns, got {type(recording).__name__}")
         if scene is None:
@@ -64,12 +71,22 @@ class Replay:
         codes, rate = _time_codes(times)
         return cls(
             scene=scene,
-            data=recording.isel(env=rows).load(),
+            data=recording.isel(env=rows).load() if load else recording.isel(env=rows),
             envs=[int(labels[row]) for row in rows],
             times=times,
             codes=codes,
             rate=rate,
         )
+
+    def part(self, first: int, stop: int) -> "Replay":
+        """Returns the records from ``first`` to before ``stop``, in memory."""
+        own = slice(first, stop)
+        data = self.data.isel(time=own).load()
+        return replace(self, data=data, times=self.times[own], codes=self.codes[own])
+
+    def select(self, rows: NDArray[np.intp]) -> "Replay":
+        """Returns the environments at ``rows`` of these."""
+        return replace(self, data=self.data.isel(env=rows), envs=[self.envs[row] for row in rows])
 
     def pose(self, body: Body) -> tuple[Array, Array]:
         """Returns positions (time, env, 3) [m] and unit quaternions (time, env, 4) as x, y, z, w, all finite.
@@ -123,6 +140,15 @@ class Replay:
         """Returns parameter ``name``, (env, …), as recorded, or else ``default`` in all environments."""
         recorded = self.static(name, default.shape)
         return np.repeat(default[None], len(self.envs), axis=0) if recorded is None else recorded
+
+    def known(self, name: str, default: Array) -> Array | None:
+        """Returns parameter ``name``, (env, …), as recorded, or ``default`` where a recording says that it is so.
+
+        ``None``: nobody knows whether it varied.
+        """
+        if name in self.data or name not in set(self.data.attrs.get(UNCHANGED, ())):
+            return self.static(name, default.shape)
+        return np.repeat(default[None], len(self.envs), axis=0)
 
     def pose_of(self, surface: Surface) -> tuple[Array, Array, Array]:
         """Returns position (env, 3) [m], orientation (env, 4) and scale (env,) of a surface on its carrier."""

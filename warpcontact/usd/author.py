@@ -95,17 +95,41 @@ def plain(values: NDArray[Any]) -> NDArray[Any]:
     return values.astype(np.int32 if values.dtype.itemsize < 4 else np.int64)
 
 
-def write_samples(attribute: Any, codes: Sequence[float], values: Sequence[Any]) -> None:
-    """Writes one time sample per code.
+class Samples:
+    """Where values over time go, and what of them.
 
-    The first is the default value as well: a program that does not look at time, as most importers of
-    physics do not, then sees the start.
+    Args:
+        codes: Time codes of the records.
+        layer: Receives a time sample for each record.
+        defaults: Whether the first value is to be the default of an attribute as well: a program that does not
+            look at time, as most importers of physics do not, then sees the start.
+        declared: Receives what is written, without values.
     """
-    attribute.Set(values[0])
-    # The layer takes samples three times as fast as the stage.
-    layer, path = attribute.GetStage().GetRootLayer(), attribute.GetPath()
-    for code, value in zip(codes, values, strict=True):
-        layer.SetTimeSample(path, code, value)
+
+    def __init__(
+        self, codes: Sequence[float], layer: Any = None, *, defaults: bool = True, declared: Any = None
+    ) -> None:
+        self.codes = codes
+        self.layer = layer
+        self.defaults = defaults
+        self.declared = declared
+
+    def write(self, attribute: Any, values: Sequence[Any]) -> None:
+        """Writes one value per record of an attribute of the stage."""
+        from pxr import Sdf
+
+        path = attribute.GetPath()
+        if self.defaults:
+            attribute.Set(values[0])
+        for layer in (self.declared, self.layer):
+            if layer is not None and not layer.GetAttributeAtPath(path):
+                Sdf.JustCreatePrimAttributeInLayer(
+                    layer, path, attribute.GetTypeName(), isCustom=attribute.IsCustom()
+                )
+        if self.layer is not None:
+            # The layer takes samples three times as fast as the stage.
+            for code, value in zip(self.codes, values, strict=True):
+                self.layer.SetTimeSample(path, code, value)
 
 
 def vectors(rows: NDArray[Any]) -> Any:
@@ -123,12 +147,12 @@ def add_pose(xformable: Any, position: NDArray[Any], orientation: NDArray[Any]) 
         position: Origin in the frame of the parent [m].
         orientation: Rotation to the frame of the parent, quaternion (x, y, z, w).
     """
-    turn, move = pose_attributes(xformable)
+    turn, move = add_pose_operations(xformable)
     move.Set(series(position[None], "vector", False)[0])
     turn.Set(series(orientation[None], "quaternion", False)[0])
 
 
-def pose_attributes(xformable: Any) -> tuple[Any, Any]:
+def add_pose_operations(xformable: Any) -> tuple[Any, Any]:
     """Adds the operations of a pose to a prim and returns their attributes ``orient`` and ``translate``.
 
     USD makes a matrix of a quaternion by the arc cosine of w: single precision would lose turns below 0.02
@@ -138,3 +162,31 @@ def pose_attributes(xformable: Any) -> tuple[Any, Any]:
 
     move = xformable.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).GetAttr()
     return xformable.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).GetAttr(), move
+
+
+def integers(values: NDArray[Any]) -> Any:
+    """Returns whole numbers (n,) as an array of 32 bits."""
+    from pxr import Vt
+
+    return Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))
+
+
+def long_integers(values: NDArray[Any]) -> Any:
+    """Returns whole numbers (n,) as an array of 64 bits, what USD has ids in."""
+    from pxr import Vt
+
+    return Vt.Int64Array.FromNumpy(np.ascontiguousarray(values, dtype=np.int64))
+
+
+def quaternions(rows: NDArray[Any]) -> Any:
+    """Returns quaternions (n, 4), x, y, z, w, in single precision: half of it is off by up to 0.04 degrees."""
+    from pxr import Vt
+
+    return Vt.QuatfArray.FromNumpy(np.ascontiguousarray(rows, dtype=np.float32))
+
+
+def write_box(prim: Any, low: NDArray[Any], high: NDArray[Any]) -> None:
+    """Says what space a model takes in its own frame at all times, for viewers that would rather not look [m]."""
+    from pxr import UsdGeom
+
+    UsdGeom.ModelAPI.Apply(prim).SetExtentsHint(vectors(np.array([low, high])))

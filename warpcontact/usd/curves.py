@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact.checks import Array
-from warpcontact.replay.replay import Replay
-from warpcontact.usd.author import vectors, write_samples
+from warpcontact.usd.author import Samples, vectors
 from warpcontact.usd.geometry import set_color
+
+#: Width of curves, in sizes of the largest body.
+WIDTH = 0.03
 
 
 def define_curves(stage: Any, path: str, counts: list[int], width: float, color: ArrayLike, meaning: str) -> Any:
@@ -34,12 +36,12 @@ def define_curves(stage: Any, path: str, counts: list[int], width: float, color:
     return curves.GetPrim()
 
 
-def write_curves(prim: Any, replay: Replay, points: Array, shown: list[bool], width: float) -> None:
+def write_curves(prim: Any, samples: Samples, points: Array, shown: list[bool], width: float) -> None:
     """Writes where polylines are over time.
 
     Args:
         prim: Their prim.
-        replay: What is exported.
+        samples: Receives it.
         points: All points of them, (time, n, 3) [m].
         shown: Whether they are seen, for each record.
         width: Their width [m].
@@ -50,7 +52,7 @@ def write_curves(prim: Any, replay: Replay, points: Array, shown: list[bool], wi
     extents = np.stack([points.min(axis=1) - half, points.max(axis=1) + half], axis=1)
     tokens = UsdGeom.Tokens
     curves = UsdGeom.BasisCurves(prim)
-    write_samples(curves.CreatePointsAttr(), replay.codes, [vectors(frame) for frame in points])
-    write_samples(curves.CreateExtentAttr(), replay.codes, [vectors(frame) for frame in extents])
+    samples.write(curves.CreatePointsAttr(), [vectors(frame) for frame in points])
+    samples.write(curves.CreateExtentAttr(), [vectors(frame) for frame in extents])
     visibility = [tokens.inherited if some else tokens.invisible for some in shown]
-    write_samples(curves.CreateVisibilityAttr(), replay.codes, visibility)
+    samples.write(curves.CreateVisibilityAttr(), visibility)

@@ -1,35 +1,41 @@
 """Recordings as animated USD stages."""
 
-import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact._version import __version__
-from warpcontact.checks import Array, limits
-from warpcontact.replay.content import POINT, Content
-from warpcontact.replay.forms import FormPlacement
+from warpcontact.checks import limits
+from warpcontact.replay.content import Content
+from warpcontact.replay.ensemble import Ensemble
 from warpcontact.replay.replay import Replay
-from warpcontact.replay.spheres import body_size
-from warpcontact.replay.swarms import Swarm
-from warpcontact.scene import Body, Scene
-from warpcontact.usd import geometry, physics
-from warpcontact.usd.author import identifiers, mark, pose_attributes, series, write_samples
-from warpcontact.usd.contacts import WIDTH, Readings, declare_force_lines, write_force_lines
-from warpcontact.usd.curves import define_curves, write_curves
-from warpcontact.usd.forms import declare_form_swarm, write_form, write_form_swarm
-from warpcontact.usd.surfaces import define_shapes, define_surfaces, write_surface
-from warpcontact.usd.swarms import declare_swarm, write_swarm
+from warpcontact.replay.survey import Survey
+from warpcontact.scene import Scene
+from warpcontact.usd.author import Samples, write_box
+from warpcontact.usd.coloring import Coloring
+from warpcontact.usd.ensemble import define_ensemble, write_ensemble
+from warpcontact.usd.environments import Environments, layout_of
+from warpcontact.usd.files import check_path, save_stage
+from warpcontact.usd.layout import WORLD, Layout
+from warpcontact.usd.materials import Materials
+from warpcontact.usd.scenery import define_camera, define_lights, define_look
 
-SUFFIXES = (".usd", ".usda", ".usdc")
-# Children of an environment that no element may take the name of.
-_RESERVED = ("contacts", "couplings", "FixedPoints", "Surfaces")
-_PROTOTYPE = "/World/Prototype"
-_SHAPES = "/World/Shapes"
+#: Goes up when what is on a stage is to be read in another way.
+SCHEMA = 1
+# What recordings say of themselves, and what a stage calls it.
+_TOLD = {
+    "source": "source",
+    "name": "name",
+    "device": "device",
+    "precision": "precision",
+    "integrator": "integrator",
+    "fingerprint": "fingerprint",
+}
 
 
 def export_usd(
@@ -40,126 +46,154 @@ def export_usd(
     scene: Scene | None = None,
     spacing: ArrayLike = (0.0, 0.0),
     force_scale: float | None = None,
+    ensemble: bool | str = "auto",
+    color_by: str | xr.DataArray | None = None,
 ) -> Path:
     """Writes a recording as an animated USD stage: Z up, metres, kilograms, one time code per record.
 
-    ``/World/Surfaces/<surface>`` are the meshes fixed to the world; ``/World/env_<number>/<body>`` moves and
-    carries the spheres, points and meshes of the body; ``/World/env_<number>/contacts/<contact>`` has what
-    was recorded of a contact as attributes ``warpcontact:<reading>``, such as ``warpcontact:normalForce``, in
-    SI units and world axes, and draws its force if ``normal_force``, ``normal`` and ``point`` were recorded;
-    ``/World/env_<number>/couplings/<coupling>`` likewise, with the shape of the coupling as a curve.
-    A surface whose pose, scale or mesh differs between environments is in each of them instead, as
-    ``/World/env_<number>/Surfaces/<surface>`` or with its body; points move with their surface.
-    What environments have in common is written once, in the class ``/World/Prototype`` that they refer to.
-    Bodies and surfaces carry the schemas of UsdPhysics. Velocities are those recorded as
-    ``<body>.linear_velocity`` and ``<body>.angular_velocity``; radius, mass and inertia of each environment
-    are read from ``<contact>.radius``, ``<body>.mass`` (env) and ``<body>.inertia`` (env, 3, 3). Without
-    them the radius is that of the scene, while mass and inertia are left out, as they may differ from the
-    scene's. A set of bodies is ``/World/env_<number>/<set>``, with the spheres or points of a contact of it as one
-    ``UsdGeom.PointInstancer`` or ``UsdGeom.Points`` that moves, or its centres of mass; it has its readings and no
-    schema of UsdPhysics. Places and sizes of surfaces and points are those recorded, such as ``<surface>.scale``,
-    or else, as gravity always, those of the scene. Points and spheres that several contacts share are drawn once,
-    under the name of the first.
+    ``/World/env_<number>`` is an environment with full physics, by the schemas of UsdPhysics; ``/World/Ensemble``
+    shows all others as instances. What is where, and what of it is read from which variable of the recording, is
+    described in ``docs/usd.md``.
 
     Args:
         recording: What ``Simulation.run`` returned, or the same data set loaded from a file.
-        path: File to write, ``.usda`` (text), ``.usdc`` or ``.usd`` (binary); replaced if it exists.
-        envs: Numbers of the environments to export, as in the coordinate ``env``; ``None``: the first 16.
+        path: File to write, ``.usda`` (text), ``.usdc`` or ``.usd`` (binary), or ``.usdz`` (a package of one
+            binary file); replaced if it exists, once the new one is whole.
+        envs: Numbers of the environments with full physics, as in the coordinate ``env``; ``None``: the first 16.
         scene: What was simulated; ``None``: what the recording remembers.
         spacing: Distance along x and y between neighbouring environments on a grid [m], each with surfaces
             of its own; 0 along both: all in place, with common surfaces.
-        force_scale: Length of force lines [m/N]; ``None``: the largest is 1.5 times the largest body.
+        force_scale: Length of arrows [m/N]; ``None``: the largest force is 1.5 times the largest body.
+        ensemble: Whether all environments of the recording are shown; ``"auto"``: where there are more than
+            ``envs``, and in place, and of very many some that are evenly spread over all.
+        color_by: What colours the ensemble, from low to high by viridis: name of a parameter or reading of the
+            recording with one number for each environment, or values with the coordinate ``env``, such as an
+            outcome, or with ``time`` and ``env``. ``None``: the colours of the bodies.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: If the suffix, an environment, the spacing or the scale is not allowed, the recording lacks
-            its scene or the pose of a body, or a pose is not finite; the message names it.
+        ValueError: If the suffix, an environment, the spacing, the scale or what colours is not allowed, the
+            recording lacks its scene or the pose of a body, or a pose is not finite; the message names it.
         TypeError: If an argument is of another type.
-        OSError: If the file cannot be written.
+        OSError: If the file cannot be written; names it.
     """
     from pxr import Usd
 
-    path = Path(path)
-    if path.suffix not in SUFFIXES:
-        raise ValueError(f"path must end in {', '.join(SUFFIXES)}, got {str(path)!r}")
-    distance = checks.numbers("spacing", spacing, (2,), limits("m", at_least=0.0))
-    if force_scale is not None:
-        force_scale = float(checks.numbers("force_scale", force_scale, (), limits("m/N", above=0.0)))
-    replay = Replay.of(recording, scene, envs)
+    path = check_path(path)
+    export = Export(recording, envs, scene, spacing, force_scale, ensemble, color_by, load=True)
     stage = Usd.Stage.CreateInMemory()
-    _Export(stage, replay, distance, force_scale).write()
-    _save(stage, path)
+    records = (0, len(export.replay.codes))
+    content = Content.of(export.replay)
+    survey = export.survey([(records, content)])
+    export.define(stage, content, survey)
+    export.animate(stage, content, Samples(export.replay.codes, stage.GetRootLayer()), records)
+    save_stage(stage, path)
     return path
 
 
-class _Export:
-    """One export: the prototype of an environment, then each environment.
+class Export:
+    """What is asked for, and how it gets onto a stage; arguments and errors are those of ``export_usd``.
 
-    Args:
-        stage: An empty stage.
-        replay: What to write.
-        spacing: Distances of the grid [m].
-        force_scale: Length of force lines [m/N] or ``None``.
+    Attributes:
+        replay: The environments with full physics.
+        ensemble: All that are shown; ``None``: no others.
+        coloring: What colours these.
     """
 
-    def __init__(self, stage: Any, replay: Replay, spacing: Array, force_scale: float | None) -> None:
-        scene = replay.scene
-        self.stage = stage
-        self.replay = replay
-        self.spacing = spacing
-        self.names = identifiers(scene.element_names(), _RESERVED)
-        content = Content.of(replay)
-        self.spheres, self.placements, self.poses = content.spheres, content.placements, content.poses
-        self.forms, self.form_swarms, self.swarms = content.forms, content.form_swarms, content.swarms
-        self.lines, self.curves, self.size = content.lines, content.curves, content.size
-        named: list[Any] = [
-            *scene.bodies,
-            *scene.contacts,
-            *scene.contact_couplings,
-            *scene.couplings,
-            *scene.smooth_contacts,
-        ]
-        self.readings = {name: Readings(replay, name) for name in ("scene", *(element.name for element in named))}
-        self.force_scale = content.force_scale if force_scale is None else force_scale
+    def __init__(
+        self,
+        recording: xr.Dataset,
+        envs: int | Iterable[int] | None,
+        scene: Scene | None,
+        spacing: ArrayLike,
+        force_scale: float | None,
+        ensemble: bool | str,
+        color_by: str | xr.DataArray | None,
+        *,
+        load: bool,
+    ) -> None:
+        self.spacing = checks.numbers("spacing", spacing, (2,), limits("m", at_least=0.0))
+        if force_scale is not None:
+            force_scale = float(checks.numbers("force_scale", force_scale, (), limits("m/N", above=0.0)))
+        self.force_scale = force_scale
+        if not (isinstance(ensemble, bool) or ensemble == "auto"):
+            raise ValueError(f"ensemble must be True, False or 'auto', got {ensemble!r}")
+        if ensemble is True and self.spacing.any():
+            raise ValueError("ensemble=True shows all environments in place: leave spacing 0 along both axes")
+        self.replay = Replay.of(recording, scene, envs, load=load)
+        self.coloring = None if color_by is None else Coloring(color_by, recording)
+        self.ensemble: Ensemble | None = None
+        if not self.spacing.any():
+            self.ensemble = Ensemble.of(recording, self.replay.scene, self.replay.envs, ensemble)
+        self.layout: Layout | None = None
+        self._environments: Environments | None = None
 
-    def write(self) -> None:
-        """Writes the stage."""
+    def survey(self, blocks: Iterable[tuple[tuple[int, int], Content]]) -> Survey:
+        """Returns what has to be known of all records, given as ranges with what is in them."""
+
+        def contents() -> Iterator[Content]:
+            for records, content in blocks:
+                if self.ensemble is not None:
+                    self.ensemble.look_through(*records)
+                    if self.coloring is not None:
+                        self.coloring.look_through(self.ensemble.replay.envs, *records)
+                yield content
+
+        survey = Survey.of(contents())
+        if self.ensemble is not None:
+            self.ensemble = self.ensemble.drop()
+        return survey
+
+    def define(self, stage: Any, content: Content, survey: Survey) -> None:
+        """Writes all that does not change over time; ``content`` begins with the first record."""
         from pxr import Kind, Usd, UsdGeom
 
-        self._metadata()
-        world = UsdGeom.Xform.Define(self.stage, "/World").GetPrim()
+        materials = Materials(self.replay)
+        scale = survey.force_scale if self.force_scale is None else self.force_scale
+        self.layout = layout = layout_of(content, survey, self.spacing, scale, materials)
+        self._metadata(stage, layout)
+        world = UsdGeom.Xform.Define(stage, WORLD).GetPrim()
         Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
-        self.stage.SetDefaultPrim(world)
-        geometry.define_look(self.stage, "/World/Looks", world)
-        physics.define_gravity(self.stage, "/World/PhysicsScene", self.replay.scene.gravity)
-        apart = bool(self.spacing.any())
-        surfaces = f"{_PROTOTYPE if apart else '/World'}/Surfaces"
-        prototype = self.stage.CreateClassPrim(_PROTOTYPE)
-        prototype.SetTypeName("Xform")
-        self.readings["scene"].declare(prototype)
-        define_surfaces(self.stage, surfaces, self.placements, self.names)
-        for form in self.forms:
-            if form.shape.body is None and form.shared:
-                write_form(self.stage, f"{surfaces}/{self.names[form.shape.name]}", form, 0, self.size)
-        define_shapes(self.stage, _SHAPES, self.placements, self.names)
-        self._prototype()
-        paths = [self._environment(row) for row in range(len(self.replay.envs))]
-        if len(paths) > 1:
-            shared = None if apart else surfaces
-            physics.define_collision_groups(self.stage, "/World/CollisionGroups", paths, shared)
+        stage.SetDefaultPrim(world)
+        define_look(stage, f"{WORLD}/Looks", world)
+        places = np.array([layout.place(row) for row in range(len(layout.envs))])
+        low, high = (survey.low + places).min(axis=0), (survey.high + places).max(axis=0)
+        define_camera(stage, f"{WORLD}/Camera", low, high)
+        define_lights(stage, f"{WORLD}/Lights")
+        self._environments = Environments(stage, content, layout, materials)
+        self._environments.define(content, survey)
+        if self.ensemble is not None:
+            define_ensemble(stage, self.ensemble, layout, self.coloring)
+        self._say_space(stage, world, low, high)
 
-    def _forces(self) -> list[str]:
-        """Returns the names of the contacts and of their couplings."""
-        scene = self.replay.scene
-        forces: list[Any] = [*scene.contacts, *scene.contact_couplings, *scene.smooth_contacts]
-        return [one.name for one in forces]
+    def animate(self, stage: Any, content: Content, samples: Samples, records: tuple[int, int]) -> None:
+        """Writes what changes over time in a range of records, ``content`` being what is in them."""
+        assert self._environments is not None
+        assert self.layout is not None
+        self._environments.animate(content, samples)
+        if self.ensemble is not None:
+            write_ensemble(stage, self.ensemble, self.layout, self.coloring, samples, records)
 
-    def _metadata(self) -> None:
+    def _say_space(self, stage: Any, world: Any, low: Any, high: Any) -> None:
+        """Says what space the whole takes, as far as the ensemble does not take more."""
+        if self.ensemble is not None:
+            return
+        boxes = [np.array([low, high])]
+        from pxr import Usd, UsdGeom
+
+        cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), [UsdGeom.Tokens.default_], useExtentsHint=True)
+        bound = cache.ComputeWorldBound(world).ComputeAlignedRange()
+        if not bound.IsEmpty():
+            boxes.append(np.array([bound.GetMin(), bound.GetMax()]))
+        corners = np.concatenate(boxes)
+        write_box(world, corners.min(axis=0), corners.max(axis=0))
+
+    def _metadata(self, stage: Any, layout: Layout) -> None:
         from pxr import UsdGeom, UsdPhysics, Vt
 
-        stage, replay = self.stage, self.replay
+        replay = self.replay
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
@@ -167,179 +201,18 @@ class _Export:
         stage.SetEndTimeCode(replay.codes[-1])
         stage.SetTimeCodesPerSecond(replay.rate)
         stage.SetFramesPerSecond(replay.rate)
+        attrs = replay.data.attrs
         notes: dict[str, Any] = {
             "version": __version__,
+            "schema": SCHEMA,
             "environments": Vt.IntArray(replay.envs),
             "startTime": float(replay.times[0]),
-            "forceScale": self.force_scale,
+            "forceScale": layout.force_scale,
         }
-        for key in ("source", "device", "precision", "integrator"):
-            if key in replay.data.attrs:
-                notes[key] = str(replay.data.attrs[key])
-        if "frozen_environments" in replay.data.attrs:
-            frozen = set(replay.data.attrs["frozen_environments"])
+        notes |= {key: str(attrs[name]) for name, key in _TOLD.items() if name in attrs}
+        if "frozen_environments" in attrs:
+            frozen = set(attrs["frozen_environments"])
             notes["frozenEnvironments"] = Vt.IntArray([env for env in replay.envs if env in frozen])
-        if "dt" in replay.data.attrs:
-            notes["dt"] = float(replay.data.attrs["dt"])
+        notes |= {key: float(attrs[key]) for key in ("dt",) if key in attrs}
+        notes |= {key: int(attrs[key]) for key in ("seed",) if key in attrs}
         stage.GetRootLayer().customLayerData = {"warpcontact": notes}
-
-    def _prototype(self) -> None:
-        """Writes what all environments have in common."""
-        from pxr import Kind, Usd, UsdGeom
-
-        scene = self.replay.scene
-        for body in scene.bodies:
-            prim = UsdGeom.Xform.Define(self.stage, self._path(_PROTOTYPE, body)).GetPrim()
-            Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
-            mark(prim, body.name)
-            if body.single:
-                physics.apply_rigid_body(prim, body)
-            self.readings[body.name].declare(prim)
-        for name, placement in self.placements.items():
-            if placement.surface.body is not None and placement.shared:
-                write_surface(self.stage, self._surface_path(_PROTOTYPE, name), placement, 0)
-        for group in self.spheres:
-            own = 0.0
-            if group.body is not None:
-                own = body_size(group.body, self.placements.values(), self.spheres)
-            path = self._path(_PROTOTYPE, group.body)
-            if group.body is None:
-                UsdGeom.Xform.Define(self.stage, path)
-            width = POINT * (own or self.size)
-            if group.contacts[0].points.spread:
-                continue
-            geometry.define_spheres(self.stage, f"{path}/{self.names[group.name]}", group, width)
-        for swarm in self.swarms:
-            declare_swarm(self.stage, self._swarm_path(_PROTOTYPE, swarm), swarm, POINT * self.size)
-        for form in self.forms:
-            if form.shape.body is not None and form.shared:
-                write_form(self.stage, self._form_path(_PROTOTYPE, form), form, 0, self.size)
-        for moving in self.form_swarms:
-            declare_form_swarm(self.stage, self._form_path(_PROTOTYPE, moving.placement), moving, self.size)
-        if scene.contacts or scene.smooth_contacts:
-            UsdGeom.Scope.Define(self.stage, f"{_PROTOTYPE}/contacts")
-        touching: list[Any] = [*scene.contacts, *scene.smooth_contacts]
-        for contact in touching:
-            prim = UsdGeom.Scope.Define(self.stage, self._contact_path(_PROTOTYPE, contact.name)).GetPrim()
-            mark(prim, contact.name)
-            self.readings[contact.name].declare(prim)
-            if not contact.visible:
-                UsdGeom.Imageable(prim).MakeInvisible()
-        for coupling in scene.contact_couplings:
-            path = self._contact_path(_PROTOTYPE, coupling.name)
-            prim = UsdGeom.Scope.Define(self.stage, path).GetPrim()
-            mark(prim, coupling.name)
-            self.readings[coupling.name].declare(prim)
-        for lines in self.lines:
-            path = self._contact_path(_PROTOTYPE, lines.contact.name)
-            declare_force_lines(self.stage, f"{path}/force", lines, WIDTH * self.size)
-        if scene.couplings:
-            UsdGeom.Scope.Define(self.stage, f"{_PROTOTYPE}/couplings")
-        for curve in self.curves:
-            path = self._coupling_path(_PROTOTYPE, curve.coupling.name)
-            prim = UsdGeom.Scope.Define(self.stage, path).GetPrim()
-            mark(prim, curve.coupling.name)
-            self.readings[curve.coupling.name].declare(prim)
-            if not curve.coupling.visible:
-                UsdGeom.Imageable(prim).MakeInvisible()
-            count, width = curve.points.shape[2], WIDTH * self.size
-            meaning = "From one end of the coupling to the other."
-            define_curves(self.stage, f"{path}/shape", [count], width, curve.color, meaning)
-
-    def _environment(self, row: int) -> str:
-        """Writes environment number ``row`` of the export and returns its path."""
-        from pxr import Gf, Kind, Usd, UsdGeom
-
-        stage, replay = self.stage, self.replay
-        path = f"/World/env_{replay.envs[row]}"
-        env = UsdGeom.Xform.Define(stage, path)
-        env.GetPrim().GetReferences().AddInternalReference(_PROTOTYPE)
-        Usd.ModelAPI(env).SetKind(Kind.Tokens.group)
-        self.readings["scene"].write(env.GetPrim(), row)
-        if self.spacing.any():
-            env.AddTranslateOp().Set(Gf.Vec3d(*self._place(row)))
-        for body in replay.scene.bodies:
-            prim = stage.GetPrimAtPath(self._path(path, body))
-            if body.single:
-                self._move(UsdGeom.Xformable(prim), body, row)
-                physics.write_mass(prim, replay, body, row)
-                physics.write_velocity(prim, replay, body, row)
-            self.readings[body.name].write(prim, row)
-        for name, placement in self.placements.items():
-            if not placement.shared:
-                if placement.surface.body is None:
-                    UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
-                shape = f"{_SHAPES}/{self.names[name]}_{int(placement.mesh[row])}"
-                write_surface(stage, self._surface_path(path, name), placement, row, shape)
-        for form in self.forms:
-            if not form.shared:
-                if form.shape.body is None:
-                    UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
-                write_form(stage, self._form_path(path, form), form, row, self.size)
-        for moving in self.form_swarms:
-            own = stage.GetPrimAtPath(self._form_path(path, moving.placement))
-            write_form_swarm(own, replay.codes, moving, row)
-        for swarm in self.swarms:
-            write_swarm(stage.GetPrimAtPath(self._swarm_path(path, swarm)), replay.codes, swarm, row)
-        for group in self.spheres:
-            if not group.contacts[0].points.spread and group.differs(row):
-                geometry.set_spheres(stage, f"{self._path(path, group.body)}/{self.names[group.name]}", group, row)
-        for name in self._forces():
-            self.readings[name].write(stage.GetPrimAtPath(self._contact_path(path, name)), row)
-        for lines in self.lines:
-            prim = stage.GetPrimAtPath(f"{self._contact_path(path, lines.contact.name)}/force")
-            write_force_lines(prim, replay, lines, row, self.force_scale, WIDTH * self.size)
-        for curve in self.curves:
-            own = self._coupling_path(path, curve.coupling.name)
-            self.readings[curve.coupling.name].write(stage.GetPrimAtPath(own), row)
-            shape, shown = stage.GetPrimAtPath(f"{own}/shape"), curve.shown[:, row].tolist()
-            write_curves(shape, replay, curve.points[:, row], shown, WIDTH * self.size)
-        return path
-
-    def _move(self, xformable: Any, body: Body, row: int) -> None:
-        positions, orientations = self.poses[body.name]
-        codes = self.replay.codes
-        turn, move = pose_attributes(xformable)
-        write_samples(move, codes, series(positions[:, row], "vector", False))
-        write_samples(turn, codes, series(orientations[:, row], "quaternion", False))
-
-    def _place(self, row: int) -> tuple[float, float, float]:
-        """Returns where on the grid an environment is; the first is at the origin."""
-        x, y = self.spacing.tolist()
-        count = len(self.replay.envs)
-        columns = count if y == 0.0 else 1 if x == 0.0 else math.ceil(math.sqrt(count))
-        return row % columns * x, row // columns * y, 0.0
-
-    def _path(self, env: str, body: Body | None) -> str:
-        return f"{env}/{'FixedPoints' if body is None else self.names[body.name]}"
-
-    def _swarm_path(self, env: str, swarm: Swarm) -> str:
-        return f"{self._path(env, swarm.body)}/{self.names.get(swarm.name, swarm.name)}"
-
-    def _surface_path(self, env: str, name: str) -> str:
-        body = self.placements[name].surface.body
-        return f"{f'{env}/Surfaces' if body is None else self._path(env, body)}/{self.names[name]}"
-
-    def _form_path(self, env: str, form: FormPlacement) -> str:
-        body, name = form.shape.body, self.names[form.shape.name]
-        return f"{f'{env}/Surfaces' if body is None else self._path(env, body)}/{name}"
-
-    def _contact_path(self, env: str, contact: str) -> str:
-        return f"{env}/contacts/{self.names[contact]}"
-
-    def _coupling_path(self, env: str, coupling: str) -> str:
-        return f"{env}/couplings/{self.names[coupling]}"
-
-
-def _save(stage: Any, path: Path) -> None:
-    from pxr import Sdf, Tf
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        stage.GetRootLayer().Export(str(path))
-    except Tf.ErrorException as error:
-        raise OSError(f"cannot write {path}: {str(error).strip()}") from error
-    # Who has an earlier version of the file open sees the new one: USD keeps open files by name.
-    opened = Sdf.Layer.Find(str(path.resolve()))
-    if opened:
-        opened.Reload(force=True)

@@ -1,6 +1,6 @@
 """Shapes of analytic form on a stage: as the primitives that USD has, or as meshes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -9,33 +9,65 @@ from warpcontact.checks import Array
 from warpcontact.frames import placed
 from warpcontact.kernels.smooth import shapes
 from warpcontact.kernels.smooth.base import Shape as Form
+from warpcontact.kernels.smooth.patch import Patch
 from warpcontact.kernels.smooth.plane import Plane
+from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.replay.forms import PLANE, FormPlacement, FormSwarm
 from warpcontact.smooth.tessellate import tessellate
-from warpcontact.usd.author import add_pose, mark, vectors, write_samples
+from warpcontact.usd.author import Samples, add_pose, integers, mark, quaternions, vectors, write_box
 from warpcontact.usd.geometry import set_color
 
 
-def write_form(stage: Any, path: str, form: FormPlacement, row: int, size: float) -> None:
-    """Writes a single shape as in environment number ``row``; ``size`` is that of the scene [m]."""
+def write_form(
+    stage: Any,
+    path: str,
+    form: FormPlacement,
+    row: int,
+    size: float,
+    *,
+    item: int = 0,
+    physics: bool = True,
+    color: bool = True,
+) -> None:
+    """Writes a shape as in environment number ``row``.
+
+    Args:
+        stage: The stage.
+        path: Where to.
+        form: The shape.
+        row: The environment.
+        size: That of the scene [m].
+        item: Which one of a set.
+        physics: Whether it collides.
+        color: Whether it has a colour of its own.
+    """
     from pxr import Usd, UsdGeom, UsdPhysics
 
-    gprim = define_form(stage, path, form.shape.kind, form.of_item(row, 0), PLANE * size)
+    gprim = define_form(stage, path, form.shape.kind, form.of_item(row, item), PLANE * size)
     prim = gprim.GetPrim()
     shift = (
-        np.array([0.0, 0.0, form.sizes["height"][row, 0] / 2])
+        np.array([0.0, 0.0, form.sizes["height"][row, item] / 2])
         if issubclass(form.shape.kind, shapes.Cone)
         else np.zeros(3)
     )
-    position, orientation = form.positions[row, 0], form.orientations[row, 0]
+    position, orientation = form.positions[row, item], form.orientations[row, item]
     add_pose(UsdGeom.Xformable(prim), placed(shift[None], position, orientation)[0], orientation)
-    set_color(gprim, form.color)
     mark(prim, form.shape.name)
-    UsdPhysics.CollisionAPI.Apply(prim)
     if not form.shape.visible:
         UsdGeom.Imageable(prim).MakeInvisible()
+    if color:
+        set_color(gprim, form.color)
+    if not physics:
+        return
+    UsdPhysics.CollisionAPI.Apply(prim)
+    if prim.IsA(UsdGeom.Mesh):
+        hollow = issubclass(form.shape.kind, Torus | Patch)
+        tokens = UsdPhysics.Tokens
+        shown = tokens.none if hollow else tokens.convexHull
+        UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(shown)
     if form.shape.body is None:
         Usd.ModelAPI(prim).SetKind("component")
+        write_box(prim, *np.array(gprim.GetExtentAttr().Get()))
 
 
 def _sphere(stage: Any, path: str, sizes: Mapping[str, Array]) -> Any:
@@ -126,23 +158,21 @@ def declare_form_swarm(stage: Any, path: str, swarm: FormSwarm, size: float) -> 
     mark(instancer.GetPrim(), shape.name)
 
 
-def write_form_swarm(prim: Any, codes: Sequence[float], swarm: FormSwarm, row: int) -> None:
+def write_form_swarm(prim: Any, samples: Samples, swarm: FormSwarm, row: int) -> None:
     """Writes where they are in environment number ``row`` of the export."""
-    from pxr import UsdGeom, Vt
+    from pxr import UsdGeom
 
     instancer, sizes = UsdGeom.PointInstancer(prim), swarm.placement.sizes
-    numbers = np.zeros_like(swarm.numbers[row]) if swarm.scaled else swarm.numbers[row]
-    instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(numbers.astype(np.int32)))
-    if swarm.scaled:
-        scales = sizes["semi_axes"] if "semi_axes" in sizes else np.repeat(sizes["radius"][..., None], 3, axis=2)
-        instancer.CreateScalesAttr(vectors(scales[row]))
-    write_samples(instancer.CreatePositionsAttr(), codes, [vectors(entry) for entry in swarm.places[:, row]])
-    turns = [Vt.QuathArray([_half(q) for q in entry]) for entry in swarm.turns[:, row]]
-    write_samples(instancer.CreateOrientationsAttr(), codes, turns)
-
-
-def _half(q: Array) -> Any:
-    from pxr import Gf
-
-    x, y, z, w = q.tolist()
-    return Gf.Quath(w, x, y, z)
+    reach = swarm.placement.reach
+    if samples.defaults:
+        numbers = np.zeros_like(swarm.numbers[row]) if swarm.scaled else swarm.numbers[row]
+        instancer.CreateProtoIndicesAttr(integers(numbers))
+        if swarm.scaled:
+            radii = np.repeat(sizes["radius"][..., None], 3, axis=2) if "radius" in sizes else sizes["semi_axes"]
+            instancer.CreateScalesAttr(vectors(radii[row]))
+    places = swarm.places[:, row]
+    extents = np.stack([places.min(axis=1) - reach, places.max(axis=1) + reach], axis=1)
+    samples.write(instancer.CreatePositionsAttr(), [vectors(entry) for entry in places])
+    turns = [quaternions(entry) for entry in swarm.turns[:, row]]
+    samples.write(instancer.CreateOrientationsfAttr(), turns)
+    samples.write(instancer.CreateExtentAttr(), [vectors(entry) for entry in extents])

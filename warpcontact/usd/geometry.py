@@ -1,4 +1,4 @@
-"""Shapes of a stage: contact points as spheres or points, colours and looks."""
+"""Shapes of a stage: contact points as spheres or points, and colours."""
 
 from typing import Any
 
@@ -64,25 +64,3 @@ def set_spheres(stage: Any, path: str, group: Spheres, row: int) -> None:
 def _sphere_paths(path: str, group: Spheres) -> list[str]:
     count = group.radii.shape[1]
     return [path] if group.contacts[0].points.single else [f"{path}/item_{item}" for item in range(count)]
-
-
-def define_look(stage: Any, scope: str, prim: Any) -> None:
-    """Writes a material that shows ``displayColor`` into ``scope`` and binds it to ``prim`` and all below.
-
-    Renderers other than Hydra's own draw only what a material says.
-    """
-    from pxr import Sdf, UsdGeom, UsdShade
-
-    UsdGeom.Scope.Define(stage, scope)
-    path = f"{scope}/Display"
-    material = UsdShade.Material.Define(stage, path)
-    shader = UsdShade.Shader.Define(stage, f"{path}/Surface")
-    shader.CreateIdAttr("UsdPreviewSurface")
-    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.6)
-    reader = UsdShade.Shader.Define(stage, f"{path}/Color")
-    reader.CreateIdAttr("UsdPrimvarReader_float3")
-    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
-    output = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
-    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(output)
-    material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", Sdf.ValueTypeNames.Token))
-    UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)

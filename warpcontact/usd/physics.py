@@ -9,7 +9,7 @@ from warpcontact.checks import Array
 from warpcontact.kernels.types import DRIVEN, FIXED, PRESCRIBED
 from warpcontact.replay.replay import Replay
 from warpcontact.scene import Body
-from warpcontact.usd.author import vectors, write_samples
+from warpcontact.usd.author import Samples, vectors
 
 
 def define_gravity(stage: Any, path: str, gravity: Array) -> None:
@@ -24,31 +24,34 @@ def define_gravity(stage: Any, path: str, gravity: Array) -> None:
     scene.CreateGravityMagnitudeAttr(magnitude)
 
 
-def apply_rigid_body(prim: Any, body: Body) -> None:
+def apply_rigid_body(prim: Any, body: Body, scene: str | None) -> None:
     """Makes a prim a rigid body whose centre of mass is its origin, as that of every ``Body`` is.
 
-    One that no force moves is kinematic.
+    One that no force moves is kinematic. ``scene``: path of the physics scene that it is in, of several.
     """
     from pxr import Gf, UsdPhysics
 
     api = UsdPhysics.RigidBodyAPI.Apply(prim)
     if body.motion.kind in (FIXED, PRESCRIBED, DRIVEN):
         api.CreateKinematicEnabledAttr(True)
+    if scene is not None:
+        api.CreateSimulationOwnerRel().SetTargets([scene])
     UsdPhysics.MassAPI.Apply(prim).CreateCenterOfMassAttr(Gf.Vec3f(0.0))
 
 
 def write_mass(prim: Any, replay: Replay, body: Body, row: int) -> None:
-    """Writes the mass and inertia of a body in environment number ``row`` of the export, if recorded.
+    """Writes the mass and inertia of a body in environment number ``row`` of the export, if they are known.
 
-    The values of the scene would be wrong wherever a study varied them, and nothing in a stage would tell.
+    They are where they were recorded, or where the recording says that they are those of the scene. Elsewhere
+    these would be wrong wherever a study varied them, and nothing in a stage would tell.
     """
     from pxr import Gf, UsdPhysics
 
     api = UsdPhysics.MassAPI(prim)
-    mass = replay.static(f"{body.name}.mass", ())
+    mass = replay.known(f"{body.name}.mass", body.mass)
     if mass is not None:
         api.CreateMassAttr(float(mass[row]))
-    inertia = replay.static(f"{body.name}.inertia", (3, 3))
+    inertia = replay.known(f"{body.name}.inertia", body.inertia)
     if inertia is not None:
         moments, axes = principal(inertia[row])
         api.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
@@ -70,7 +73,7 @@ def principal(inertia: Array) -> tuple[Array, Array]:
     return moments, axes
 
 
-def write_velocity(prim: Any, replay: Replay, body: Body, row: int) -> None:
+def write_velocity(prim: Any, samples: Samples, replay: Replay, body: Body, row: int) -> None:
     """Writes the recorded velocities of a body, so that a simulator can go on from any record.
 
     UsdPhysics has them in the frame that the body's pose is in, whose axes are the world's here, and the
@@ -81,11 +84,11 @@ def write_velocity(prim: Any, replay: Replay, body: Body, row: int) -> None:
     api = UsdPhysics.RigidBodyAPI(prim)
     linear = replay.series(f"{body.name}.linear_velocity")
     if linear is not None:
-        write_samples(api.CreateVelocityAttr(), replay.codes, list(vectors(linear[:, row])))
+        samples.write(api.CreateVelocityAttr(), list(vectors(linear[:, row])))
     angular = replay.series(f"{body.name}.angular_velocity")
     if angular is not None:
         degrees = np.degrees(angular[:, row].astype(np.float64))
-        write_samples(api.CreateAngularVelocityAttr(), replay.codes, list(vectors(degrees)))
+        samples.write(api.CreateAngularVelocityAttr(), list(vectors(degrees)))
 
 
 def define_collision_groups(stage: Any, path: str, envs: Sequence[str], shared: str | None) -> None:

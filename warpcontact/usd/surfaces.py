@@ -1,22 +1,41 @@
 """Surfaces of a stage: as they are in all environments, or in each its own pose, size and mesh."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
 
 from warpcontact.replay.surfaces import INACTIVE, Placement, surface_color
 from warpcontact.scene import Surface
-from warpcontact.usd.author import add_pose, mark, vectors
+from warpcontact.usd.author import add_pose, mark, vectors, write_box
 from warpcontact.usd.geometry import set_color
 
 
-def write_surface(stage: Any, path: str, placement: Placement, row: int, mesh: str | None = None) -> None:
-    """Writes it as in environment number ``row``; ``mesh``: a prim to refer to for its shape."""
+def write_surface(
+    stage: Any,
+    path: str,
+    placement: Placement,
+    row: int,
+    mesh: str | None = None,
+    *,
+    physics: bool = True,
+    color: bool = True,
+) -> None:
+    """Writes it as in environment number ``row``.
+
+    Args:
+        stage: The stage.
+        path: Where to.
+        placement: The surface.
+        row: The environment.
+        mesh: A prim to refer to for its shape.
+        physics: Whether it collides.
+        color: Whether it has colours of its own.
+    """
     from pxr import Gf, Kind, Usd, UsdGeom
 
     if mesh is None:
-        prim = define_mesh(stage, path, placement.surface, int(placement.mesh[row]))
+        prim = define_mesh(stage, path, placement.surface, int(placement.mesh[row]), physics=physics, color=color)
     else:
         prim = stage.DefinePrim(path, "Mesh")
         prim.GetReferences().AddInternalReference(mesh)
@@ -26,32 +45,34 @@ def write_surface(stage: Any, path: str, placement: Placement, row: int, mesh: s
         xformable.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(float(placement.scale[row])))
     if placement.surface.body is None:
         Usd.ModelAPI(prim).SetKind(Kind.Tokens.component)
+        write_box(prim, *placement.surface.meshes[int(placement.mesh[row])].bounds)
 
 
 def define_surfaces(stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str]) -> None:
-    """Writes the surfaces that are fixed to the world and the same everywhere, below ``path``."""
-    from pxr import Kind, Usd, UsdGeom
-
-    scope = UsdGeom.Scope.Define(stage, path)
-    Usd.ModelAPI(scope).SetKind(Kind.Tokens.group)
+    """Writes surfaces below ``path`` as they are in the first environment."""
     for name, placement in placements.items():
-        if placement.surface.body is None and placement.shared:
-            write_surface(stage, f"{path}/{names[name]}", placement, 0)
+        write_surface(stage, f"{path}/{names[name]}", placement, 0)
 
 
-def define_shapes(stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str]) -> None:
-    """Writes the meshes of the surfaces that differ between environments, as classes below ``path``."""
-    own = {name: placement for name, placement in placements.items() if not placement.shared}
+def define_shapes(
+    stage: Any, path: str, placements: Mapping[str, Placement], names: Mapping[str, str], own: Collection[str]
+) -> None:
+    """Writes the meshes of the surfaces ``own``, which differ between environments, as classes below ``path``."""
     if not own:
         return
     stage.CreateClassPrim(path)
-    for name, placement in own.items():
-        for index in sorted({int(mesh) for mesh in placement.mesh}):
-            define_mesh(stage, f"{path}/{names[name]}_{index}", placement.surface, index)
+    for name in sorted(own):
+        for index in sorted({int(mesh) for mesh in placements[name].mesh}):
+            define_mesh(stage, f"{path}/{names[name]}_{index}", placements[name].surface, index)
 
 
-def define_mesh(stage: Any, path: str, surface: Surface, index: int) -> Any:
-    """Writes mesh number ``index`` of a surface as one that collides, in its own frame, and returns its prim."""
+def define_mesh(
+    stage: Any, path: str, surface: Surface, index: int, *, physics: bool = True, color: bool = True
+) -> Any:
+    """Writes mesh number ``index`` of a surface in its own frame, and returns its prim.
+
+    With ``physics`` it collides; with ``color`` it has colours of its own.
+    """
     from pxr import UsdGeom, UsdPhysics, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, path)
@@ -65,11 +86,13 @@ def define_mesh(stage: Any, path: str, surface: Surface, index: int) -> Any:
     mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
     mesh.CreateDoubleSidedAttr(True)
     mesh.CreateExtentAttr(vectors(np.array([vertices.min(axis=0), vertices.max(axis=0)])))
-    _color_faces(mesh, surface, index)
     if not surface.visible:
         mesh.MakeInvisible()
-    UsdPhysics.CollisionAPI.Apply(prim)
-    UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.none)
+    if color:
+        _color_faces(mesh, surface, index)
+    if physics:
+        UsdPhysics.CollisionAPI.Apply(prim)
+        UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.none)
     return prim
 
 

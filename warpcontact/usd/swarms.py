@@ -1,13 +1,12 @@
 """Sets of bodies on a stage: what moves with each of them, as one prim."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from warpcontact.replay.spheres import body_color
 from warpcontact.replay.swarms import Swarm
-from warpcontact.usd.author import mark, vectors, write_samples
+from warpcontact.usd.author import Samples, integers, mark, vectors
 from warpcontact.usd.geometry import set_color
 
 
@@ -27,14 +26,14 @@ def declare_swarm(stage: Any, path: str, swarm: Swarm, width: float) -> None:
         ball.CreateExtentAttr(vectors(np.array([[-1.0] * 3, [1.0] * 3])))
         set_color(ball, body_color(swarm.body))
         spheres.CreatePrototypesRel().SetTargets([ball.GetPath()])
-        spheres.CreateProtoIndicesAttr(Vt.IntArray(swarm.body.count, 0))
+        spheres.CreateProtoIndicesAttr(integers(np.zeros(swarm.body.count)))
     prim = stage.GetPrimAtPath(path)
     mark(prim, swarm.name)
     if swarm.contacts:
         prim.SetCustomDataByKey("warpcontact:contacts", Vt.StringArray(swarm.contacts))
 
 
-def write_swarm(prim: Any, codes: Sequence[float], swarm: Swarm, row: int) -> None:
+def write_swarm(prim: Any, samples: Samples, swarm: Swarm, row: int) -> None:
     """Writes where they are in environment number ``row`` of the export."""
     from pxr import UsdGeom
 
@@ -45,7 +44,8 @@ def write_swarm(prim: Any, codes: Sequence[float], swarm: Swarm, row: int) -> No
     else:
         spheres = UsdGeom.PointInstancer(prim)
         attribute = spheres.CreatePositionsAttr()
-        spheres.CreateScalesAttr(vectors(np.repeat(reach, 3, axis=1)))
+        if samples.defaults:
+            spheres.CreateScalesAttr(vectors(np.repeat(reach, 3, axis=1)))
     bounds = np.stack([(places - reach).min(axis=1), (places + reach).max(axis=1)], axis=1)
-    write_samples(attribute, codes, [vectors(entry) for entry in places])
-    write_samples(UsdGeom.Boundable(prim).CreateExtentAttr(), codes, [vectors(entry) for entry in bounds])
+    samples.write(attribute, [vectors(entry) for entry in places])
+    samples.write(UsdGeom.Boundable(prim).CreateExtentAttr(), [vectors(entry) for entry in bounds])

@@ -1,4 +1,4 @@
-"""Contact readings as custom attributes, and contact forces as lines."""
+"""What was recorded of an element, as custom attributes."""
 
 from typing import Any
 
@@ -6,19 +6,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from warpcontact.replay.forces import ForceLines
 from warpcontact.replay.replay import Replay
-from warpcontact.usd.author import (
-    attribute_name,
-    attribute_type,
-    plain,
-    series,
-    write_samples,
-)
-from warpcontact.usd.curves import define_curves, write_curves
-
-# Width of force lines, in sizes of the largest body.
-WIDTH = 0.03
+from warpcontact.usd.author import Samples, attribute_name, attribute_type, plain, series
 
 _KINDS = {"axis": "vector", "component": "quaternion"}
 _ROLES = {"point": "Point3", "normal": "Normal3"}
@@ -35,7 +24,6 @@ class Readings:
     """
 
     def __init__(self, replay: Replay, element: str) -> None:
-        self.codes = replay.codes
         self.found: list[tuple[str, xr.DataArray, NDArray[Any], str, bool]] = []
         for quantity, data in replay.of_element(element):
             kind = _KINDS.get(str(data.dims[-1]), "number") if data.dims else "number"
@@ -68,26 +56,12 @@ class Readings:
             attribute.SetCustomDataByKey("warpcontact:name", data.name)
             attribute.SetCustomDataByKey("warpcontact:unit", unit)
 
-    def write(self, prim: Any, row: int) -> None:
+    def write(self, prim: Any, samples: Samples, row: int) -> None:
         """Writes the values of environment number ``row`` of the export."""
         for quantity, data, values, kind, is_array in self.found:
             attribute = prim.GetAttribute(attribute_name(quantity))
-            samples = series(values[:, row], kind, is_array)
+            own = series(values[:, row], kind, is_array)
             if "time" in data.dims:
-                write_samples(attribute, self.codes, samples)
-            else:
-                attribute.Set(samples[0])
-
-
-def declare_force_lines(stage: Any, path: str, lines: ForceLines, width: float) -> None:
-    """Writes what the force lines of a contact have in common in all environments."""
-    meaning = "Force on the body of the points, from the point where it acts."
-    define_curves(stage, path, [2] * lines.contact.count, width, lines.color, meaning)
-
-
-def write_force_lines(prim: Any, replay: Replay, lines: ForceLines, row: int, scale: float, width: float) -> None:
-    """Writes the lines of environment number ``row`` of the export, ``scale`` metres per newton long."""
-    start, force = lines.start[:, row], lines.force[:, row]
-    ends = np.stack([start, start + scale * force], axis=2).reshape(len(start), -1, 3)
-    acting = np.any(force.reshape(len(force), -1), axis=1).tolist()
-    write_curves(prim, replay, ends, acting, width)
+                samples.write(attribute, own)
+            elif samples.defaults:
+                attribute.Set(own[0])

@@ -1,0 +1,102 @@
+"""The pixels of a picture: rays from the eye, more where what they see differs, their mean as sRGB."""
+
+import warp as wp
+from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light, seen
+from warpcontact.kernels.rendering.world import World
+
+# Samples of a pixel that decide whether it takes more of them.
+FIRST = wp.constant(4)
+# Difference of two of them, in square roots of linear colour, from which it does.
+DIFFERENT = wp.constant(0.04)
+# Fractions of two irrational numbers, the multiples of which fill the unit square evenly (the R₂ sequence).
+_STEP_X = wp.constant(0.7548776662466927)
+_STEP_Y = wp.constant(0.5698402909980532)
+
+
+@wp.struct
+class View:
+    """The eye and the picture plane; its origin is the middle of what is looked at."""
+
+    eye: wp.vec3
+    forward: wp.vec3  # unit vectors, W
+    right: wp.vec3
+    up: wp.vec3
+    tangent: wp.float32  # of half the angle of view, from top to bottom
+    width: wp.int32  # pixels
+    height: wp.int32
+    samples: wp.int32  # rays of a pixel at most
+
+
+@wp.func
+def fraction(x: float):
+    """What is behind the point of a number that is not negative."""
+    return x - wp.floor(x)
+
+
+@wp.func
+def gradient_noise(column: int, row: int):
+    """A number 0…1 that is different in pixels near each other."""
+    return fraction(52.9829189 * fraction(0.06711056 * float(column) + 0.00583715 * float(row)))
+
+
+@wp.func
+def srgb(x: float):
+    """Linear light 0…1 as a byte of sRGB."""
+    encoded = 1.055 * wp.pow(x, 1.0 / 2.4) - 0.055
+    if x <= 0.0031308:
+        encoded = 12.92 * x
+    return wp.uint8(wp.clamp(encoded * 255.0 + 0.5, 0.0, 255.0))
+
+
+@wp.func
+def root(color: wp.vec3):
+    """About as bright as it looks."""
+    return wp.vec3(wp.sqrt(color[0]), wp.sqrt(color[1]), wp.sqrt(color[2]))
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def paint(
+    first: int,  # pixel, row by row
+    view: View,
+    world: World,
+    marks: World,
+    light: Light,
+    grid: Grid,
+    backdrop: Backdrop,
+    picture: wp.array2d(dtype=wp.uint8),  # [pixel, channel] sRGB
+):
+    """One thread per pixel. What it depends on is the pixel alone."""
+    pixel = first + wp.tid()
+    column = pixel % view.width
+    row = pixel // view.width
+    # Neighbours differ as much as they can, and their mean is smooth (Jimenez, interleaved gradient noise, 2014).
+    sun_x = gradient_noise(column, row)
+    sun_y = gradient_noise(column + 31, row + 17)
+    sky_x = gradient_noise(column + 59, row + 83)
+    sky_y = gradient_noise(column + 101, row + 47)
+    total = wp.vec3()
+    lowest = wp.vec3(2.0, 2.0, 2.0)
+    highest = wp.vec3()
+    taken = wp.int32(0)
+    wanted = wp.min(view.samples, FIRST)
+    while taken < wanted:
+        # The first is at the middle of the pixel.
+        step_x = float(taken) * _STEP_X
+        step_y = float(taken) * _STEP_Y
+        x = float(column) + fraction(0.5 + step_x)
+        y = float(row) + fraction(0.5 + step_y)
+        h = 1.0 - y / float(view.height)
+        across = view.tangent * (2.0 * x - float(view.width)) / float(view.height)
+        ray = wp.normalize(view.forward + across * view.right + view.tangent * (2.0 * h - 1.0) * view.up)
+        at_sun = wp.vec2(fraction(sun_x + step_x), fraction(sun_y + step_y))
+        at_sky = wp.vec2(fraction(sky_x + step_y), fraction(sky_y + step_x))
+        color = seen(world, marks, light, grid, backdrop, view.eye, ray, h, at_sun, at_sky)
+        total += color
+        lowest = wp.min(lowest, root(color))
+        highest = wp.max(highest, root(color))
+        taken += 1
+        if taken == FIRST and wp.max(highest - lowest) > DIFFERENT:
+            wanted = view.samples
+    mean = total / float(taken)
+    for channel in range(3):
+        picture[pixel, channel] = srgb(mean[channel])

@@ -1,0 +1,118 @@
+"""Rays through a world: what they meet first, whether anything is in their way, and the normal where they end."""
+
+import warp as wp
+from warpcontact.kernels.rendering.forms import meet_form, normal_of_form
+from warpcontact.kernels.rendering.world import MESH, Hit, World, into_shape, normal_to_world, point_to_world
+
+
+@wp.func
+def trace(world: World, origin: wp.vec3, direction: wp.vec3, limit: float):
+    """What a ray meets first, before ``limit`` lengths of ``direction``."""
+    best = Hit()
+    best.item = wp.int32(-1)
+    best.t = limit
+    if world.count > 0:
+        query = wp.bvh_query_ray(world.tree, origin, direction)
+        item = wp.int32(0)
+        while wp.bvh_query_next(query, item, best.t):
+            o = into_shape(world, item, origin - world.position[item])
+            d = into_shape(world, item, direction)
+            kind = world.kind[item]
+            if kind == MESH:
+                met = wp.mesh_query_ray(world.mesh[world.shape[item]], o, d, best.t)
+                if met.result:
+                    best.item = item
+                    best.t = met.t
+                    best.face = met.face
+                    best.u = met.u
+                    best.v = met.v
+            else:
+                t = meet_form(kind, o, d)
+                if t > 0.0 and t < best.t:
+                    best.item = item
+                    best.t = t
+    return best
+
+
+@wp.func
+def is_free(world: World, origin: wp.vec3, direction: wp.vec3, limit: float):
+    """Whether a ray meets nothing before ``limit`` lengths of ``direction``."""
+    if world.count > 0:
+        query = wp.bvh_query_ray(world.tree, origin, direction)
+        item = wp.int32(0)
+        while wp.bvh_query_next(query, item, limit):
+            o = into_shape(world, item, origin - world.position[item])
+            d = into_shape(world, item, direction)
+            kind = world.kind[item]
+            if kind == MESH:
+                if wp.mesh_query_ray_anyhit(world.mesh[world.shape[item]], o, d, limit):
+                    return False
+            else:
+                t = meet_form(kind, o, d)
+                if t > 0.0 and t < limit:
+                    return False
+    return True
+
+
+@wp.func
+def flat_normal(world: World, hit: Hit, p_L: wp.vec3):
+    """The outer normal of what was hit, W; of a mesh that of the face."""
+    item = hit.item
+    kind = world.kind[item]
+    n_L = wp.vec3()
+    if kind == MESH:
+        n_L = wp.mesh_eval_face_normal(world.mesh[world.shape[item]], hit.face)
+    else:
+        n_L = normal_of_form(kind, p_L, world.scale[item])
+    return normal_to_world(world, item, n_L)
+
+
+@wp.func
+def smooth_normal(world: World, hit: Hit, flat_W: wp.vec3):
+    """The normal to shade what was hit by, W: of a smooth mesh between those of the corners."""
+    item = hit.item
+    if world.kind[item] != MESH:
+        return flat_W
+    first = world.first_normal[world.shape[item]]
+    if first < 0:
+        return flat_W
+    corner = first + 3 * hit.face
+    w = 1.0 - hit.u - hit.v
+    n_L = hit.u * world.normals[corner] + hit.v * world.normals[corner + 1] + w * world.normals[corner + 2]
+    return normal_to_world(world, item, n_L)
+
+
+@wp.func
+def raised(world: World, hit: Hit, p_W: wp.vec3, side: float):
+    """The point of a smooth mesh, rather than of its face, to begin rays to the light from.
+
+    From the face itself, edges between faces would show in the shadow that a body throws on itself. The point is
+    moved to the mean of the planes of the normals at the corners (Hanika, Hacking the Shadow Terminator, 2021).
+    """
+    item = hit.item
+    if world.kind[item] != MESH:
+        return p_W
+    shape = world.shape[item]
+    first = world.first_normal[shape]
+    if first < 0:
+        return p_W
+    shift = wp.vec3()
+    for k in range(3):
+        weight = wp.where(k == 0, hit.u, wp.where(k == 1, hit.v, 1.0 - hit.u - hit.v))
+        corner_W = point_to_world(world, item, wp.mesh_get_point(world.mesh[shape], 3 * hit.face + k))
+        n_W = side * normal_to_world(world, item, world.normals[first + 3 * hit.face + k])
+        below = wp.min(wp.dot(p_W - corner_W, n_W), 0.0)
+        shift -= weight * below * n_W
+    return p_W + shift
+
+
+@wp.func
+def color_of(world: World, hit: Hit):
+    """The colour of what was hit, linear RGB."""
+    item = hit.item
+    color = world.color[item]
+    if world.kind[item] == MESH:
+        first = world.first_color[world.shape[item]]
+        if first >= 0:
+            color = world.colors[first + hit.face]
+    return color

@@ -1,0 +1,180 @@
+"""A scene that is written to a stage and read from it is the same: argument by argument, and step by step."""
+
+import dataclasses
+
+import described_scenes as scenes
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom
+
+import warpcontact as wc
+from warpcontact.usd.author import identifiers
+from warpcontact.usd.catalogue import LIBRARY
+from warpcontact.usd.description import read_description, write_description
+from warpcontact.usd.words import words_of
+
+SCENES = {"touching": scenes.touching, "shaped": scenes.shaped, "own": scenes.own}
+
+
+def written(scene):
+    stage = Usd.Stage.CreateInMemory()
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    write_description(stage, scene, identifiers(scene.element_names()))
+    return stage
+
+
+def reread(stage, tmp_path, suffix):
+    path = str(tmp_path / f"scene{suffix}")
+    stage.GetRootLayer().Export(path)
+    return Usd.Stage.Open(path)
+
+
+def flat(value):
+    """What a value says, in a form that compares to the bit."""
+    if isinstance(value, np.ndarray):
+        return (value.dtype.str, value.shape, value.tobytes())
+    if isinstance(value, type):
+        return value.__name__
+    if isinstance(value, wc.Mesh):
+        groups = {name: flat(np.asarray(own)) for name, own in value.groups.items()}
+        return ("mesh", value.name, flat(value.vertices), flat(value.faces), groups)
+    if isinstance(value, list | tuple):
+        return [flat(one) for one in value]
+    if dataclasses.is_dataclass(value) and not hasattr(value, "name"):
+        return (type(value).__name__, {f.name: flat(getattr(value, f.name)) for f in dataclasses.fields(value)})
+    if isinstance(value, dict):
+        return {key: flat(one) for key, one in value.items()}
+    return getattr(value, "name", value)
+
+
+def said(scene):
+    words = [
+        (one.kind, one.name, {key: flat(value) for key, value in one.arguments.items()}) for one in words_of(scene)
+    ]
+    return [flat(scene.gravity), scene.max_speed, scene.max_distance, *words]
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+@pytest.mark.parametrize("name", SCENES)
+def test_every_argument_of_every_element_is_read_as_it_was_written(name, suffix, tmp_path):
+    scene = SCENES[name]()
+    found = read_description(reread(written(scene), tmp_path, suffix), own=[scenes.Cubic])
+    assert said(found) == said(scene)
+    assert found.element_names() == scene.element_names()
+    for key in ("bodies", "surfaces", "points", "contacts", "couplings", "contact_couplings", "shapes"):
+        assert [one.name for one in getattr(found, key)] == [one.name for one in getattr(scene, key)]
+
+
+def test_the_scenes_of_these_tests_have_every_kind_of_element():
+    from warpcontact.usd.words import ADDERS
+
+    assert {one.kind for make in SCENES.values() for one in words_of(make())} == set(ADDERS)
+
+
+def history(scene, precision, device):
+    model = scene.build(envs=2, device=device, precision=precision)
+    parameters = {name: np.array(model[name]) for name in model}
+    sim = wc.Simulation(model, dt=1e-4)
+    sim.step(200)
+    state = sim.state
+    after = [array.numpy() for array in (state.body_position, state.body_orientation, state.body_linear_velocity)]
+    return parameters, after
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_that_was_read_moves_like_the_one_that_was_written_to_the_bit(name, precision, device, tmp_path):
+    scene = SCENES[name]()
+    found = read_description(reread(written(scene), tmp_path, ".usdc"), own=[scenes.Cubic])
+    first, second = (history(one, precision, device) for one in (scene, found))
+    assert first[0].keys() == second[0].keys()
+    for key, values in first[0].items():
+        np.testing.assert_array_equal(second[0][key], values, err_msg=key)
+    for one, other in zip(first[1], second[1], strict=True):
+        assert one.tobytes() == other.tobytes()
+    start = np.concatenate([np.atleast_2d(body.position) for body in scene.bodies])
+    assert np.abs(first[1][0][0] - start).max() > 1e-3, "nothing moved"
+
+
+@pytest.mark.parametrize("kind", [kind for kinds in LIBRARY.values() for kind in kinds], ids=lambda k: k.__name__)
+def test_every_parameter_of_every_class_of_the_library_has_a_name_of_its_own_in_usd(kind):
+    names = [field.name for field in dataclasses.fields(kind)]
+    assert identifiers(names) == {name: name for name in names}
+
+
+def test_a_stage_without_a_description_has_none():
+    assert read_description(Usd.Stage.CreateInMemory()) is None
+
+
+def test_a_stage_that_the_description_is_part_of_passes_all_validators():
+    from usd_stages import findings
+
+    stage = written(scenes.touching())
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    assert [error.GetErrorAsString() for error in findings(stage)] == []
+
+
+def test_nothing_of_it_is_drawn():
+    stage = written(scenes.shaped())
+    assert not [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Gprim)]
+
+
+def changed(name, path, value):
+    """The stage of a scene with one attribute changed, added or (``None``) removed."""
+    stage = written(SCENES[name]())
+    place, _, key = path.rpartition(".")
+    prim = stage.GetPrimAtPath("/".join(("/World/Description", *place.split())))
+    if value is None:
+        prim.RemoveProperty(key)
+    elif isinstance(value, list):
+        prim.GetRelationship(key).SetTargets(value)
+    else:
+        prim.GetAttribute(key).Set(value)
+    return stage
+
+
+ELEMENTS = "/World/Description/Elements"
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "value", "message"),
+    [
+        ("touching", "Elements/ball.warpcontact:mass", float("nan"), "Elements/ball: ball.mass must be"),
+        ("touching", "Elements/ball.warpcontact:mass", -1.0, "got -1"),
+        ("touching", "Elements/ball.warpcontact:mass", None, "Elements/ball: mass is missing"),
+        ("touching", "Elements/ball.warpcontact:name", "a b", "name of a body must be letters"),
+        ("touching", "Elements/ball.warpcontact:kind", "build", "kind must be one of body, bodies"),
+        ("touching", "Elements/touch_1.warpcontact:search", "all", "touch-1.search must be one of"),
+        ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/ball"], "must come from add_point"),
+        ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/nobody"], "that come before"),
+        ("touching", "Elements/touch_1.warpcontact:points", [], "points must have one target, got 0"),
+        ("touching", "Templates/template_0/law.warpcontact:type", "os.system", "there is no law 'os.system'"),
+        ("touching", "Templates/template_0/law.warpcontact:type", "Formula", "there is no law 'Formula'"),
+        ("touching", "Templates/template_0/law.warpcontact:stiffness", -5.0, "stiffness must be greater than 0"),
+        ("touching", ".warpcontact:schema", 99, "which is newer"),
+        ("touching", ".warpcontact:elements", [f"{ELEMENTS}/ball"], "must be all its elements once"),
+    ],
+)  # fmt: skip
+def test_a_description_that_was_changed_is_refused_by_name(name, path, value, message):
+    with pytest.raises(wc.StageError) as raised:
+        read_description(changed(name, path, value))
+    assert message in str(raised.value)
+
+
+def test_a_law_of_ones_own_must_be_handed_in():
+    stage = written(scenes.own())
+    with pytest.raises(wc.StageError, match=r"Templates/template_0: 'Cubic' is a law of one's own.*own=\[Cubic\]"):
+        read_description(stage)
+    with pytest.raises(TypeError, match="own must be classes derived from"):
+        read_description(stage, own=[dict])
+
+
+def test_an_orientation_that_was_scaled_to_length_one_does_not_change_again():
+    from warpcontact.checks import unit_quaternions
+
+    given = np.random.default_rng(3).normal(size=(100000, 4))
+    given /= np.linalg.norm(given, axis=1, keepdims=True) * 1.0001
+    once = unit_quaternions("q", given)
+    np.testing.assert_array_equal(unit_quaternions("q", once), once)

@@ -1,0 +1,66 @@
+"""One process at a time writes into a folder; the system lets go of it however a process ends."""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from warpcontact.experiment.errors import ExperimentError
+
+try:
+    import fcntl
+except ImportError:  # Windows has no locks on folders
+    fcntl = None  # type: ignore[assignment]
+
+
+@contextlib.contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Keeps other processes from writing into ``folder``, which is there, until the block is left.
+
+    Of file systems without locks, and on Windows, it keeps nobody.
+
+    Raises:
+        ExperimentError: If another process writes there.
+    """
+    with _opened(folder) as opened:
+        if not _lock(opened, exclusive=True):
+            raise busy(folder)
+        yield
+
+
+def is_written(folder: Path) -> bool:
+    """Whether a process is writing into ``folder``."""
+    if not folder.is_dir():
+        return False
+    with _opened(folder) as opened:
+        return not _lock(opened, exclusive=False)
+
+
+def busy(folder: Path) -> ExperimentError:
+    """Returns the error that a process is writing into ``folder``."""
+    return ExperimentError(str(folder), ["a process is running and writes there"])
+
+
+@contextlib.contextmanager
+def _opened(folder: Path) -> Iterator[int | None]:
+    if fcntl is None:
+        yield None
+        return
+    opened = os.open(folder, os.O_RDONLY)
+    try:
+        yield opened
+    finally:
+        os.close(opened)  # lets go of the lock
+
+
+def _lock(opened: int | None, *, exclusive: bool) -> bool:
+    """Returns whether nobody else holds it, as far as the file system can tell."""
+    if opened is None:
+        return True
+    try:
+        fcntl.flock(opened, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True

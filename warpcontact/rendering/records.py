@@ -1,0 +1,105 @@
+"""What pictures are of: a recording or a run, its environments, and the records nearest to times."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from warpcontact.checks import Array
+from warpcontact.experiment.run import Run
+from warpcontact.replay.drawing import Drawing
+from warpcontact.scene import Scene
+
+# To choose a place from which all can be seen, as many records are looked at as make so many poses, within limits.
+_POSES = 100_000
+_MOST, _FEWEST = 48, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A recording with its scene, and the run that it is from, if it is from one.
+
+    Attributes:
+        recording: The data set.
+        scene: What was simulated.
+        run: Has outcomes, too.
+    """
+
+    recording: xr.Dataset
+    scene: Scene
+    run: Run | None
+
+    @classmethod
+    def of(cls, recording: Any, scene: Scene | None) -> "Source":
+        """Returns the source that a user names; see ``render`` for arguments and errors."""
+        run = recording if isinstance(recording, Run) else None
+        if run is not None:
+            recording = run.recording
+        if not isinstance(recording, xr.Dataset):
+            raise TypeError(
+                f"recording must be what Simulation.run or wc.open_run returns, got {type(recording).__name__}"
+            )
+        if scene is None:
+            scene = getattr(recording, "scene", None)  # operations of xarray drop it
+        if scene is None:
+            raise ValueError("the recording does not know its scene (xarray operations drop it): pass scene=")
+        for dim in ("time", "env"):
+            if not recording.sizes.get(dim):
+                raise ValueError(f"the recording has no {dim}: there is nothing to see")
+        return cls(recording, scene, run)
+
+    @property
+    def times(self) -> Array:
+        """Simulated time of each record [s]."""
+        return np.asarray(self.recording["time"].values, dtype=np.float64)
+
+    def nearest(self, wanted: Array, name: str = "time") -> Any:
+        """Returns numbers of the records nearest to times [s].
+
+        Raises:
+            ValueError: If one is not a number, or outside the recording.
+        """
+        times = self.times
+        allowed = 1.0e-9 * max(abs(times[0]), abs(times[-1]))
+        for time in np.atleast_1d(wanted).tolist():
+            if not times[0] - allowed <= time <= times[-1] + allowed:
+                raise ValueError(
+                    f"{name} must be within the recording, {times[0]:g} to {times[-1]:g} s, got {time:g}"
+                )
+        after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1) if len(times) > 1 else np.array(0)
+        before = np.maximum(after - 1, 0)
+        return np.where(np.abs(wanted - times[before]) <= np.abs(times[after] - wanted), before, after)
+
+    def drawing(self, records: Sequence[int], envs: list[int] | None) -> Drawing:
+        """Returns some records of some environments, ``None``: of the first one, as they are drawn."""
+        if envs is None:
+            envs = [int(self.recording["env"].values[0])]
+        return Drawing.of(self.recording.isel(time=list(records)), self.scene, envs)
+
+    def around(self, records: Sequence[int], envs: list[int] | None) -> list[int]:
+        """Returns these records and, evenly between all, some to choose a place by from which all can be seen."""
+        bodies = sum(body.count for body in self.scene.bodies) * (1 if envs is None else len(envs))
+        count = int(np.clip(_POSES // max(bodies, 1), _FEWEST, _MOST))
+        spread = np.linspace(0, len(self.times) - 1, count).round().astype(int)
+        return sorted({*spread.tolist(), *records})
+
+    def numbers(self, name: str, envs: Sequence[int]) -> Array:
+        """Returns a parameter or an outcome of environments, (env,); NaN of one that is not finished.
+
+        Raises:
+            ValueError: If there is none of that name with one number for each environment.
+        """
+        tables = [self.recording] if self.run is None else [self.recording, self.run.outcome]
+        found: dict[str, xr.DataArray] = {}
+        for table in tables:
+            for key, array in table.data_vars.items():
+                if array.dims == ("env",) and array.dtype.kind in "biuf":
+                    found[str(key)] = array
+        if name not in found:
+            raise ValueError(
+                f"color_by must be one number for each environment, got {name!r}; "
+                f"there are: {', '.join(sorted(found)) or 'none'}"
+            )
+        return found[name].reindex(env=list(envs)).values.astype(np.float64)

@@ -1,0 +1,145 @@
+"""Pictures of a drawing, one record after the other, all from the same place and in the same light."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.rendering import sheet
+from warpcontact.rendering.camera import LEAST, Camera, direction, framed, moving, spheres_to_see
+from warpcontact.rendering.items import Items, of_curve, of_figure, of_touch
+from warpcontact.rendering.look import Look
+from warpcontact.rendering.painter import Painter, Picture
+from warpcontact.rendering.stage import Stage
+from warpcontact.replay.drawing import Drawing
+
+# Width of arrows and lines, in sizes of the largest body, and the least and the most in halves of the view.
+WIDTH = 0.03
+THINNEST, THICKEST = 0.007, 0.02
+# Arrows are no longer than this, in halves of the view.
+LONGEST = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Coloring:
+    """Colours of environments by a number.
+
+    Attributes:
+        name: What the number is.
+        values: The number of each environment, (env,).
+        colors: RGB as displayed, (env, 3).
+    """
+
+    name: str
+    values: Array
+    colors: Array
+
+
+class Show:
+    """What is seen of a drawing.
+
+    Args:
+        drawing: The drawing.
+        look: How pictures look.
+        coloring: Colours of what moves, by environment; ``None``: its own.
+    """
+
+    def __init__(self, drawing: Drawing, look: Look, coloring: Coloring | None = None) -> None:
+        self.drawing = drawing
+        self._look = look
+        self._coloring = coloring
+        self._stage = Stage(drawing, look.find_device())
+        self._painter = Painter(self._stage, look.colors_behind(), look.threads)
+        self._moves = moving(drawing)
+        rows = list(range(len(drawing.envs)))
+        # The environments in each panel.
+        self._panels = [rows] if look.together else [[row] for row in rows]
+        width, height = look.size
+        self._places = sheet.places(len(self._panels), width, height)
+        left, top, right, bottom = self._places[0]
+        self.camera = self._camera((right - left) / (bottom - top))
+        reach = self.camera.reach
+        self._width = min(max(WIDTH * drawing.size, THINNEST * reach), THICKEST * reach)
+        largest = max((np.linalg.norm(t.forces, axis=-1).max(initial=0.0) for t in drawing.touches), default=0.0)
+        self._force_scale = drawing.force_scale
+        if largest > 0.0:
+            self._force_scale = min(drawing.force_scale, LONGEST * reach / largest)
+
+    def picture(self, record: int, time: float | None = None, samples: int | None = None) -> Picture:
+        """Returns a picture, (height, width, 3) sRGB.
+
+        Args:
+            record: Number of the record, in the order of the drawing.
+            time: What to write into it [s].
+            samples: Most rays of a pixel; ``None``: as it should look.
+        """
+        samples = self._look.samples if samples is None else samples
+        width, height = self._look.size
+        whole = np.empty((height, width, 3), dtype=np.uint8)
+        whole[:] = sheet.GAP_COLOR
+        for rows, (left, top, right, bottom) in zip(self._panels, self._places, strict=True):
+            items = [group for group, _ in self._items(record, rows, self._width)]
+            marks = self._arrows(record, rows) if self._look.forces else []
+            whole[top:bottom, left:right] = self._painter.paint(
+                items, marks, self.camera, (right - left, bottom - top), samples
+            )
+        if self._look.labels:
+            names = [f"environment {self.drawing.envs[rows[0]]}" for rows in self._panels]
+            texts = names if len(self._panels) > 1 else [""]
+            sheet.write(whole, self._places, texts, "" if time is None else f"{time:.3f} s")
+            if self._coloring is not None:
+                sheet.write_scale(whole, self._coloring.name, self._coloring.values)
+        return whole
+
+    def _items(self, record: int, rows: list[int], width: float) -> list[tuple[Items, bool]]:
+        """Returns what there is of some environments, and whether it moves; what all have in common once.
+
+        ``width`` is that of lines [m].
+        """
+        found = []
+        for figure, moves in zip(self.drawing.figures, self._moves, strict=True):
+            for row in rows if moves else rows[:1]:
+                color = self._coloring.colors[row] if self._coloring is not None and moves else None
+                found.append((of_figure(figure, record, row, color=color, ruled=not moves), moves))
+        for curve in self.drawing.curves:
+            for row in rows:
+                found += [(group, True) for group in of_curve(curve, record, row, width)]
+        return found
+
+    def _arrows(self, record: int, rows: list[int]) -> list[Items]:
+        return [
+            group
+            for touch in self.drawing.touches
+            for row in rows
+            for group in of_touch(touch, record, row, self._force_scale, self._width)
+        ]
+
+    def _camera(self, aspect: float) -> Camera:
+        azimuth, elevation, angle = self._look.angles
+        rows = list(range(len(self.drawing.envs)))
+        items = [
+            (group, moves)
+            for record in range(len(self.drawing.times))
+            for group, moves in self._items(record, rows, WIDTH * self.drawing.size)
+            if moves or record == 0
+        ]
+        points, radii = spheres_to_see(self.drawing, items)
+        return framed(
+            points,
+            radii,
+            direction(azimuth, elevation),
+            angle,
+            aspect,
+            target=None if self._look.look_at is None else np.array(self._look.look_at, dtype=np.float64),
+            distance=None if self._look.distance is None else float(self._look.distance),
+            least=LEAST * self.drawing.size,
+        )
+
+
+def coloring_of(name: str, values: Array) -> Coloring:
+    """Returns colours from the lowest to the highest of ``values`` (env,); grey where there is none."""
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    part = (values - low) / (high - low) if high > low else np.where(np.isfinite(values), 0.5, math.nan)
+    return Coloring(name, values, sheet.scale_colors(part))

@@ -1,0 +1,92 @@
+"""One picture of a recording."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, Unpack
+
+from PIL import Image
+
+from warpcontact import checks
+from warpcontact.picture_file import check_path
+from warpcontact.rendering.look import Look, LookOptions, environment_numbers
+from warpcontact.rendering.painter import Picture
+from warpcontact.rendering.records import Source
+from warpcontact.rendering.show import Show, coloring_of
+from warpcontact.scene import Scene
+
+STILL = (".png",)
+
+
+@dataclass(frozen=True, eq=False)
+class Still:
+    """A picture, and what it is of.
+
+    Attributes:
+        picture: (height, width, 3) sRGB.
+        envs: Numbers of the environments.
+        time: Simulated time of the record [s].
+        forces: Whether there are forces that could be shown.
+    """
+
+    picture: Picture
+    envs: list[int]
+    time: float
+    forces: bool
+
+
+def render(
+    recording: Any,
+    path: str | PathLike[str] | None = None,
+    *,
+    env: int | Iterable[int] | None = None,
+    time: float | None = None,
+    scene: Scene | None = None,
+    **look: Unpack[LookOptions],
+) -> Picture:
+    """Draws a recording as it is at one time.
+
+    Args:
+        recording: What ``wc.open_run`` or ``Simulation.run`` returned, with the poses of all bodies.
+        path: A .png file to write as well.
+        env: Numbers of the environments, side by side; ``None``: the first.
+        time: Simulated time [s], of which the nearest record is drawn; ``None``: the last record.
+        scene: What was simulated; ``None``: what the recording remembers.
+        **look: Size, place of the eye and more, see ``LookOptions`` and docs/pictures.md.
+
+    Returns:
+        The picture, (height, width, 3) sRGB in 0…255.
+
+    Raises:
+        ValueError: If the file cannot be written, an environment or a time is not in the recording, poses are not,
+            or an option is not allowed.
+        TypeError: If the recording is none.
+        OSError: If writing fails.
+    """
+    return still(recording, path, env=env, time=time, scene=scene, look=Look(**look)).picture
+
+
+def still(
+    recording: Any,
+    path: str | PathLike[str] | None,
+    *,
+    env: int | Iterable[int] | None,
+    time: float | None,
+    scene: Scene | None,
+    look: Look,
+) -> Still:
+    """Draws it, see ``render``, and tells what it is of."""
+    file = None if path is None else check_path(path, STILL)
+    source = Source.of(recording, scene)
+    wanted = source.times[-1] if time is None else checks.numbers("time", time, ())
+    record = int(source.nearest(wanted))
+    envs = environment_numbers(env)
+    records = source.around([record], envs)
+    drawing = source.drawing(records, envs)
+    coloring = None
+    if look.color_by is not None:
+        coloring = coloring_of(look.color_by, source.numbers(look.color_by, drawing.envs))
+    picture = Show(drawing, look, coloring).picture(records.index(record))
+    if file is not None:
+        Image.fromarray(picture).save(file, format="png")
+    return Still(picture, drawing.envs, float(drawing.times[records.index(record)]), bool(drawing.touches))

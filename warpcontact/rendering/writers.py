@@ -1,0 +1,110 @@
+"""Files that pictures of a film go to, one after the other."""
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from warpcontact.rendering.painter import Picture
+
+#: Pictures per second that browsers still play as told; they show shorter ones for a tenth of a second.
+GIF_FASTEST = 50.0
+# A GIF counts time in these [s].
+_TICK = 0.01
+# Colours of a GIF, one fewer than there can be: the last stands for what did not change.
+_COLORS = 255
+
+
+def write_gif(path: Path, pictures: Iterable[Picture], count: int, fps: float, tastes: Sequence[Picture]) -> None:
+    """Writes an endless GIF, in the 255 colours that suit some pictures of it best.
+
+    Args:
+        path: The file.
+        pictures: All pictures, (height, width, 3) sRGB.
+        count: How many there are.
+        fps: How many of them a second has.
+        tastes: Some pictures, of one size, to choose colours by.
+    """
+    from PIL import Image
+
+    palette = Image.fromarray(_spread(np.concatenate(tastes))).quantize(_COLORS, method=Image.Quantize.MEDIANCUT)
+    # Each picture ends at the tick nearest to its time: rounding does not add up.
+    ticks = np.diff([round(number / fps / _TICK) for number in range(count + 1)])
+    frames = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
+    with _replaced(path) as part:
+        next(frames).save(
+            part,
+            format="gif",
+            save_all=True,
+            append_images=frames,
+            duration=(1000.0 * _TICK * ticks).tolist(),
+            loop=0,
+        )
+
+
+def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[int, int]) -> None:
+    """Writes an H.264 film that browsers play, by the program ffmpeg.
+
+    Args:
+        path: The file.
+        pictures: All pictures, (height, width, 3) sRGB.
+        fps: How many of them a second has.
+        size: Width and height of all, even [pixels].
+
+    Raises:
+        ValueError: If there is no ffmpeg, or it fails.
+    """
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise ValueError(
+            f"{path}: an .mp4 file needs the program ffmpeg, which is not on the PATH; .gif needs nothing"
+        )
+    with _replaced(path) as part, tempfile.TemporaryFile() as said:
+        command = [
+            *(program, "-hide_banner", "-loglevel", "error", "-y"),
+            *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:.9g}", "-i", "-"),
+            # As displays expect it of a film without further notice.
+            *("-vf", "scale=out_color_matrix=bt709:out_range=tv", "-pix_fmt", "yuv420p"),
+            *("-color_primaries", "bt709", "-color_trc", "bt709", "-colorspace", "bt709", "-color_range", "tv"),
+            *("-c:v", "libx264", "-preset", "medium", "-crf", "18"),
+            *("-movflags", "+faststart", "-fflags", "+bitexact", "-flags", "+bitexact", "-f", "mp4", str(part)),
+        ]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said) as process:
+            assert process.stdin is not None
+            try:
+                for picture in pictures:
+                    process.stdin.write(np.ascontiguousarray(picture).data)
+                process.stdin.close()
+            except BrokenPipeError:
+                pass  # it says why
+            except BaseException:
+                process.kill()
+                raise
+        if process.returncode:
+            said.seek(0)
+            reason = said.read().decode(errors="replace").strip().splitlines()
+            raise ValueError(
+                f"{path}: ffmpeg failed: {reason[-1] if reason else f'exit code {process.returncode}'}; "
+                ".gif needs no ffmpeg"
+            )
+
+
+def _spread(picture: Picture) -> Picture:
+    """Returns a picture of the colours of another, frequent ones more seldom: small things keep theirs."""
+    colors, counts = np.unique(picture.reshape(-1, 3) & 0xFC, axis=0, return_counts=True)
+    return np.repeat(colors, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None]
+
+
+@contextmanager
+def _replaced(path: Path) -> Iterator[Path]:
+    """Gives a file beside ``path`` to write to, which takes its place if all goes well, and is removed if not."""
+    part = path.with_name(f".{path.name}.partial")
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)

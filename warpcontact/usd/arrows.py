@@ -1,0 +1,98 @@
+"""Forces as arrows: a shaft and a head for each, as instances of a cylinder and a cone."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warpcontact.checks import Array
+from warpcontact.replay.forces import ForceLines
+from warpcontact.usd.author import Samples, integers, long_integers, quaternions, vectors
+from warpcontact.usd.geometry import set_color
+
+# Radius of a shaft, in sizes of the largest body; of a head, and its length, in radii of the shaft.
+SHAFT = 0.012
+HEAD = 2.5
+HEAD_LENGTH = 7.0
+# A short arrow is a smaller one: the head is at most this part of it.
+MOST_HEAD = 0.5
+
+
+def define_arrows(stage: Any, path: str, count: int, color: ArrayLike, meaning: str, scale: float) -> None:
+    """Writes what arrows have in common in all environments.
+
+    Args:
+        stage: The stage.
+        path: Where to.
+        count: Number of arrows.
+        color: RGB in 0…1.
+        meaning: What they are, in a sentence.
+        scale: Their length [m/N].
+    """
+    from pxr import UsdGeom
+
+    arrows = UsdGeom.PointInstancer.Define(stage, path)
+    shaft, head = UsdGeom.Cylinder.Define(stage, f"{path}/shaft"), UsdGeom.Cone.Define(stage, f"{path}/head")
+    for part in (shaft, head):
+        part.CreateRadiusAttr(1.0)
+        part.CreateHeightAttr(1.0)
+        part.CreateAxisAttr(UsdGeom.Tokens.z)
+        part.CreateExtentAttr(vectors(np.array([[-1.0, -1.0, -0.5], [1.0, 1.0, 0.5]])))
+        set_color(part, color)
+    arrows.CreatePrototypesRel().SetTargets([shaft.GetPath(), head.GetPath()])
+    arrows.CreateProtoIndicesAttr(integers(np.repeat([0, 1], count)))
+    arrows.CreateIdsAttr(long_integers(np.arange(2 * count)))
+    arrows.GetPrim().SetDocumentation(f"{meaning} {scale:g} m for 1 N. Shafts come first, then heads.")
+
+
+def write_arrows(prim: Any, samples: Samples, lines: ForceLines, row: int, scale: float, size: float) -> None:
+    """Writes the arrows of environment number ``row``, ``scale`` metres per newton long; without force none."""
+    from pxr import UsdGeom
+
+    start, vector = lines.start[:, row], scale * lines.force[:, row]
+    poses, hidden = _shapes(start, vector, SHAFT * size)
+    positions, turns, scales = poses
+    arrows = UsdGeom.PointInstancer(prim)
+    samples.write(arrows.CreatePositionsAttr(), [vectors(frame) for frame in positions])
+    samples.write(arrows.CreateOrientationsfAttr(), [quaternions(frame) for frame in turns])
+    samples.write(arrows.CreateScalesAttr(), [vectors(frame) for frame in scales])
+    masked = [long_integers(np.flatnonzero(frame)) for frame in hidden]
+    samples.write(arrows.CreateInvisibleIdsAttr(), masked)
+    reach = HEAD * SHAFT * size
+    ends = np.concatenate([start, start + vector], axis=1)
+    extents = np.stack([ends.min(axis=1) - reach, ends.max(axis=1) + reach], axis=1)
+    samples.write(arrows.CreateExtentAttr(), [vectors(frame) for frame in extents])
+
+
+def _shapes(start: Array, vector: Array, radius: float) -> tuple[tuple[Array, Array, Array], Array]:
+    """Returns positions, orientations and scales of shafts and heads, (time, 2 n, …), and which are hidden.
+
+    Args:
+        start: Where arrows begin, (time, n, 3) [m].
+        vector: Whither they lead from there, likewise.
+        radius: Radius of the shaft of a long one [m].
+    """
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    hidden = length <= 0.0
+    along = np.where(hidden, (0.0, 0.0, 1.0), vector / np.where(hidden, 1.0, length))
+    shrunk = np.where(hidden, 1.0, np.minimum(1.0, MOST_HEAD * length / (HEAD_LENGTH * radius)))
+    head = shrunk * HEAD_LENGTH * radius
+    shaft = np.where(hidden, 1.0, length - head)
+    middles = np.concatenate([start + 0.5 * shaft * along, start + (shaft + 0.5 * head) * along], axis=1)
+    width = shrunk * radius
+    shafts = np.concatenate([width, width, shaft], axis=-1)
+    heads = np.concatenate([HEAD * width, HEAD * width, head], axis=-1)
+    scales = np.concatenate([shafts, heads], axis=1)
+    turns = _from_z(along)
+    both = np.concatenate([hidden, hidden], axis=1)
+    # What nobody sees is the same from frame to frame, which files keep once.
+    return (np.where(both, 0.0, middles), np.concatenate([turns, turns], axis=1), scales), both[..., 0]
+
+
+def _from_z(along: Array) -> Array:
+    """Returns the shortest rotations of the z axis to directions (…, 3), x, y, z, w."""
+    x, y, z = np.moveaxis(along, -1, 0)
+    turns = np.stack([-y, x, np.zeros_like(z), 1.0 + z], axis=-1)
+    length = np.linalg.norm(turns, axis=-1, keepdims=True)
+    down = length < 1.0e-6
+    return np.where(down, (1.0, 0.0, 0.0, 0.0), turns / np.where(down, 1.0, length))

@@ -1,0 +1,74 @@
+"""The classes that a file may name: those of the library, and those that a user hands in."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from warpcontact.kernels import frictions, laws, motions, springs
+from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.frictions import Friction
+from warpcontact.kernels.laws import Law
+from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.smooth import shapes
+from warpcontact.kernels.smooth.base import Shape
+from warpcontact.kernels.springs import Damper, Spring
+
+#: Classes of the library by what they are.
+LIBRARY: Mapping[type[Formula], tuple[type[Any], ...]] = {
+    Law: (*laws.CATALOGUE, *laws.RIGID),
+    Friction: (*frictions.CATALOGUE, *frictions.RIGID),
+    Spring: springs.SPRINGS,
+    Damper: springs.DAMPERS,
+    Motion: motions.CATALOGUE,
+    Shape: shapes.CATALOGUE,
+}
+
+
+def is_own(kind: type[Formula]) -> bool:
+    """Whether a class is none of the library."""
+    return not any(kind in classes for classes in LIBRARY.values())
+
+
+class Catalogue:
+    """Classes by name.
+
+    Args:
+        own: Those of a user.
+
+    Raises:
+        TypeError: If one of them is no class of a kind that scenes are made of.
+        ValueError: If two of them have one name.
+    """
+
+    def __init__(self, own: Iterable[type[Formula]] = ()) -> None:
+        self._own: dict[str, type[Formula]] = {}
+        for kind in own:
+            if not isinstance(kind, type) or not issubclass(kind, tuple(LIBRARY)):
+                raise TypeError(
+                    "own must be classes derived from wc.Law, wc.Friction, wc.Spring, wc.Damper, wc.Motion or "
+                    f"wc.Patch, got {kind!r}"
+                )
+            if self._own.setdefault(kind.__name__, kind) is not kind:
+                raise ValueError(f"own has two classes of the name {kind.__name__!r}")
+
+    def find(self, base: type[Formula], name: str, own: bool) -> type[Formula]:
+        """Returns the class of a name.
+
+        Args:
+            base: What it must be.
+            name: Its name.
+            own: Whether it is one of a user.
+
+        Raises:
+            LookupError: If there is none; the message says what there is.
+        """
+        if own:
+            kind = self._own.get(name)
+            if kind is None or not issubclass(kind, base):
+                raise LookupError(
+                    f"{name!r} is a {base.__name__.lower()} of one's own; hand the class in: own=[{name}]"
+                )
+            return kind
+        table = {kind.__name__: kind for kind in LIBRARY[base]}
+        if name not in table:
+            raise LookupError(f"there is no {base.__name__.lower()} {name[:80]!r}; there are: {', '.join(table)}")
+        return table[name]

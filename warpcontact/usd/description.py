@@ -1,0 +1,244 @@
+"""The whole scene as attributes ``warpcontact:*`` of a stage, of which the same simulation can be made to the bit.
+
+``docs/usd.md`` says what is written. Positions of UsdGeom are single precision and its schemas know neither laws
+nor springs, so the description holds all that a scene says on its own, in double precision, beside what others
+read.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from warpcontact._version import __version__
+from warpcontact.checks import Array
+from warpcontact.contact_range import ContactRange
+from warpcontact.elements import Template
+from warpcontact.kernels.formula import ROWS, Formula
+from warpcontact.kernels.touch import Parts
+from warpcontact.meshes import Mesh
+from warpcontact.scene import Scene
+from warpcontact.usd.author import identifiers
+from warpcontact.usd.catalogue import is_own
+from warpcontact.usd.words import Form, Words, words_of
+
+#: Number of the way in which scenes are written.
+SCHEMA = 1
+#: Where exports have the description.
+ROOT = "/World/Description"
+
+
+def write_description(stage: Any, scene: Scene, names: Mapping[str, str], root: str = ROOT) -> None:
+    """Writes all that a scene says.
+
+    Args:
+        stage: The stage; the description goes into its edit target.
+        scene: The scene.
+        names: Name of a prim for each element of the scene.
+        root: Path of a new prim for the description.
+
+    Raises:
+        ValueError: If two of the names, or of the parameters of a class, are alike as names in USD.
+    """
+    from pxr import Sdf
+
+    with Sdf.ChangeBlock():
+        _Description(stage.GetEditTarget().GetLayer(), scene, names, root).write()
+
+
+def read_description(stage: Any, own: Iterable[type[Formula]] = ()) -> Scene | None:
+    """Returns the scene that a stage describes; ``None`` if it has no description.
+
+    Args:
+        stage: The stage.
+        own: Classes of one's own that the scene was made with.
+
+    Raises:
+        StageError: If the description is damaged, or a class is missing; the message names the prims.
+    """
+    from warpcontact.usd.importing.records import read_records
+    from warpcontact.usd.importing.restore import restored
+
+    records = read_records(stage)
+    return None if records is None else restored(records, own)
+
+
+class _Description:
+    """Writes one description; prims and attributes are specified at once, without a stage that composes them."""
+
+    def __init__(self, layer: Any, scene: Scene, names: Mapping[str, str], root: str) -> None:
+        self.layer = layer
+        self.scene = scene
+        self.root = root
+        self.paths = {name: f"{root}/Elements/{names[name]}" for name in scene.element_names()}
+        # Templates and meshes that elements share; each is kept beside its path, so that no other gets its id.
+        self.shared: dict[tuple[int, int], tuple[Any, str]] = {}
+        self.counts = {"Templates": 0, "Meshes": 0}
+
+    def write(self) -> None:
+        """Writes the scene, its elements, and what they share."""
+        words = words_of(self.scene)
+        self._prim(self.root)
+        self._value(self.root, "schema", SCHEMA)
+        self._value(self.root, "version", __version__)
+        for name in ("gravity", "max_speed", "max_distance"):
+            self._value(self.root, name, getattr(self.scene, name))
+        for folder in ("Elements", "Templates", "Meshes"):
+            self._prim(f"{self.root}/{folder}")
+        self._targets(self.root, "elements", [self.paths[one.name] for one in words])
+        for one in words:
+            self._element(one)
+
+    def _element(self, words: Words) -> None:
+        path = self.paths[words.name]
+        self._prim(path)
+        self._value(path, "kind", words.kind)
+        self._value(path, "name", words.name)
+        for name, value in words.arguments.items():
+            self._argument(path, name, value, name in words.rows)
+
+    def _argument(self, path: str, name: str, value: Any, rows: bool) -> None:
+        """Writes one argument of an element, as what it is."""
+        match value:
+            case Template() | Mesh():
+                self._targets(path, name, [self._share(value)])
+            case tuple() if isinstance(value[0], Mesh):
+                # A relationship has each of its targets once: a mesh that comes again is written again.
+                again = [sum(mesh is other for other in value[:i]) for i, mesh in enumerate(value)]
+                self._targets(path, name, [self._share(*each) for each in zip(value, again, strict=True)])
+            case tuple():
+                self._targets(path, name, [self.paths[one.name] for one in value])
+            case list():  # a mask for each mesh
+                self._value(path, name, np.concatenate(value), rows=True)
+            case Form():
+                self._formula(f"{path}/{name}", value.kind, value.sizes, each=True)
+            case Formula():
+                self._formula(f"{path}/{name}", type(value), _given(value))
+            case ContactRange():
+                self._range(f"{path}/{name}", value)
+            case _ if hasattr(value, "name"):
+                self._targets(path, name, [self.paths[value.name]])
+            case _:
+                self._value(path, name, value, rows)
+
+    def _share(self, thing: Any, again: int = 0) -> str:
+        """Returns the path of a template or mesh, which is written when it comes first; ``again``: of a copy."""
+        if (id(thing), again) not in self.shared:
+            folder, word = ("Templates", "template") if isinstance(thing, Template) else ("Meshes", "mesh")
+            path = f"{self.root}/{folder}/{word}_{self.counts[folder]}"
+            self.counts[folder] += 1
+            self.shared[id(thing), again] = (thing, path)
+            self._prim(path)
+            if isinstance(thing, Template):
+                for part in Parts._fields:
+                    formula = getattr(thing, part)
+                    self._formula(f"{path}/{part}", type(formula), _given(formula))
+            else:
+                self._mesh(path, thing)
+        return self.shared[id(thing), again][1]
+
+    def _mesh(self, path: str, mesh: Mesh) -> None:
+        self._value(path, "name", mesh.name)
+        self._value(path, "vertices", mesh.vertices, rows=True)
+        self._value(path, "faces", mesh.faces, rows=True)
+        if mesh.groups:
+            members = list(mesh.groups.values())
+            self._value(path, "group_names", list(mesh.groups))
+            self._value(path, "group_sizes", np.array([len(own) for own in members], dtype=np.int32), rows=True)
+            self._value(path, "group_faces", np.concatenate(members), rows=True)
+
+    def _formula(self, path: str, kind: type[Formula], values: Mapping[str, Any], each: bool = False) -> None:
+        """Writes a law, friction, spring, damper, motion or shape; ``each``: values have one entry per shape."""
+        self._prim(path)
+        self._value(path, "type", kind.__name__)
+        if is_own(kind):
+            self._value(path, "own", True)
+        names = identifiers(field.name for field in dataclasses.fields(kind))
+        for name, value in values.items():
+            limits = kind.limits(name)
+            rows = each or ROWS in limits["shape"]
+            note = f"{limits['meaning']} [{limits['unit']}]"
+            self._value(path, names[name], np.asarray(value, dtype=np.float64), rows, note)
+
+    def _range(self, path: str, given: ContactRange) -> None:
+        self._prim(path)
+        for name in ("k1", "k2", "effective_range"):
+            self._value(path, name, getattr(given, name))
+        if given.impact is not None:
+            self._prim(f"{path}/impact")
+            for name, value in dataclasses.asdict(given.impact).items():
+                if value is not None:
+                    self._value(f"{path}/impact", name, value)
+
+    def _prim(self, path: str) -> None:
+        from pxr import Sdf
+
+        if self.layer.GetPrimAtPath(path):
+            raise ValueError(f"there is a prim {path} already; names of elements must differ as names in USD")
+        spec = Sdf.CreatePrimInLayer(self.layer, path)
+        spec.specifier, spec.typeName = Sdf.SpecifierDef, "Scope"
+
+    def _targets(self, path: str, name: str, targets: list[str]) -> None:
+        from pxr import Sdf
+
+        spec = Sdf.RelationshipSpec(self.layer.GetPrimAtPath(path), f"warpcontact:{name}", True)
+        spec.targetPathList.explicitItems = targets
+
+    def _value(self, path: str, name: str, value: Any, rows: bool = False, note: str = "") -> None:
+        from pxr import Sdf
+
+        kind, written = _written(value, rows)
+        place = f"{path}.warpcontact:{name}"
+        Sdf.JustCreatePrimAttributeInLayer(self.layer, place, kind, Sdf.VariabilityUniform, True)
+        spec = self.layer.GetAttributeAtPath(place)
+        spec.default = written
+        if note:
+            spec.documentation = note
+
+
+def _given(formula: Formula) -> dict[str, Any]:
+    values = {field.name: getattr(formula, field.name) for field in dataclasses.fields(formula)}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+# What one row of an array of doubles is in USD, by its shape.
+_ROWS = {(): "Double", (2,): "Double2", (3,): "Double3", (4,): "Double4", (3, 3): "Matrix3d"}
+
+
+def _written(value: Any, rows: bool) -> tuple[Any, Any]:
+    """Returns the type of a value in USD, and what is written of it; ``rows``: its first axis counts."""
+    from pxr import Sdf, Vt
+
+    types = Sdf.ValueTypeNames
+    match value:
+        case bool():
+            return types.Bool, value
+        case int():
+            return types.Int64, value
+        case float():
+            return types.Double, value
+        case str():
+            return types.String, value
+        case list():
+            return types.StringArray, Vt.StringArray(value)
+    array = np.asarray(value, order="C")
+    if array.dtype == bool:
+        return types.BoolArray, Vt.BoolArray.FromNumpy(array)
+    if array.dtype.kind == "i":
+        width = "" if array.ndim == 1 else str(array.shape[1])
+        name, suffix = f"Int{width}", f"Vec{width}i" if width else "Int"
+        return getattr(types, f"{name}Array"), getattr(Vt, f"{suffix}Array").FromNumpy(array.astype(np.int32))
+    return _numbers(array.astype(np.float64), rows)
+
+
+def _numbers(array: Array, rows: bool) -> tuple[Any, Any]:
+    from pxr import Gf, Sdf, Vt
+
+    shape = array.shape[1:] if rows else array.shape
+    name = _ROWS[shape]
+    own = {"Double2": "Vec2d", "Double3": "Vec3d", "Double4": "Vec4d"}.get(name, name)
+    if rows:
+        return getattr(Sdf.ValueTypeNames, f"{name}Array"), getattr(Vt, f"{own}Array").FromNumpy(array)
+    plain = array.reshape(-1).tolist()
+    return getattr(Sdf.ValueTypeNames, name), plain[0] if shape == () else getattr(Gf, own)(*plain)

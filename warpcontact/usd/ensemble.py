@@ -1,0 +1,166 @@
+"""All environments as instances to be looked at, without physics: one ``UsdGeom.PointInstancer`` per element."""
+
+from typing import Any
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.replay.content import POINT
+from warpcontact.replay.ensemble import Ensemble, Look
+from warpcontact.replay.spheres import body_color
+from warpcontact.usd.author import (
+    Samples,
+    attribute_name,
+    integers,
+    long_integers,
+    mark,
+    quaternions,
+    vectors,
+)
+from warpcontact.usd.coloring import Coloring
+from warpcontact.usd.forms import write_form
+from warpcontact.usd.geometry import set_color
+from warpcontact.usd.layout import ENSEMBLE, Layout
+from warpcontact.usd.surfaces import write_surface
+
+
+def define_ensemble(stage: Any, ensemble: Ensemble, layout: Layout, coloring: Coloring | None) -> None:
+    """Writes how all environments look.
+
+    Args:
+        stage: The stage.
+        ensemble: The environments.
+        layout: Where things are; the environments in it are there with physics, and not to be seen twice.
+        coloring: What colours them; ``None``: the colours of the elements.
+    """
+    from pxr import Kind, Usd, UsdGeom, Vt
+
+    root = UsdGeom.Xform.Define(stage, ENSEMBLE).GetPrim()
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.group)
+    root.SetDocumentation(
+        "All environments, to be looked at. Ids are their numbers; of a set of bodies, number times bodies of the "
+        "set plus item. Those that are prims of their own are masked by invisibleIds."
+    )
+    root.SetCustomDataByKey("warpcontact:environments", Vt.IntArray(ensemble.replay.envs))
+    if ensemble.left_out:
+        root.SetCustomDataByKey("warpcontact:leftOut", Vt.IntArray(ensemble.left_out))
+    for key, value in (coloring.legend() if coloring else {}).items():
+        root.SetCustomDataByKey(f"warpcontact:{key}", value)
+    for look in ensemble.looks:
+        _define(stage, ensemble, look, layout, coloring)
+
+
+def _define(stage: Any, ensemble: Ensemble, look: Look, layout: Layout, coloring: Coloring | None) -> None:
+    from pxr import Sdf, UsdGeom
+
+    body, envs = look.body, np.array(ensemble.replay.envs)
+    path = f"{ENSEMBLE}/{layout.names[body.name]}"
+    instancer = UsdGeom.PointInstancer.Define(stage, path)
+    mark(instancer.GetPrim(), body.name)
+    targets = []
+    for number, (row, item) in enumerate(look.examples.tolist()):
+        own = f"{path}/look_{number}"
+        _define_look(stage, own, look, row, item, layout, color=coloring is None)
+        targets.append(Sdf.Path(own))
+    instancer.CreatePrototypesRel().SetTargets(targets)
+    instancer.CreateProtoIndicesAttr(integers(look.numbers.reshape(-1)))
+    numbers = np.repeat(envs, body.count)
+    ids = numbers if body.single else numbers * body.count + np.tile(np.arange(body.count), len(envs))
+    instancer.CreateIdsAttr(long_integers(ids))
+    masked = ids[np.isin(numbers, layout.envs)]
+    if len(masked):
+        instancer.CreateInvisibleIdsAttr(long_integers(masked))
+    if (look.scales != 1.0).any():
+        instancer.CreateScalesAttr(vectors(np.repeat(look.scales.reshape(-1, 1), 3, axis=1)))
+    if not body.single:
+        names = Sdf.ValueTypeNames
+        primvar = UsdGeom.PrimvarsAPI(instancer).CreatePrimvar("warpcontact:environment", names.IntArray, "vertex")
+        primvar.Set(integers(numbers))
+
+
+def _define_look(stage: Any, path: str, look: Look, row: int, item: int, layout: Layout, *, color: bool) -> None:
+    """Writes one body as it is in one environment; without ``color`` it has that of its instance."""
+    from pxr import UsdGeom
+
+    UsdGeom.Xform.Define(stage, path)
+    small = 0.5 * POINT * layout.size
+    for placement in look.surfaces:
+        own = f"{path}/{layout.names[placement.surface.name]}"
+        write_surface(stage, own, placement, row, physics=False, color=color)
+    for group in look.spheres:
+        # Of a set of bodies each has one of its own.
+        own_items = range(group.radii.shape[1]) if look.body.single else [item]
+        for number in own_items:
+            own = f"{path}/{layout.names[group.name]}_{number}"
+            radius = float(group.radii[row, number]) or small
+            _define_sphere(stage, own, radius, group.places[row, number], body_color(look.body) if color else None)
+    for form in look.forms:
+        own = f"{path}/{layout.names[form.shape.name]}"
+        number = 0 if form.shape.single else item
+        write_form(stage, own, form, row, layout.size, item=number, physics=False, color=color)
+    if not (look.surfaces or look.spheres or look.forms):
+        _define_sphere(stage, f"{path}/centre", small, np.zeros(3), body_color(look.body) if color else None)
+
+
+def _define_sphere(stage: Any, path: str, radius: float, place: Array, color: Array | None) -> None:
+    from pxr import Gf, UsdGeom
+
+    sphere = UsdGeom.Sphere.Define(stage, path)
+    sphere.CreateRadiusAttr(radius)
+    sphere.CreateExtentAttr(vectors(np.array([[-radius] * 3, [radius] * 3])))
+    if place.any():
+        sphere.AddTranslateOp().Set(Gf.Vec3d(*place.tolist()))
+    if color is not None:
+        set_color(sphere, color)
+
+
+def write_ensemble(
+    stage: Any,
+    ensemble: Ensemble,
+    layout: Layout,
+    coloring: Coloring | None,
+    samples: Samples,
+    records: tuple[int, int],
+) -> None:
+    """Writes where all bodies are in the records from the first of ``records`` to before the second."""
+    from pxr import UsdGeom
+
+    for look in ensemble.looks:
+        body = look.body
+        instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath(f"{ENSEMBLE}/{layout.names[body.name]}"))
+        positions, orientations = ensemble.poses(body, *records)
+        places = positions.reshape(len(positions), -1, 3)
+        turns = orientations.reshape(len(places), -1, 4)
+        reach = (look.scales * max(look.reach, 0.5 * POINT * layout.size)).reshape(-1, 1)
+        extents = np.stack([(places - reach).min(axis=1), (places + reach).max(axis=1)], axis=1)
+        samples.write(instancer.CreatePositionsAttr(), [vectors(frame) for frame in places])
+        samples.write(instancer.CreateOrientationsfAttr(), [quaternions(frame) for frame in turns])
+        samples.write(instancer.CreateExtentAttr(), [vectors(frame) for frame in extents])
+        if coloring is not None and (coloring.moves or samples.defaults):
+            _color(instancer, ensemble, coloring, body.count, samples, records)
+
+
+def _color(
+    instancer: Any,
+    ensemble: Ensemble,
+    coloring: Coloring,
+    count: int,
+    samples: Samples,
+    records: tuple[int, int],
+) -> None:
+    """Writes the colours, and the numbers that they stand for, of each instance."""
+    from pxr import Sdf, UsdGeom, Vt
+
+    values = np.repeat(coloring.of(ensemble.replay.envs, *records), count, axis=1)
+    names, api = Sdf.ValueTypeNames, UsdGeom.PrimvarsAPI(instancer)
+    colors = api.CreatePrimvar("displayColor", names.Color3fArray, UsdGeom.Tokens.vertex).GetAttr()
+    shown = [vectors(frame) for frame in coloring.colors(values)]
+    name = attribute_name(coloring.name)
+    numbers = api.CreatePrimvar(name, names.DoubleArray, UsdGeom.Tokens.vertex).GetAttr()
+    numbers.SetDocumentation(f"{coloring.name} [{coloring.unit}]")
+    told = [Vt.DoubleArray.FromNumpy(np.ascontiguousarray(frame)) for frame in values]
+    for attribute, series in ((colors, shown), (numbers, told)):
+        if coloring.moves:
+            samples.write(attribute, series)
+        else:
+            attribute.Set(series[0])

@@ -1,0 +1,193 @@
+"""The chosen environments of a stage, with full physics: what is fixed in each, and what moves."""
+
+from typing import Any
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.replay.content import Content
+from warpcontact.replay.replay import Replay
+from warpcontact.replay.survey import Survey
+from warpcontact.scene import Body
+from warpcontact.usd import geometry, physics
+from warpcontact.usd.arrows import write_arrows
+from warpcontact.usd.author import Samples, identifiers, series, write_box
+from warpcontact.usd.curves import WIDTH, write_curves
+from warpcontact.usd.forms import write_form, write_form_swarm
+from warpcontact.usd.joints import is_joint, write_joint
+from warpcontact.usd.layout import PROTOTYPE, RESERVED, SHAPES, WORLD, Layout
+from warpcontact.usd.materials import Material, Materials, material_path, set_material
+from warpcontact.usd.prototype import Prototype
+from warpcontact.usd.readings import Readings
+from warpcontact.usd.surfaces import write_surface
+from warpcontact.usd.swarms import write_swarm
+
+
+def layout_of(
+    content: Content, survey: Survey, spacing: Array, force_scale: float, materials: Materials
+) -> Layout:
+    """Returns where things are; what differs between environments is in each of them."""
+    apart = bool(spacing.any())
+
+    def differs(kind: str, element: Any, shared: bool) -> bool:
+        # What is fixed to the world and made of something else in each environment is not one thing.
+        return not shared or (element.body is None and not apart and materials.differ(kind, element.name))
+
+    surfaces = content.placements.values()
+    found = [one.surface.name for one in surfaces if differs("surface", one.surface, one.shared)]
+    found += [form.shape.name for form in content.forms if differs("shape", form.shape, form.shared)]
+    return Layout(
+        names=identifiers(content.replay.scene.element_names(), RESERVED),
+        envs=content.replay.envs,
+        spacing=spacing,
+        size=survey.size,
+        force_scale=force_scale,
+        own_surfaces=frozenset(found),
+    )
+
+
+class Environments:
+    """Writes the chosen environments.
+
+    Args:
+        stage: The stage, with its root prim.
+        content: Some records, the first among them.
+        layout: Where things are.
+        materials: What surfaces are made of.
+    """
+
+    def __init__(self, stage: Any, content: Content, layout: Layout, materials: Materials) -> None:
+        self.stage = stage
+        self.layout = layout
+        self.materials = materials
+        replay = content.replay
+        self.gravity = replay.setting("scene.gravity", replay.scene.gravity)
+        self.one_gravity = bool((self.gravity == self.gravity[0]).all())
+
+    def define(self, content: Content, survey: Survey) -> None:
+        """Writes what does not change over time; ``content`` begins with the first record."""
+        layout = self.layout
+        scene_path = f"{WORLD if self.one_gravity else PROTOTYPE}/PhysicsScene"
+        readings = readings_of(content.replay)
+        prototype = Prototype(
+            self.stage, content, layout, self.materials, readings, None if self.one_gravity else scene_path
+        )
+        prototype.write()
+        physics.define_gravity(self.stage, scene_path, self.gravity[0])
+        for row in range(len(layout.envs)):
+            self._define_environment(prototype, content, survey, row)
+        paths = [layout.env(row) for row in range(len(layout.envs))]
+        if len(paths) > 1:
+            shared = None if layout.apart else layout.surfaces
+            physics.define_collision_groups(self.stage, f"{WORLD}/CollisionGroups", paths, shared)
+
+    def _define_environment(self, prototype: Prototype, content: Content, survey: Survey, row: int) -> None:
+        from pxr import Gf, Kind, Usd, UsdGeom
+
+        stage, layout, replay = self.stage, self.layout, content.replay
+        path = layout.env(row)
+        env = UsdGeom.Xform.Define(stage, path)
+        env.GetPrim().GetReferences().AddInternalReference(PROTOTYPE)
+        Usd.ModelAPI(env).SetKind(Kind.Tokens.group)
+        if layout.apart:
+            env.AddTranslateOp().Set(Gf.Vec3d(*layout.place(row)))
+        write_box(env.GetPrim(), *self._space(content, survey, row))
+        for material in self.materials.all:
+            self._set_material(material, path, row)
+        if not self.one_gravity:
+            physics.define_gravity(stage, f"{path}/PhysicsScene", self.gravity[row])
+        for body in replay.scene.bodies:
+            if body.single:
+                physics.write_mass(stage.GetPrimAtPath(layout.body(path, body)), replay, body, row)
+            if is_joint(body):
+                pose = tuple(values[0, row] for values in content.poses[body.name])
+                joint = stage.GetPrimAtPath(layout.joint(path, body))
+                write_joint(joint, replay, body, pose, row, layout.place(row))
+        for name, placement in content.placements.items():
+            if name in layout.own_surfaces:
+                if placement.surface.body is None:
+                    UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
+                shape = f"{SHAPES}/{layout.names[name]}_{int(placement.mesh[row])}"
+                own = layout.surface(path, placement)
+                write_surface(stage, own, placement, row, shape)
+                prototype.bind(own, "surface", name, path)
+        for form in content.forms:
+            if form.shape.name in layout.own_surfaces:
+                if form.shape.body is None:
+                    UsdGeom.Scope.Define(stage, f"{path}/Surfaces")
+                own = layout.form(path, form)
+                write_form(stage, own, form, row, layout.size)
+                prototype.bind(own, "shape", form.shape.name, path)
+        for group in content.spheres:
+            if not group.contacts[0].points.spread and group.differs(row):
+                own = f"{layout.body(path, group.body)}/{layout.names[group.name]}"
+                geometry.set_spheres(stage, own, group, row)
+
+    def _set_material(self, material: Material, env: str, row: int) -> None:
+        if not material.shared:
+            path = material_path(material, self.layout.names, env)
+            set_material(self.stage.GetPrimAtPath(path), material, row)
+
+    def _space(self, content: Content, survey: Survey, row: int) -> tuple[Array, Array]:
+        """Returns the corners of what an environment takes of space, in its frame, arrows included [m]."""
+        longest = survey.peak * self.layout.force_scale + self.layout.size
+        low, high = survey.low[row] - longest, survey.high[row] + longest
+        fixed = [one.corners for one in content.placements.values() if one.surface.body is None]
+        if fixed and (self.layout.apart or self.layout.own_surfaces):
+            corners = np.concatenate(fixed)
+            low, high = np.minimum(low, corners.min(axis=0)), np.maximum(high, corners.max(axis=0))
+        return low, high
+
+    def animate(self, content: Content, samples: Samples) -> None:
+        """Writes what changes over time, of the records in ``content``."""
+        readings = readings_of(content.replay)
+        for row in range(len(self.layout.envs)):
+            self._animate_environment(content, readings, samples, row)
+
+    def _animate_environment(
+        self, content: Content, readings: dict[str, Readings], samples: Samples, row: int
+    ) -> None:
+        stage, layout, replay = self.stage, self.layout, content.replay
+        path = layout.env(row)
+        scene = replay.scene
+        readings["scene"].write(stage.GetPrimAtPath(path), samples, row)
+        for body in scene.bodies:
+            prim = stage.GetPrimAtPath(layout.body(path, body))
+            if body.single:
+                self._move(prim, content, body, samples, row)
+                physics.write_velocity(prim, samples, replay, body, row)
+            readings[body.name].write(prim, samples, row)
+        for moving in content.form_swarms:
+            own = stage.GetPrimAtPath(layout.form(path, moving.placement))
+            write_form_swarm(own, samples, moving, row)
+        for swarm in content.swarms:
+            write_swarm(stage.GetPrimAtPath(layout.swarm(path, swarm)), samples, swarm, row)
+        for name in (one.name for one in _touching(replay)):
+            readings[name].write(stage.GetPrimAtPath(layout.contact(path, name)), samples, row)
+        for lines in (*content.lines, *content.resultants):
+            prim = stage.GetPrimAtPath(f"{layout.contact(path, lines.name)}/force")
+            write_arrows(prim, samples, lines, row, layout.force_scale, layout.size)
+        for curve in content.curves:
+            name = curve.coupling.name
+            own = layout.coupling(path, name)
+            readings[name].write(stage.GetPrimAtPath(own), samples, row)
+            shape, shown = stage.GetPrimAtPath(f"{own}/shape"), curve.shown[:, row].tolist()
+            write_curves(shape, samples, curve.points[:, row], shown, WIDTH * layout.size)
+
+    def _move(self, prim: Any, content: Content, body: Body, samples: Samples, row: int) -> None:
+        positions, orientations = content.poses[body.name]
+        move, turn = prim.GetAttribute("xformOp:translate"), prim.GetAttribute("xformOp:orient")
+        samples.write(move, series(positions[:, row], "vector", False))
+        samples.write(turn, series(orientations[:, row], "quaternion", False))
+
+
+def _touching(replay: Replay) -> list[Any]:
+    scene = replay.scene
+    return [*scene.contacts, *scene.contact_couplings, *scene.smooth_contacts, *scene.mutual_contacts]
+
+
+def readings_of(replay: Replay) -> dict[str, Readings]:
+    """Returns what was recorded of the scene and its elements, by their names."""
+    scene = replay.scene
+    named: list[Any] = [*scene.bodies, *scene.couplings, *_touching(replay)]
+    return {name: Readings(replay, name) for name in ("scene", *(element.name for element in named))}

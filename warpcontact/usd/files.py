@@ -1,0 +1,86 @@
+"""Files of stages: there as a whole or not at all."""
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from warpcontact.durable import PARTIAL, sync_folder
+
+#: What a stage can be written to.
+SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+_PACKAGE = ".usdz"
+
+
+def check_path(path: str | Path) -> Path:
+    """Returns ``path``.
+
+    Raises:
+        ValueError: If its suffix is not one of ``SUFFIXES``.
+    """
+    file = Path(path)
+    if file.suffix not in SUFFIXES:
+        raise ValueError(f"path must end in {', '.join(SUFFIXES)}, got {str(path)!r}")
+    return file
+
+
+def save_stage(stage: Any, path: Path) -> None:
+    """Writes a stage to a file, or a package of one."""
+    if path.suffix == _PACKAGE:
+        _save_package(stage, path)
+    else:
+        save_layer(stage.GetRootLayer(), path)
+
+
+def save_layer(layer: Any, path: Path) -> None:
+    """Writes a layer; until it is whole, what was there before stays.
+
+    Raises:
+        OSError: If the file cannot be written; names it.
+    """
+    with _replacing(path) as partial:
+        layer.Export(str(partial))
+
+
+def _save_package(stage: Any, path: Path) -> None:
+    from pxr import Sdf, UsdUtils
+
+    with _replacing(path) as partial, tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as own:
+        content = Path(own) / f"{path.stem}.usdc"
+        stage.GetRootLayer().Export(str(content))
+        if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(content)), str(partial)):
+            raise OSError("the package could not be made")
+
+
+@contextlib.contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """Yields the name of a file that takes the place of ``path`` when the block ends without an error."""
+    from pxr import Sdf, Tf
+
+    # USD knows formats by their suffix.
+    partial = path.with_name(f".{path.stem}{PARTIAL}{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        partial.replace(path)
+        sync_folder(path.parent)
+    except (Tf.ErrorException, OSError) as error:
+        reason = error.strerror or str(error) if isinstance(error, OSError) else _reason(str(error))
+        raise OSError(f"cannot write {path}: {reason}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+    # Who has an earlier version of the file open sees the new one: USD keeps open files by name.
+    opened = Sdf.Layer.Find(str(path.resolve()))
+    if opened:
+        opened.Reload(force=True)
+
+
+def _reason(told: str) -> str:
+    """Returns the first sentence of an error of USD, without the places in its source."""
+    parts = [line.partition(" : ")[2].strip(" '") for line in told.strip().splitlines()]
+    return next(filter(None, parts), told.strip())

@@ -1,0 +1,33 @@
+"""Why no scene could be made of a stage."""
+
+from collections.abc import Iterable
+
+# So many problems are written out, and so many characters of each.
+_LISTED = 50
+_LENGTH = 600
+
+
+class StageError(ValueError):
+    """A USD stage of which no scene can be made.
+
+    Attributes:
+        problems: What is in the way, each with the path of its prim.
+    """
+
+    def __init__(self, subject: str, problems: Iterable[str]) -> None:
+        self.problems = tuple(problems)
+        shown = [shortened(problem, _LENGTH) for problem in self.problems[:_LISTED]]
+        if len(self.problems) > _LISTED:
+            shown.append(f"and {len(self.problems) - _LISTED} more, in the attribute problems of this error")
+        if len(self.problems) == 1:
+            super().__init__(f"{subject}: {shown[0]}")
+        else:
+            super().__init__(
+                f"{subject} has {len(self.problems)} problems:" + "".join(f"\n  - {o}" for o in shown)
+            )
+
+
+def shortened(text: object, length: int = 120) -> str:
+    """Returns a text in one line, its middle left out if it is longer than ``length``."""
+    line = " ".join(str(text).split())
+    return line if len(line) <= length else f"{line[: length // 2]}…{line[-length // 2 :]}"

@@ -1,0 +1,249 @@
+"""From the description of a scene to the scene: every element is added anew, with all checks of its arguments."""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from warpcontact.contact_range import ContactRange, ExpectedImpact
+from warpcontact.elements import Template
+from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.frictions import Friction
+from warpcontact.kernels.laws import Law
+from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.smooth.base import Shape as Form
+from warpcontact.kernels.springs import Damper, Spring
+from warpcontact.kernels.touch import Parts
+from warpcontact.meshes import Mesh, SurfaceSamples
+from warpcontact.scene import Scene
+from warpcontact.usd.author import identifiers
+from warpcontact.usd.catalogue import Catalogue
+from warpcontact.usd.importing.errors import StageError, shortened
+from warpcontact.usd.importing.records import Record
+from warpcontact.usd.words import ADDERS, arguments_of, required_of
+
+# The ways in which descriptions were written so far.
+_SCHEMAS = (1,)
+_FORMULAS: dict[str, type[Formula]] = {
+    "motion": Motion,
+    "spring": Spring,
+    "damper": Damper,
+    "friction": Friction,
+    "form": Form,
+}
+# Arguments that are elements of the scene; the first is none if it is the world.
+_ELEMENTS = ("body", "points", "surface", "surface_a", "surface_b", "point_a", "point_b", "shape", "other_shape")
+_SURE_TO_BE_GIVEN = {"point": ("body",), "points": ("body",), "shape": ("body",)}
+
+
+def restored(records: Record, own: Iterable[type[Formula]] = ()) -> Scene:
+    """Returns the scene of a description.
+
+    Args:
+        records: The description.
+        own: Classes of one's own that it may name.
+
+    Raises:
+        StageError: If it cannot be made; every prim that is in the way is named.
+    """
+    return _Restoration(records, Catalogue(own)).scene()
+
+
+class _Restoration:
+    def __init__(self, root: Record, catalogue: Catalogue) -> None:
+        self.root = root
+        self.catalogue = catalogue
+        self.problems: list[str] = []
+        self.made: dict[str, Any] = {}  # elements, templates and meshes by path
+
+    def scene(self) -> Scene:
+        values = self.root["values"]
+        if values["schema"] not in _SCHEMAS:
+            version = shortened(values.get("version", "an unknown version"))
+            raise self._error([f"{self.root['path']} was written by warpcontact {version}, which is newer"])
+        given = {name: values[name] for name in ("gravity", "max_speed", "max_distance") if name in values}
+        scene = self._tried(self.root, lambda: Scene(**given))
+        for folder, make in (("Templates", self._template), ("Meshes", self._mesh)):
+            for record in self._folder(folder).values():
+                self.made[record["path"]] = self._tried(record, partial(make, record))
+        elements = {record["path"]: record for record in self._folder("Elements").values()}
+        order = self.root["targets"].get("elements", [])
+        if sorted(order) != sorted(elements):
+            odd = sorted(set(order) ^ set(elements)) or order
+            self.problems.append(
+                f"{self.root['path']}.elements must be all its elements once: {shortened(odd[0])}"
+            )
+        if self.problems:
+            raise self._error(self.problems)
+        for path in order:
+            record = elements[path]
+            # One that could not be added would only be missed by those after it.
+            self.made[path] = self._tried(record, partial(self._element, scene, record))
+            if self.problems:
+                raise self._error(self.problems)
+        return scene
+
+    def _error(self, problems: list[str]) -> StageError:
+        return StageError("the description of the scene", problems)
+
+    def _tried(self, record: Record, make: Callable[[], Any]) -> Any:
+        try:
+            return make()
+        except (ValueError, TypeError, LookupError, OverflowError) as error:
+            self.problems.append(f"{shortened(record['path'])}: {_said(error)}")
+            return None
+
+    def _folder(self, name: str) -> dict[str, Record]:
+        folder = self.root["children"].get(name)
+        return {} if folder is None else folder["children"]
+
+    def _element(self, scene: Scene, record: Record) -> Any:
+        kind, name = record["values"].get("kind"), record["values"].get("name")
+        if kind not in ADDERS:
+            raise ValueError(f"kind must be one of {', '.join(ADDERS)}, got {kind!r}")
+        known = arguments_of(kind)
+        given: dict[str, Any] = {"name": name}
+        for key in _SURE_TO_BE_GIVEN.get(kind, ()):
+            given[key] = None
+        reads: tuple[tuple[Mapping[str, Any], Callable[[str, Any], Any]], ...] = (
+            ({key: value for key, value in record["values"].items() if key not in ("kind", "name")}, self._plain),
+            (record["targets"], self._named),
+            (record["children"], self._made_of),
+        )
+        for values, read in reads:
+            for key, value in values.items():
+                if key not in known:
+                    there = ", ".join(known)
+                    raise ValueError(f"{key[:80]!r} is no argument of {ADDERS[kind]}; there are: {there}")
+                given[key] = read(key, value)
+        if lacking := [key for key in required_of(kind) if key not in given]:
+            raise ValueError(f"{lacking[0]} is missing")
+        if kind == "surface":
+            _take_apart(given)
+        if kind == "points" and "normals" in given:
+            given["positions"] = _samples(given)
+        if "exclude" in given:
+            given["exclude"] = _pairs(given["exclude"], given["shapes"])
+        return getattr(scene, ADDERS[kind])(**given)
+
+    def _plain(self, key: str, value: Any) -> Any:
+        if key in _ELEMENTS or key in _FORMULAS or key in ("template", "mesh", "shapes", "range"):
+            raise ValueError(f"{key} must be a prim, got an attribute")
+        return value
+
+    def _named(self, key: str, paths: list[str]) -> Any:
+        for path in paths:
+            if self.made.get(path) is None:
+                raise ValueError(f"{key} must be prims of the description that come before, got {shortened(path)}")
+        found = [self.made[path] for path in paths]
+        if key == "shapes" or (key == "mesh" and len(found) > 1):
+            return found
+        if len(found) != 1:
+            raise ValueError(f"{key} must have one target, got {len(found)}")
+        return found[0]
+
+    def _made_of(self, key: str, record: Record) -> Any:
+        if key in _FORMULAS:
+            return self._formula(_FORMULAS[key], record, each=key == "form")
+        if key == "range":
+            return self._range(record)
+        raise ValueError(f"{key} is no prim of its own")
+
+    def _template(self, record: Record) -> Template:
+        missing = [part for part in Parts._fields if part not in record["children"]]
+        if missing:
+            raise ValueError(f"a template has a {missing[0]}, which is missing")
+        parts = {
+            part: self._formula(Law if part == "law" else Friction, record["children"][part])
+            for part in Parts._fields
+        }
+        return Template(**parts)
+
+    def _mesh(self, record: Record) -> Mesh:
+        values = record["values"]
+        names, sizes = values.get("group_names", []), values.get("group_sizes", [])
+        members = values.get("group_faces", np.empty(0, dtype=np.int64))
+        if len(names) != len(sizes) or np.min(sizes, initial=0) < 0 or np.sum(sizes) != len(members):
+            raise ValueError("group_names, group_sizes and group_faces do not go together")
+        ends = np.cumsum([0, *sizes]).astype(np.int64)
+        groups = {name: members[ends[i] : ends[i + 1]] for i, name in enumerate(names)}
+        vertices, faces = (values.get(key, np.empty((0, 3))) for key in ("vertices", "faces"))
+        return Mesh(vertices, faces, name=values.get("name", "mesh"), groups=groups)
+
+    def _formula(self, base: type[Formula], record: Record, each: bool = False) -> Any:
+        """Returns an instance, or for shapes, ``each``, one for each row of the parameters."""
+        values = dict(record["values"])
+        name, own = values.pop("type", None), values.pop("own", False)
+        if not isinstance(name, str):
+            raise ValueError(f"{record['path']}: type must be the name of a class, got {name!r}")
+        kind = self.catalogue.find(base, name, bool(own))
+        fields = {prim: field for field, prim in identifiers(f.name for f in dataclasses.fields(kind)).items()}
+        for key in values:
+            if key not in fields:
+                raise ValueError(f"{name} has no parameter {key[:80]!r}; there are: {', '.join(fields) or 'none'}")
+        named = {fields[key]: value for key, value in values.items()}
+        if not each:
+            return kind(**{key: _tuple(value) for key, value in named.items()})
+        counts = {np.shape(value)[:1] for value in named.values()}
+        if not counts:
+            return kind()
+        if len(counts) > 1 or counts == {()}:
+            raise ValueError(f"parameters of {name} must have one entry for each shape, got {sorted(counts)}")
+        rows = [{key: _tuple(value[i]) for key, value in named.items()} for i in range(counts.pop()[0])]
+        if not rows:
+            raise ValueError(f"parameters of {name} must have one entry for each shape, got none")
+        forms = [kind(**rows[0])] if all(row == rows[0] for row in rows) else [kind(**row) for row in rows]
+        return forms[0] if len(forms) == 1 else forms
+
+    def _range(self, record: Record) -> ContactRange:
+        impact = record["children"].get("impact")
+        made = None
+        if impact is not None:
+            made = ExpectedImpact(**{"other_mass": None, **impact["values"]})
+        return ContactRange(**record["values"], impact=made)
+
+
+def _said(error: Exception) -> str:
+    return str(error.args[0]) if isinstance(error, LookupError) and error.args else str(error)
+
+
+def _tuple(value: Any) -> Any:
+    """Returns numbers as formulas keep them, which are compared and hashed."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return tuple(_tuple(one) for one in value) if isinstance(value, list) else value
+
+
+def _take_apart(given: dict[str, Any]) -> None:
+    """Cuts the mask over the faces of several meshes into one for each."""
+    meshes, mask = given.get("mesh"), given.get("active_faces")
+    if isinstance(meshes, list) and mask is not None:
+        counts = [len(mesh.faces) for mesh in meshes]
+        if np.shape(mask) != (sum(counts),):
+            raise ValueError(f"active_faces must be a mask of {sum(counts)} faces, got {np.shape(mask)}")
+        given["active_faces"] = np.split(mask, np.cumsum(counts)[:-1])
+
+
+def _pairs(numbers: Any, shapes: list[Any]) -> list[tuple[Any, Any]]:
+    """Returns the pairs of shapes that are excluded, which are given by their numbers among all."""
+    pairs = np.asarray(numbers)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind != "i":
+        raise ValueError(f"exclude must be pairs of numbers of shapes, got {shortened(numbers)}")
+    if pairs.size and not 0 <= pairs.min() <= pairs.max() < len(shapes):
+        raise ValueError(f"exclude must be numbers of shapes from 0 to {len(shapes) - 1}, got {pairs.max()}")
+    return [(shapes[i], shapes[j]) for i, j in pairs.tolist()]
+
+
+def _samples(given: dict[str, Any]) -> SurfaceSamples:
+    """Returns points that have normals as those of a surface."""
+    positions, areas, normals = (np.asarray(given.pop(key, None)) for key in ("positions", "areas", "normals"))
+    shape = positions.shape
+    if normals.shape != shape or areas.shape != shape[:1] or normals.dtype.kind != "f":
+        raise ValueError(
+            f"normals and areas must be those of {shape} positions, got {normals.shape}, {areas.shape}"
+        )
+    if not (np.abs(np.linalg.norm(normals, axis=-1) - 1.0) <= 1.0e-6).all():  # false of NaN
+        raise ValueError("normals must be of length 1")
+    return SurfaceSamples(positions, areas, normals, np.zeros(len(positions), dtype=np.int64))

@@ -1,0 +1,93 @@
+"""Where things are on a stage: paths of prims, and places of environments."""
+
+import math
+from dataclasses import dataclass
+
+from warpcontact.checks import Array
+from warpcontact.replay.forms import FormPlacement
+from warpcontact.replay.surfaces import Placement
+from warpcontact.replay.swarms import Swarm
+from warpcontact.scene import Body
+
+WORLD = "/World"
+#: The class that environments refer to.
+PROTOTYPE = f"{WORLD}/Prototype"
+#: The class with meshes of surfaces that differ between environments.
+SHAPES = f"{WORLD}/Shapes"
+ENSEMBLE = f"{WORLD}/Ensemble"
+#: Children of an environment that no element may take the name of.
+RESERVED = ("contacts", "couplings", "joints", "FixedPoints", "PhysicsMaterials", "PhysicsScene", "Surfaces")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where things are.
+
+    Attributes:
+        names: Names of prims by those of elements.
+        envs: Numbers of the environments.
+        spacing: Distances of environments on a grid along x and y [m]; 0: all in place.
+        size: Length of the largest body [m].
+        force_scale: Length of arrows [m/N].
+        own_surfaces: Names of the surfaces on the world that are in each environment, as they differ there.
+    """
+
+    names: dict[str, str]
+    envs: list[int]
+    spacing: Array
+    size: float
+    force_scale: float
+    own_surfaces: frozenset[str]
+
+    @property
+    def apart(self) -> bool:
+        """Whether environments lie side by side."""
+        return bool(self.spacing.any())
+
+    @property
+    def surfaces(self) -> str:
+        """Path of what is fixed to the world and common to all environments."""
+        return f"{PROTOTYPE if self.apart else WORLD}/Surfaces"
+
+    def place(self, row: int) -> tuple[float, float, float]:
+        """Returns where on the grid an environment is; the first is at the origin."""
+        x, y = self.spacing.tolist()
+        count = len(self.envs)
+        columns = count if y == 0.0 else 1 if x == 0.0 else math.ceil(math.sqrt(count))
+        return row % columns * x, row // columns * y, 0.0
+
+    def env(self, row: int) -> str:
+        """Returns the path of environment number ``row`` of the export."""
+        return f"{WORLD}/env_{self.envs[row]}"
+
+    def body(self, env: str, body: Body | None) -> str:
+        """Returns the path of a body, or of what points on the world are in."""
+        return f"{env}/{'FixedPoints' if body is None else self.names[body.name]}"
+
+    def swarm(self, env: str, swarm: Swarm) -> str:
+        """Returns the path of spheres or points on a set of bodies."""
+        return f"{self.body(env, swarm.body)}/{self.names.get(swarm.name, swarm.name)}"
+
+    def surface(self, env: str, placement: Placement) -> str:
+        """Returns the path of a surface in an environment."""
+        surface = placement.surface
+        return f"{self._carrier(env, surface.body)}/{self.names[surface.name]}"
+
+    def form(self, env: str, form: FormPlacement) -> str:
+        """Returns the path of a shape in an environment."""
+        return f"{self._carrier(env, form.shape.body)}/{self.names[form.shape.name]}"
+
+    def _carrier(self, env: str, body: Body | None) -> str:
+        return f"{env}/Surfaces" if body is None else self.body(env, body)
+
+    def contact(self, env: str, name: str) -> str:
+        """Returns the path of a contact, a contact coupling or a mutual contact."""
+        return f"{env}/contacts/{self.names[name]}"
+
+    def coupling(self, env: str, name: str) -> str:
+        """Returns the path of a coupling."""
+        return f"{env}/couplings/{self.names[name]}"
+
+    def joint(self, env: str, body: Body) -> str:
+        """Returns the path of the joint that a motion is."""
+        return f"{env}/joints/{self.names[body.name]}"

@@ -1,0 +1,185 @@
+"""A scene in words: each element as the call that adds it, with the arguments that make it anew.
+
+An element keeps what it was given, checked. Its words are the arguments of its function of ``Scene``, in the order
+in which elements were added: called again they make the same scene, to the bit.
+"""
+
+import inspect
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.contact_coupling import ContactCoupling
+from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
+from warpcontact.elements import Body, Contact, Points, Surface
+from warpcontact.piles.elements import MutualContact
+from warpcontact.scene import Scene
+from warpcontact.smooth.elements import Shape, SmoothContact
+
+#: The function of ``Scene`` that adds an element, by its kind.
+ADDERS = {
+    "body": "add_body",
+    "bodies": "add_bodies",
+    "surface": "add_surface",
+    "point": "add_point",
+    "points": "add_points",
+    "contact": "add_contact",
+    "contact_coupling": "add_contact_coupling",
+    "spring_damper": "add_spring_damper",
+    "bushing": "add_bushing",
+    "catenary": "add_catenary",
+    "shape": "add_shape",
+    "smooth_contact": "add_smooth_contact",
+    "mutual_contact": "add_mutual_contact",
+}
+#: What an element keeps as 0 or 1 and is given as false or true.
+SWITCHES = ("enabled", "tension_only")
+# Arguments that say what another one says already: the faces of the meshes of a surface are turned.
+_SAID = {"surface": ("flip",)}
+
+
+@dataclass(frozen=True)
+class Words:
+    """An element as the call that adds it.
+
+    Attributes:
+        kind: One of ``ADDERS``.
+        name: Name of the element.
+        arguments: By name, those that are ``None`` left out. Numbers are Python's, or arrays.
+        rows: Names of those that have one entry for each of a set.
+    """
+
+    kind: str
+    name: str
+    arguments: dict[str, Any]
+    rows: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Form:
+    """The form of a shape, or those of a set of shapes.
+
+    Attributes:
+        kind: Their class.
+        sizes: Their parameters by name, one entry for each (n, …).
+    """
+
+    kind: type
+    sizes: dict[str, Array]
+
+
+def arguments_of(kind: str) -> tuple[str, ...]:
+    """Returns the names of the arguments that elements of a kind have; points may have ``normals``, too."""
+    names = tuple(inspect.signature(getattr(Scene, ADDERS[kind])).parameters)[1:]
+    left = tuple(name for name in names if name != "name" and name not in _SAID.get(kind, ()))
+    return (*left, "normals") if kind == "points" else left
+
+
+def required_of(kind: str) -> tuple[str, ...]:
+    """Returns the names of the arguments that elements of a kind cannot be made without."""
+    parameters = inspect.signature(getattr(Scene, ADDERS[kind])).parameters.values()
+    return tuple(one.name for one in parameters if one.default is inspect.Parameter.empty)[1:]
+
+
+def words_of(scene: Scene) -> list[Words]:
+    """Returns all elements in the order in which they were added; parts of a contact coupling are left to it."""
+    parts = set[str]()
+    for coupling in scene.contact_couplings:
+        for contact in coupling.contacts:
+            parts |= {contact.name, contact.points.name}
+    return [_words(element) for element in scene.elements() if element.name not in parts]
+
+
+def _words(element: Any) -> Words:
+    kind, own, rows = _own(element)
+    arguments = {}
+    for name in arguments_of(kind):
+        value = own[name] if name in own else getattr(element, name)
+        if value is not None:
+            arguments[name] = _plain(name, value)
+    return Words(kind, element.name, arguments, frozenset(rows) & arguments.keys())
+
+
+def _plain(name: str, value: Any) -> Any:
+    if name in SWITCHES:
+        return bool(value)
+    return value.item() if isinstance(value, np.ndarray) and value.ndim == 0 else value
+
+
+def _own(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
+    """Returns the kind of an element, the arguments that are not attributes of their name, and those in rows."""
+    match element:
+        case Body(single=True):
+            return "body", {}, ()
+        case Body():
+            words = {
+                "positions": element.position,
+                "orientations": element.orientation,
+                "linear_velocities": element.linear_velocity,
+                "angular_velocities": element.angular_velocity,
+                "external_forces": element.external_force,
+                "external_torques": element.external_torque,
+            }
+            return "bodies", words, (*words, "mass", "inertia")
+        case Surface():
+            several = len(element.meshes) > 1
+            chosen = [None if mask.all() else mask for mask in element.active]
+            whole = all(mask is None for mask in chosen)
+            active = None if whole else list(element.active) if several else element.active[0]
+            return "surface", {"mesh": element.meshes, "active_faces": active}, ()
+        case Points():
+            carrier = element.body if element.surface is None else element.surface
+            if element.single:
+                return "point", {"body": carrier, "position": element.positions[0]}, ()
+            return "points", {"body": carrier}, ("positions", "areas", "normals")
+        case Contact():
+            return "contact", {}, ("radius",) if element.radius.ndim else ()
+        case ContactCoupling():
+            return "contact_coupling", _of_coupling(element), ()
+        case SpringDamper():
+            plain = {
+                "stiffness": element.spring.stiffness if element.plain_spring else None,
+                "damping": element.damper.damping if element.plain_damper else None,
+            }
+            formulas = {
+                "spring": None if element.plain_spring else element.spring,
+                "damper": None if element.plain_damper else element.damper,
+            }
+            return "spring_damper", plain | formulas, ()
+        case Bushing():
+            return "bushing", {}, ()
+        case Catenary():
+            return "catenary", {}, ()
+        case Shape():
+            form = Form(element.kind, element.sizes)
+            if element.single:
+                own = {"position": element.positions[0], "orientation": element.orientations[0]}
+                return "shape", own | {"form": form}, ()
+            own = {"position": element.positions, "orientation": element.orientations}
+            return "shape", own | {"form": form}, ("position", "orientation")
+        case SmoothContact():
+            return "smooth_contact", {}, ()
+        case MutualContact():
+            # By numbers: a relationship has each of its targets once.
+            pairs = [[element.shapes.index(shape) for shape in pair] for pair in element.excluded]
+            return "mutual_contact", {"exclude": np.array(pairs, dtype=np.int32) if pairs else None}, ("exclude",)
+    raise TypeError(f"{element.name!r} is a {type(element).__name__}, which has no words")
+
+
+def _of_coupling(coupling: ContactCoupling) -> dict[str, Any]:
+    first = coupling.contacts[0]
+    law: Any = first.template.law
+    # As many points for each active face.
+    quadrature = first.points.count // int(np.count_nonzero(coupling.surface_a.active_faces))
+    return {
+        "friction": first.template.friction,
+        "quadrature": quadrature,
+        "damping_ramp": law.ramp,
+        "search": first.search,
+        "rim": first.rim,
+        "enabled": first.enabled,
+        "color": first.color,
+        "visible": first.visible,
+    }

@@ -1,0 +1,110 @@
+"""The server of a page on this machine, for those who sit at it, and text on the page that is only text."""
+
+import contextlib
+import html
+import threading
+from collections.abc import Iterable, Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+import rich
+import viser
+
+HOST = "127.0.0.1"
+#: Names under which a browser finds it.
+LOCAL = (HOST, "localhost")
+#: What is shown of a name or of a text at most; a page with more of it could not be read.
+LONGEST = 80
+LONGEST_MESSAGE = 2000
+
+# Of a page that is not ours: the policy of it is violated (RFC 6455, 7.4.1).
+_REFUSED = 1008
+
+
+class LocalServer(viser.ViserServer):
+    """Serves a page on 127.0.0.1, and to nobody else.
+
+    Args:
+        port: Number of the port, or of the first that is tried; 0: any that is free.
+        title: What the page is called.
+
+    Raises:
+        ValueError: If that is no port.
+    """
+
+    def __init__(self, port: int, title: str) -> None:
+        if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port < 2**16:
+            raise ValueError(f"port must be a whole number from 0 to {2**16 - 1}, got {port!r}")
+        with _silence():
+            super().__init__(host=HOST, port=port, label=shortened(title), verbose=False)
+        self.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+
+        async def check(connection: Any) -> None:
+            # Pages of others, open in the same browser, reach this machine as well.
+            socket = self._websock_server._live_connections[connection.client_id]
+            if not is_own(socket.request.headers.get("Host"), socket.request.headers.get("Origin")):
+                await socket.close(_REFUSED, "this page may not look here")
+
+        self._websock_server.on_client_connect(check)
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://{HOST}:{self.get_port()}"
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Shares nothing: viser would open a tunnel to a server of others for whoever asks on the page."""
+
+    def stop(self) -> None:
+        """Ends the server and its connections."""
+        with _silence():
+            super().stop()
+
+
+def is_own(host: str | None, origin: str | None) -> bool:
+    """Whether a connection comes from the page itself, or from no browser, by two headers of its request."""
+    if host is None or urlsplit(f"//{host}").hostname not in LOCAL:
+        return False
+    return origin is None or origin == f"http://{host}"
+
+
+def shortened(text: str, most: int = LONGEST) -> str:
+    """Returns a text in one line of at most ``most`` characters."""
+    line = " ".join(text.split())
+    return line if len(line) <= most else f"{line[: most - 1]}…"
+
+
+def table(rows: Iterable[tuple[str, str]]) -> str:
+    """Returns HTML of a table of two columns, whatever is in its texts."""
+    cell = '<td style="padding:0 0.6em 0.1em 0;vertical-align:top;overflow-wrap:anywhere">'
+    lines = [f"<tr>{''.join(f'{cell}{_escaped(text)}</td>' for text in row)}</tr>" for row in rows]
+    return f'<table style="{_STYLE}">{"".join(lines)}</table>'
+
+
+def message(text: str, *, bad: bool = False) -> str:
+    """Returns HTML of lines of text, whatever is in it; red if ``bad``."""
+    color = ";color:#d6336c" if bad else ""
+    content = html.escape(text if len(text) <= LONGEST_MESSAGE else f"{text[:LONGEST_MESSAGE]}…")
+    return f'<div style="{_STYLE};white-space:pre-wrap;overflow-wrap:anywhere{color}">{content}</div>'
+
+
+_STYLE = "margin:0 0.9em 0.5em;font-size:0.8em;line-height:1.45"
+
+
+def _escaped(text: str) -> str:
+    return html.escape(shortened(text))
+
+
+_silenced = threading.Lock()
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """Keeps viser from printing: the command says where the page is."""
+    console = rich.get_console()
+    with _silenced:
+        before, console.quiet = console.quiet, True
+        try:
+            yield
+        finally:
+            console.quiet = before

@@ -1,0 +1,161 @@
+"""The page of a run: its records over time, one environment after another, and of a running one what comes."""
+
+import time
+
+import numpy as np
+
+from warpcontact.replay.drawing import Drawing
+from warpcontact.viewer.environments import Picker
+from warpcontact.viewer.page import LocalServer
+from warpcontact.viewer.show import Show
+from warpcontact.viewer.sources import Source
+
+#: Time between looks whether a run has committed more [s].
+LOOK = 1.0
+
+
+class Replay(Show):
+    """Replays a run, or a recording.
+
+    Args:
+        server: The server of the page.
+        source: What is replayed.
+        speed: Simulated time to that on the wall.
+
+    Attributes:
+        record: Number of the record that is shown.
+    """
+
+    def __init__(self, server: LocalServer, source: Source, speed: float) -> None:
+        super().__init__(server, speed)
+        self.source = source
+        self.record = 0
+        self._clock = 0.0
+        self._drawing: Drawing | None = None
+        self._looked = 0.0
+
+    def add_panel(self) -> None:
+        """Puts all that can be read and done on the page."""
+        gui = self.server.gui
+        self.add_time()
+        self.time_input = self.listen(gui.add_slider("Time [s]", 0.0, 1.0, 1.0, 0.0), self._seek)
+        self._steps = gui.add_button_group("Record", ("First", "Back", "On", "Last"))
+        self._steps.on_click(lambda event: self.do(lambda: self._walk(event.target.value)))
+        self.picker = Picker(self, self._choose)
+        self.add_looks()
+        self._facts = {}
+        for name in ("Outcomes", "Parameters"):
+            with gui.add_folder(name):
+                self._facts[name] = gui.add_html("")
+
+    def begin(self) -> None:
+        """Shows the first environment."""
+        self._offer()
+
+    def _offer(self) -> None:
+        """Offers the environments that there are, and shows the first if none was chosen."""
+        frozen = np.array(sorted(self.source.frozen), dtype=np.int_)
+        self.picker.offer(self.source.envs, frozen)
+        if self.picker.env is None and len(self.source.envs):
+            self.picker.pick(int(self.source.envs[0]))
+            self._look()
+        self._tell()
+
+    def _choose(self, env: int) -> None:
+        """Shows another environment, at the same time."""
+        self._drawing = self.source.drawing(env)
+        self._write_facts(env)
+        self._fit(None)
+        if self._drawing is not None:
+            self.stage.aim(self._drawing, self.record)
+
+    def _write_facts(self, env: int) -> None:
+        facts = self.source.facts(env)
+        for name, handle in self._facts.items():
+            rows = facts.get(name, [])
+            self.write_table(handle, rows or [("", "not known yet")])
+        self.picker.describe(self.source.frozen.get(env, ""))
+
+    def _fit(self, end: float | None) -> None:
+        """Fits the time to the records; ``end``: the time up to which they were [s], which is followed."""
+        if self._drawing is None:
+            self.stage.clear()
+            self._tell()
+            return
+        times = self._drawing.times
+        slider = self.time_input
+        slider.min, slider.max = float(times[0]), float(times[-1])
+        slider.step = float(np.diff(times).min()) if len(times) > 1 else 1.0
+        if end is not None and self._clock >= end and not self.playing:
+            self._clock = float(times[-1])
+        self._clock = float(np.clip(self._clock, times[0], times[-1]))
+        self.redraw()
+
+    def tick(self, seconds: float) -> None:
+        """Goes on in time, and looks whether there is more."""
+        if time.monotonic() - self._looked > LOOK:
+            self._looked = time.monotonic()
+            self._follow()
+        drawing = self._drawing
+        if self.playing and drawing is not None:
+            self._clock = min(self._clock + self.speed * seconds, float(drawing.times[-1]))
+            self.redraw()
+            if self._clock >= drawing.times[-1] and self.source.state in ("", "finished"):
+                self.pause()
+
+    def _follow(self) -> None:
+        """Takes up what was committed meanwhile."""
+        if not self.source.refresh():
+            self._tell()
+            return
+        end = None if self._drawing is None else float(self._drawing.times[-1])
+        self._offer()
+        if self.picker.env is not None:
+            self._drawing = self.source.drawing(self.picker.env)
+            self._write_facts(self.picker.env)
+            self._fit(end)
+
+    def redraw(self) -> None:
+        """Draws the record of the time that it is."""
+        drawing = self._drawing
+        if drawing is None:
+            return
+        # The last one that is not later; times are multiples of the step, a slider's are rounded.
+        slack = 1.0e-6 * max(1.0e-9, float(drawing.times[-1] - drawing.times[0]))
+        self.record = max(0, int(np.searchsorted(drawing.times, self._clock + slack, side="right")) - 1)
+        self.stage.show(drawing, self.record, drawing.force_scale)
+        self.time_input.value = self._clock
+        self._tell()
+
+    def _tell(self) -> None:
+        drawing = self._drawing
+        where = "nothing is committed of it yet"
+        if drawing is not None:
+            where = f"record {self.record + 1} of {len(drawing.times)}, at {drawing.times[self.record]:.6g} s"
+        self.say("\n".join(filter(None, (self.source.state, where))))
+
+    def _seek(self, seconds: float) -> None:
+        """Goes to a time [s]: to the record that is nearest."""
+        if self._drawing is not None:
+            times = self._drawing.times
+            self._clock = float(times[int(np.abs(times - seconds).argmin())])
+            self.redraw()
+
+    def _walk(self, where: str) -> None:
+        if self._drawing is None:
+            return
+        times = self._drawing.times
+        places = {"First": 0, "Back": self.record - 1, "On": self.record + 1, "Last": len(times) - 1}
+        self.pause()
+        self._seek(float(times[int(np.clip(places[where], 0, len(times) - 1))]))
+
+    def play(self) -> None:
+        """Plays on, from the first record if it is at the last."""
+        drawing = self._drawing
+        if drawing is not None and self._clock >= drawing.times[-1] and self.source.state in ("", "finished"):
+            self._clock = float(drawing.times[0])
+        super().play()
+
+    def drawn(self) -> tuple[Drawing, int] | None:
+        """Returns what is seen, and the record of it."""
+        return None if self._drawing is None else (self._drawing, self.record)

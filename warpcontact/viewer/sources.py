@@ -1,0 +1,190 @@
+"""Where a replay comes from: the folder of a run, finished or not, or a recording."""
+
+from abc import ABC, abstractmethod
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from warpcontact.experiment.folder import SUMMARY
+from warpcontact.experiment.records import COMMITS
+from warpcontact.experiment.run import Run, open_run
+from warpcontact.experiment.status import status_of
+from warpcontact.replay.drawing import Drawing
+from warpcontact.scene import Scene
+from warpcontact.status import Cause
+from warpcontact.viewer.values import rows_of, spoken
+
+Facts = dict[str, list[tuple[str, str]]]
+
+
+class Source(ABC):
+    """What is replayed.
+
+    Attributes:
+        name: What to call it.
+        recording: Readings and parameters, (time, env, …).
+        scene: What ran.
+    """
+
+    name: str
+    recording: xr.Dataset
+    scene: Scene
+
+    def refresh(self) -> bool:
+        """Looks whether there is more by now; returns whether there is."""
+        return False
+
+    @property
+    def state(self) -> str:
+        """How far it is, in a few words; empty: it is whole."""
+        return ""
+
+    @property
+    def envs(self) -> NDArray[np.int_]:
+        """Numbers of the environments that there is something of."""
+        return self.recording["env"].values
+
+    @property
+    @abstractmethod
+    def frozen(self) -> dict[int, str]:
+        """What became of the environments that failed, by their numbers."""
+
+    @abstractmethod
+    def facts(self, env: int) -> Facts:
+        """Returns parameters and outcomes of an environment, by what they are."""
+
+    def drawing(self, env: int) -> Drawing | None:
+        """Returns what is seen of an environment over time; ``None``: there is no record of it yet.
+
+        Raises:
+            ValueError: If its poses were not recorded.
+        """
+        own = self.recording.sel(env=[env])
+        poses = [f"{body.name}.position" for body in self.scene.bodies if f"{body.name}.position" in own]
+        if poses:
+            # Records that are not committed yet are NaN, from some time on.
+            places = own[poses[0]].values
+            known = np.isfinite(places).reshape(len(places), -1).all(axis=1)
+            count = len(known) if known.all() else int(known.argmin())
+            if not count:
+                return None
+            own = own.isel(time=slice(0, count))
+        return Drawing.of(own, self.scene, [env])
+
+
+class RecordingSource(Source):
+    """A recording in memory, as ``Simulation.run`` returns it.
+
+    Raises:
+        ValueError: If it does not know its scene, or lacks the dimension of environments.
+    """
+
+    def __init__(self, recording: xr.Dataset) -> None:
+        scene = getattr(recording, "scene", None)
+        if not isinstance(scene, Scene):
+            raise ValueError(
+                "the recording does not know its scene (xarray operations drop it): view the whole one"
+            )
+        self.name = str(recording.attrs.get("source", "recording"))
+        self.recording = recording
+        self.scene = scene
+
+    @property
+    def frozen(self) -> dict[int, str]:
+        """The environments that failed."""
+        return {int(env): "frozen" for env in self.recording.attrs.get("frozen_environments", ())}
+
+    def facts(self, env: int) -> Facts:
+        """Returns the parameters of an environment."""
+        own = self.recording.sel(env=env)
+        return {"Parameters": rows_of(own[[name for name in own.data_vars if "time" not in own[name].dims]])}
+
+
+class RunSource(Source):
+    """A folder of a run; what is committed meanwhile is found by ``refresh``.
+
+    Args:
+        folder: The folder.
+        scene: What ran; ``None``: as the folder says.
+
+    Raises:
+        ExperimentError: If it holds no run.
+        StoreError: If what was committed is not there.
+        ValueError: If nothing was recorded over time.
+    """
+
+    def __init__(self, folder: str | PathLike[str], scene: Scene | None = None) -> None:
+        self.folder = Path(folder)
+        self._seen = self._signature()
+        self._open(open_run(folder), scene)
+
+    def _open(self, run: Run, scene: Scene | None) -> None:
+        # To read the scene takes longer than the rest.
+        self.run = Run(run.folder, run.summary, scene)
+        self.scene = self.run.scene
+        self.name = str(run.summary["name"])
+        self.recording = self.run.recording
+        self._table = self.run.table()
+        self._frozen = _of_health(self.run)
+        self._state = status_of(self.folder)
+
+    def _signature(self) -> tuple[tuple[str, int, int], ...]:
+        """Returns what changes when anything is committed."""
+        paths = [*sorted((self.folder / COMMITS).glob("*.json")), self.folder / SUMMARY]
+        found = []
+        for path in paths:
+            try:
+                known = path.stat()
+            except FileNotFoundError:
+                continue
+            found.append((path.name, known.st_mtime_ns, known.st_size))
+        return tuple(found)
+
+    def refresh(self) -> bool:
+        """Opens the folder anew if anything was committed; returns whether it was."""
+        if self._state.state == "finished":
+            return False
+        seen = self._signature()
+        if seen == self._seen:
+            # What runs and does not commit yet tells how far it is all the same.
+            self._state = status_of(self.folder)
+            return False
+        self._open(open_run(self.folder), self.scene)
+        self._seen = seen
+        return True
+
+    @property
+    def state(self) -> str:
+        """How far the run is."""
+        status = self._state
+        if status.state == "finished":
+            return "finished"
+        done, committed = (steps / status.total for steps in (status.running_steps, status.env_steps))
+        return f"{status.state}: {done:.0%} done, {committed:.0%} committed"
+
+    @property
+    def frozen(self) -> dict[int, str]:
+        """The environments that failed, of those that are finished: why, and when."""
+        return self._frozen
+
+    def facts(self, env: int) -> Facts:
+        """Returns outcomes and parameters of an environment."""
+        found: Facts = {}
+        parameters = [str(name) for name in self.run.params.data_vars]
+        if env in self._table["env"].values:
+            own = self._table.sel(env=env)
+            found["Outcomes"] = rows_of(own[[name for name in own.data_vars if str(name) not in parameters]])
+        if env in self.run.params["env"].values:
+            found["Parameters"] = rows_of(self.run.params.sel(env=env))
+        return found
+
+
+def _of_health(run: Run) -> dict[int, str]:
+    health = run.health
+    return {
+        int(env): f"frozen: {Cause(cause).name}, at {spoken(float(time))} s"
+        for env, cause, time in zip(health.frozen, health.causes, health.times, strict=True)
+    }
