@@ -46,7 +46,7 @@ def columns_of(data: xr.Dataset, without: Collection[str] = ()) -> Iterator[Colu
     for key, variable in data.data_vars.items():
         if key in without or not _is_shown(variable):
             continue
-        array = variable.compute() if variable.nbytes <= AT_ONCE else variable
+        array = _alike(variable.compute() if variable.nbytes <= AT_ONCE else variable)
         axes = [str(dim) for dim in array.dims if dim != "env"]
         for place in np.ndindex(*(array.sizes[dim] for dim in axes)):
             labels = [
@@ -70,7 +70,17 @@ def too_many_in(data: xr.Dataset) -> list[str]:
 
 def _is_shown(array: xr.DataArray) -> bool:
     of_each = int(np.prod([array.sizes[dim] for dim in array.dims if dim != "env"], initial=1))
-    return "env" in array.dims and array.dtype.kind in "biuf" and of_each <= MOST
+    few = of_each <= MOST or (array.nbytes <= AT_ONCE and _alike(array.compute()).ndim == 1)
+    return "env" in array.dims and array.dtype.kind in "biuf" and few
+
+
+def _alike(array: xr.DataArray) -> xr.DataArray:
+    """Returns what the items of a set have in common, if they are the same in each environment, and else all."""
+    axes = [dim for dim in array.dims if dim != "env"]
+    if len(axes) != 1 or axes[0] in array.coords or array.nbytes > AT_ONCE:
+        return array
+    one = array.isel({axes[0]: 0})
+    return one if bool((array == one).all()) else array
 
 
 def words_of(array: xr.DataArray) -> dict[int, str]:

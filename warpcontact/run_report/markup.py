@@ -46,8 +46,8 @@ def element(tag: str, *content: Any, **attributes: Any) -> Markup:
     Args:
         tag: Its name.
         content: What is in it, one after the other; ``None`` is left out.
-        attributes: ``None`` and ``False`` are left out, ``True`` has no value. ``_`` stands for ``-``, or at the end
-            for nothing, as in ``class_``.
+        attributes: ``None`` and ``False`` are left out, ``True`` has no value; ``_`` is written ``-``, and left
+            out at the end, as in ``class_``.
     """
     words = [tag]
     for key, value in attributes.items():
