@@ -195,7 +195,8 @@ class Page:
     def place(self, expression):
         """The middle of the element that an expression gives, scrolled into view [px]."""
         box = (
-            "(e => { e.scrollIntoView({block: 'center', behavior: 'instant'}); const r = e.getBoundingClientRect(); "
+            "(e => { e.scrollIntoView({block: 'center', behavior: 'instant'}); "
+            "const r = e.getBoundingClientRect(); "
             f"return [r.x + r.width / 2, r.y + r.height / 2]; }})({expression})"
         )
         return self.evaluate(box)
