@@ -16,7 +16,7 @@ from warpcontact.run_report.words import count, several
 from warpcontact.scene import Scene
 
 # Records that are drawn; between them bodies are interpolated.
-FRAMES = 240
+FRAMES = 256
 # Poses that are in memory at once.
 POSES = 2_000_000
 # Size of all environments in the page [bytes]; of those that somebody named.

@@ -108,8 +108,8 @@ def section(curves: list[Curves], more: int, envs: int, records: int) -> Markup:
         return element("p", "No reading that is one number was recorded over time.", class_="note")
     told = [f"{several(records, 'record')} of {several(envs, 'environment')}."]
     if envs > 1:
-        told.append("Bands: 5 % to 95 % and 25 % to 75 % of the environments; dark line: median.")
-        told.append("Coloured line: the environment that the replay shows.")
+        told.append("Bands: 5 % to 95 % and 25 % to 75 % of the environments; line: median.")
+        told.append("Orange: the environment that the replay shows.")
     if records > POINTS:
         told.append(f"Each curve has {POINTS} of the records.")
     if envs > SAMPLE:
