@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from warpcontact.smooth.elements import Shape, SmoothContact
     from warpcontact.split_model import SplitModel
     from warpcontact.status import Cause, ContactMode, CouplingStatus, EnvironmentStatus, LineStatus, Status
-    from warpcontact.usd import export_usd
+    from warpcontact.usd import check_usd, export_usd
     from warpcontact.usd.importing.errors import StageError
     from warpcontact.viewer import view
 
@@ -98,6 +98,7 @@ _HOME = {
     "bench": "warpcontact.benchmark",
     "compare": "warpcontact.compare",
     "convergence": "warpcontact.analysis",
+    "check_usd": "warpcontact.usd",
     "export_usd": "warpcontact.usd",
     "film": "warpcontact.rendering",
     "frictions": "warpcontact.kernels.frictions",
@@ -172,6 +173,7 @@ __all__ = [
     "Template",
     "__version__",
     "bench",
+    "check_usd",
     "compare",
     "convergence",
     "export_usd",

@@ -6,8 +6,9 @@ from warpcontact.kernels.rendering.world import Hit, World, into_shape
 
 # Beyond everything, in units of the view.
 FAR = wp.constant(1.0e6)
-# How far from a surface rays to the light begin: of the distance to the eye, to which positions are rounded.
+# How far from a surface rays to the light begin, in units of the view, and what more for the distance to the eye.
 APART = wp.constant(1.0e-4)
+ROUNDING = wp.constant(4.0e-6)
 
 
 @wp.struct
@@ -115,7 +116,7 @@ def lit(
     disc = on_disc(at_sun[0], at_sun[1])
     to_sun = wp.normalize(light.sun + light.spread * (disc[0] * light.across + disc[1] * light.along))
     facing = wp.dot(n, to_sun)
-    apart = (APART * hit.t) * flat
+    apart = (APART + ROUNDING * hit.t) * flat
     if facing > 0.0:
         sunlight = facing
         mirrored = light.gloss * wp.pow(wp.max(wp.dot(n, wp.normalize(to_sun - ray)), 0.0), 40.0)

@@ -55,9 +55,10 @@ def direction(azimuth: float, elevation: float) -> Array:
 
 
 def _across(backward: Array) -> tuple[Array, Array]:
-    """Returns unit vectors to the right and upwards in the picture; from straight above, up is away from −y."""
+    """Returns unit vectors to the right and upwards in the picture."""
     flat = math.hypot(backward[0], backward[1])
-    right = np.array([-backward[1], backward[0], 0.0]) / flat if flat > 1.0e-9 else np.array([1.0, 0.0, 0.0])
+    # From straight above what rounding leaves of the azimuth is enough.
+    right = np.array([-backward[1], backward[0], 0.0]) / flat if flat > 0.0 else np.array([1.0, 0.0, 0.0])
     return right, np.cross(backward, right)
 
 

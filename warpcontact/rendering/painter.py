@@ -66,7 +66,7 @@ class Painter:
         # Lengths are in halves of the view, so that no tolerance depends on the scene.
         unit = camera.reach
         worlds = [self._stage.world(group, camera.target, unit) for group in (items, marks)]
-        view, light = _view(camera, unit, width, height, samples), _light(camera)
+        view, light = _view(camera, unit, width, height, samples), light_of(camera)
         pixels = wp.empty((width * height, 3), dtype=wp.uint8, device=device)
         grid = _grid(camera, height)
         inputs = [view, *(world.struct for world in worlds), light, grid, self._backdrop]
@@ -110,7 +110,9 @@ def _grid(camera: Camera, height: int) -> Grid:
     return grid
 
 
-def _light(camera: Camera) -> Light:
+def light_of(camera: Camera) -> Light:
+    """Returns the light of a view: the sun stands to the left of the eye, wherever that is."""
+    """Returns the light of a view: the sun stands to the left of the eye, wherever that is."""
     light = Light()
     right = camera.axes[0]
     # The azimuth of the eye, also from straight above.

@@ -60,9 +60,7 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[i
     """
     program = shutil.which("ffmpeg")
     if program is None:
-        raise ValueError(
-            f"{path}: an .mp4 file needs the program ffmpeg, which is not on the PATH; .gif needs nothing"
-        )
+        raise ValueError(f"{path}: an .mp4 file needs ffmpeg, which is not on the PATH; .gif needs nothing")
     with _replaced(path) as part, tempfile.TemporaryFile() as said:
         command = [
             *(program, "-hide_banner", "-loglevel", "error", "-y"),

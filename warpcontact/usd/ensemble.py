@@ -1,5 +1,6 @@
 """All environments as instances to be looked at, without physics: one ``UsdGeom.PointInstancer`` per element."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -131,7 +132,8 @@ def write_ensemble(
         positions, orientations = ensemble.poses(body, *records)
         places = positions.reshape(len(positions), -1, 3)
         turns = orientations.reshape(len(places), -1, 4)
-        reach = (look.scales * max(look.reach, 0.5 * POINT * layout.size)).reshape(-1, 1)
+        # USD takes the corners of the boxes that instances fill in their own frames.
+        reach = (math.sqrt(3.0) * look.scales * max(look.reach, 0.5 * POINT * layout.size)).reshape(-1, 1)
         extents = np.stack([(places - reach).min(axis=1), (places + reach).max(axis=1)], axis=1)
         samples.write(instancer.CreatePositionsAttr(), [vectors(frame) for frame in places])
         samples.write(instancer.CreateOrientationsfAttr(), [quaternions(frame) for frame in turns])

@@ -1,5 +1,6 @@
 """The chosen environments of a stage, with full physics: what is fixed in each, and what moves."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -74,14 +75,16 @@ class Environments:
         )
         prototype.write()
         physics.define_gravity(self.stage, scene_path, self.gravity[0])
+        space = self._space(content, survey)
         for row in range(len(layout.envs)):
-            self._define_environment(prototype, content, survey, row)
+            self._define_environment(prototype, content, row)
+            write_box(self.stage.GetPrimAtPath(layout.env(row)), *space[row])
         paths = [layout.env(row) for row in range(len(layout.envs))]
         if len(paths) > 1:
             shared = None if layout.apart else layout.surfaces
             physics.define_collision_groups(self.stage, f"{WORLD}/CollisionGroups", paths, shared)
 
-    def _define_environment(self, prototype: Prototype, content: Content, survey: Survey, row: int) -> None:
+    def _define_environment(self, prototype: Prototype, content: Content, row: int) -> None:
         from pxr import Gf, Kind, Usd, UsdGeom
 
         stage, layout, replay = self.stage, self.layout, content.replay
@@ -91,7 +94,6 @@ class Environments:
         Usd.ModelAPI(env).SetKind(Kind.Tokens.group)
         if layout.apart:
             env.AddTranslateOp().Set(Gf.Vec3d(*layout.place(row)))
-        write_box(env.GetPrim(), *self._space(content, survey, row))
         for material in self.materials.all:
             self._set_material(material, path, row)
         if not self.one_gravity:
@@ -128,21 +130,22 @@ class Environments:
             path = material_path(material, self.layout.names, env)
             set_material(self.stage.GetPrimAtPath(path), material, row)
 
-    def _space(self, content: Content, survey: Survey, row: int) -> tuple[Array, Array]:
-        """Returns the corners of what an environment takes of space, in its frame, arrows included [m]."""
+    def _space(self, content: Content, survey: Survey) -> Array:
+        """Returns the corners of the space of environments, arrows included, (env, 2, 3), in their frames [m]."""
         longest = survey.peak * self.layout.force_scale + self.layout.size
-        low, high = survey.low[row] - longest, survey.high[row] + longest
+        low, high = survey.low - longest, survey.high + longest
         fixed = [one.corners for one in content.placements.values() if one.surface.body is None]
         if fixed and (self.layout.apart or self.layout.own_surfaces):
             corners = np.concatenate(fixed)
             low, high = np.minimum(low, corners.min(axis=0)), np.maximum(high, corners.max(axis=0))
-        return low, high
+        return np.stack([low, high], axis=1)
 
-    def animate(self, content: Content, samples: Samples) -> None:
-        """Writes what changes over time, of the records in ``content``."""
+    def animate(self, content: Content, samples: Samples, tell: Callable[[int], None]) -> None:
+        """Writes what changes over time, of the records in ``content``; ``tell``: is told of each environment."""
         readings = readings_of(content.replay)
         for row in range(len(self.layout.envs)):
             self._animate_environment(content, readings, samples, row)
+            tell(1)
 
     def _animate_environment(
         self, content: Content, readings: dict[str, Readings], samples: Samples, row: int

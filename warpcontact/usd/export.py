@@ -1,41 +1,17 @@
 """Recordings as animated USD stages."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from warpcontact import checks
-from warpcontact._version import __version__
-from warpcontact.checks import limits
 from warpcontact.replay.content import Content
-from warpcontact.replay.ensemble import Ensemble
-from warpcontact.replay.replay import Replay
-from warpcontact.replay.survey import Survey
 from warpcontact.scene import Scene
-from warpcontact.usd.author import Samples, write_box
-from warpcontact.usd.coloring import Coloring
-from warpcontact.usd.ensemble import define_ensemble, write_ensemble
-from warpcontact.usd.environments import Environments, layout_of
+from warpcontact.usd.author import Samples
+from warpcontact.usd.clips import Clips, check_frames
 from warpcontact.usd.files import check_path, save_stage
-from warpcontact.usd.layout import WORLD, Layout
-from warpcontact.usd.materials import Materials
-from warpcontact.usd.scenery import define_camera, define_lights, define_look
-
-#: Goes up when what is on a stage is to be read in another way.
-SCHEMA = 1
-# What recordings say of themselves, and what a stage calls it.
-_TOLD = {
-    "source": "source",
-    "name": "name",
-    "device": "device",
-    "precision": "precision",
-    "integrator": "integrator",
-    "fingerprint": "fingerprint",
-}
+from warpcontact.usd.stage import Export, Tell
 
 
 def export_usd(
@@ -48,6 +24,8 @@ def export_usd(
     force_scale: float | None = None,
     ensemble: bool | str = "auto",
     color_by: str | xr.DataArray | None = None,
+    clip_frames: int | None = None,
+    progress: bool | None = None,
 ) -> Path:
     """Writes a recording as an animated USD stage: Z up, metres, kilograms, one time code per record.
 
@@ -69,6 +47,11 @@ def export_usd(
         color_by: What colours the ensemble, from low to high by viridis: name of a parameter or reading of the
             recording with one number for each environment, or values with the coordinate ``env``, such as an
             outcome, or with ``time`` and ``env``. ``None``: the colours of the bodies.
+        clip_frames: For long recordings: number of records of a value clip. The file then refers to a folder
+            beside it, ``<name>.clips``, with one file for so many records; these are written one after the
+            other, with no more than that in memory, and an export that was interrupted goes on behind those that
+            are whole. ``None``: one file.
+        progress: Whether to show a progress bar; ``None``: on exports of over a second, in a terminal.
 
     Returns:
         The path.
@@ -79,140 +62,36 @@ def export_usd(
         TypeError: If an argument is of another type.
         OSError: If the file cannot be written; names it.
     """
-    from pxr import Usd
+    from tqdm import tqdm
 
     path = check_path(path)
-    export = Export(recording, envs, scene, spacing, force_scale, ensemble, color_by, load=True)
-    stage = Usd.Stage.CreateInMemory()
-    records = (0, len(export.replay.codes))
-    content = Content.of(export.replay)
-    survey = export.survey([(records, content)])
-    export.define(stage, content, survey)
-    export.animate(stage, content, Samples(export.replay.codes, stage.GetRootLayer()), records)
-    save_stage(stage, path)
+    frames = None if clip_frames is None else check_frames(clip_frames, path)
+    options = (envs, scene, spacing, force_scale, ensemble, color_by)
+    export = Export(recording, *options, load=frames is None)
+    replay = export.replay
+    bar = tqdm(
+        total=len(replay.codes) * len(replay.envs),
+        unit="record",
+        unit_scale=True,
+        desc=path.name,
+        delay=1.0,
+        disable=None if progress is None else not progress,
+    )
+    with bar:
+        if frames is None:
+            _write(export, path, lambda done: bar.update(done * len(replay.codes)))
+        else:
+            Clips(export, path, frames).write(bar.update)
     return path
 
 
-class Export:
-    """What is asked for, and how it gets onto a stage; arguments and errors are those of ``export_usd``.
+def _write(export: Export, path: Path, tell: Tell) -> None:
+    """Writes a single file."""
+    from pxr import Usd
 
-    Attributes:
-        replay: The environments with full physics.
-        ensemble: All that are shown; ``None``: no others.
-        coloring: What colours these.
-    """
-
-    def __init__(
-        self,
-        recording: xr.Dataset,
-        envs: int | Iterable[int] | None,
-        scene: Scene | None,
-        spacing: ArrayLike,
-        force_scale: float | None,
-        ensemble: bool | str,
-        color_by: str | xr.DataArray | None,
-        *,
-        load: bool,
-    ) -> None:
-        self.spacing = checks.numbers("spacing", spacing, (2,), limits("m", at_least=0.0))
-        if force_scale is not None:
-            force_scale = float(checks.numbers("force_scale", force_scale, (), limits("m/N", above=0.0)))
-        self.force_scale = force_scale
-        if not (isinstance(ensemble, bool) or ensemble == "auto"):
-            raise ValueError(f"ensemble must be True, False or 'auto', got {ensemble!r}")
-        if ensemble is True and self.spacing.any():
-            raise ValueError("ensemble=True shows all environments in place: leave spacing 0 along both axes")
-        self.replay = Replay.of(recording, scene, envs, load=load)
-        self.coloring = None if color_by is None else Coloring(color_by, recording)
-        self.ensemble: Ensemble | None = None
-        if not self.spacing.any():
-            self.ensemble = Ensemble.of(recording, self.replay.scene, self.replay.envs, ensemble)
-        self.layout: Layout | None = None
-        self._environments: Environments | None = None
-
-    def survey(self, blocks: Iterable[tuple[tuple[int, int], Content]]) -> Survey:
-        """Returns what has to be known of all records, given as ranges with what is in them."""
-
-        def contents() -> Iterator[Content]:
-            for records, content in blocks:
-                if self.ensemble is not None:
-                    self.ensemble.look_through(*records)
-                    if self.coloring is not None:
-                        self.coloring.look_through(self.ensemble.replay.envs, *records)
-                yield content
-
-        survey = Survey.of(contents())
-        if self.ensemble is not None:
-            self.ensemble = self.ensemble.drop()
-        return survey
-
-    def define(self, stage: Any, content: Content, survey: Survey) -> None:
-        """Writes all that does not change over time; ``content`` begins with the first record."""
-        from pxr import Kind, Usd, UsdGeom
-
-        materials = Materials(self.replay)
-        scale = survey.force_scale if self.force_scale is None else self.force_scale
-        self.layout = layout = layout_of(content, survey, self.spacing, scale, materials)
-        self._metadata(stage, layout)
-        world = UsdGeom.Xform.Define(stage, WORLD).GetPrim()
-        Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
-        stage.SetDefaultPrim(world)
-        define_look(stage, f"{WORLD}/Looks", world)
-        places = np.array([layout.place(row) for row in range(len(layout.envs))])
-        low, high = (survey.low + places).min(axis=0), (survey.high + places).max(axis=0)
-        define_camera(stage, f"{WORLD}/Camera", low, high)
-        define_lights(stage, f"{WORLD}/Lights")
-        self._environments = Environments(stage, content, layout, materials)
-        self._environments.define(content, survey)
-        if self.ensemble is not None:
-            define_ensemble(stage, self.ensemble, layout, self.coloring)
-        self._say_space(stage, world, low, high)
-
-    def animate(self, stage: Any, content: Content, samples: Samples, records: tuple[int, int]) -> None:
-        """Writes what changes over time in a range of records, ``content`` being what is in them."""
-        assert self._environments is not None
-        assert self.layout is not None
-        self._environments.animate(content, samples)
-        if self.ensemble is not None:
-            write_ensemble(stage, self.ensemble, self.layout, self.coloring, samples, records)
-
-    def _say_space(self, stage: Any, world: Any, low: Any, high: Any) -> None:
-        """Says what space the whole takes, as far as the ensemble does not take more."""
-        if self.ensemble is not None:
-            return
-        boxes = [np.array([low, high])]
-        from pxr import Usd, UsdGeom
-
-        cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), [UsdGeom.Tokens.default_], useExtentsHint=True)
-        bound = cache.ComputeWorldBound(world).ComputeAlignedRange()
-        if not bound.IsEmpty():
-            boxes.append(np.array([bound.GetMin(), bound.GetMax()]))
-        corners = np.concatenate(boxes)
-        write_box(world, corners.min(axis=0), corners.max(axis=0))
-
-    def _metadata(self, stage: Any, layout: Layout) -> None:
-        from pxr import UsdGeom, UsdPhysics, Vt
-
-        replay = self.replay
-        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-        UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-        stage.SetStartTimeCode(replay.codes[0])
-        stage.SetEndTimeCode(replay.codes[-1])
-        stage.SetTimeCodesPerSecond(replay.rate)
-        stage.SetFramesPerSecond(replay.rate)
-        attrs = replay.data.attrs
-        notes: dict[str, Any] = {
-            "version": __version__,
-            "schema": SCHEMA,
-            "environments": Vt.IntArray(replay.envs),
-            "startTime": float(replay.times[0]),
-            "forceScale": layout.force_scale,
-        }
-        notes |= {key: str(attrs[name]) for name, key in _TOLD.items() if name in attrs}
-        if "frozen_environments" in attrs:
-            frozen = set(attrs["frozen_environments"])
-            notes["frozenEnvironments"] = Vt.IntArray([env for env in replay.envs if env in frozen])
-        notes |= {key: float(attrs[key]) for key in ("dt",) if key in attrs}
-        notes |= {key: int(attrs[key]) for key in ("seed",) if key in attrs}
-        stage.GetRootLayer().customLayerData = {"warpcontact": notes}
+    stage = Usd.Stage.CreateInMemory()
+    content, records = Content.of(export.replay), (0, len(export.replay.codes))
+    survey = export.survey([(records, content)])
+    export.define(stage, content, survey)
+    export.animate(stage, content, Samples(export.replay.codes, stage.GetRootLayer()), records, tell)
+    save_stage(stage, path)

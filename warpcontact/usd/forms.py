@@ -1,5 +1,6 @@
 """Shapes of analytic form on a stage: as the primitives that USD has, or as meshes."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -163,7 +164,8 @@ def write_form_swarm(prim: Any, samples: Samples, swarm: FormSwarm, row: int) ->
     from pxr import UsdGeom
 
     instancer, sizes = UsdGeom.PointInstancer(prim), swarm.placement.sizes
-    reach = swarm.placement.reach
+    # USD takes the corners of the boxes that instances fill in their own frames.
+    reach = math.sqrt(3.0) * swarm.placement.reach
     if samples.defaults:
         numbers = np.zeros_like(swarm.numbers[row]) if swarm.scaled else swarm.numbers[row]
         instancer.CreateProtoIndicesAttr(integers(numbers))

@@ -21,6 +21,8 @@ from warpcontact.viewer.values import rows_of, spoken
 _OF_CONTACTS = ("gap", "normal_force", "normal", "point", "friction_force")
 #: The part of the time from picture to picture that goes into steps.
 STEPPING = 0.7
+#: How much longer arrows become from picture to picture after a large force.
+FADE = 1.02
 # Of so many contacts readings are written out.
 _READ = 8
 #: Time between looks at outcomes and at what failed [s].
@@ -180,8 +182,8 @@ class Live(Show):
         recording = recorder.finish({})
         self._drawing = drawing = Drawing.of(recording, envs=[env])
         if any(touch.forces.any() for touch in drawing.touches):
-            # Arrows are comparable over time: the longest is of the largest force so far.
-            self._force_scale = min(self._force_scale, drawing.force_scale)
+            # Arrows are comparable over some seconds: the longest is of the largest force of late.
+            self._force_scale = min(self._force_scale * FADE, drawing.force_scale)
         self.redraw()
         own = recording[self._read].isel(time=0).sel(env=env)
         self.write_table(self._readings, rows_of(own))

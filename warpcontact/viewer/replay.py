@@ -1,5 +1,6 @@
 """The page of a run: its records over time, one environment after another, and of a running one what comes."""
 
+import math
 import time
 
 import numpy as np
@@ -85,7 +86,9 @@ class Replay(Show):
         times = self._drawing.times
         slider = self.time_input
         slider.min, slider.max = float(times[0]), float(times[-1])
-        slider.step = float(np.diff(times).min()) if len(times) > 1 else 1.0
+        step = float(f"{np.diff(times).min():.6g}") if len(times) > 1 else 1.0
+        # The page rounds to so many decimals: two more than tell the steps apart.
+        slider.step, slider.precision = step, max(0, 2 - math.floor(math.log10(step)))
         if end is not None and self._clock >= end and not self.playing:
             self._clock = float(times[-1])
         self._clock = float(np.clip(self._clock, times[0], times[-1]))
@@ -154,6 +157,7 @@ class Replay(Show):
         drawing = self._drawing
         if drawing is not None and self._clock >= drawing.times[-1] and self.source.state in ("", "finished"):
             self._clock = float(drawing.times[0])
+            self.redraw()
         super().play()
 
     def drawn(self) -> tuple[Drawing, int] | None:

@@ -39,6 +39,7 @@ class Show(ABC):
         speed: Simulated time to that on the wall.
         playing: Whether time goes on.
         problem: What went wrong last; empty: nothing.
+        pictures: How often it was looked what there is to show.
     """
 
     def __init__(self, server: LocalServer, speed: float) -> None:
@@ -47,6 +48,7 @@ class Show(ABC):
         self.speed = speed
         self.playing = False
         self.problem = ""
+        self.pictures = 0
         self._commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="warpcontact view", daemon=True)
@@ -93,6 +95,7 @@ class Show(ABC):
             now = time.monotonic()
             seconds, last = now - last, now
             self.guarded(lambda: self.tick(seconds))  # noqa: B023
+            self.pictures += 1
 
     def _take_commands(self, period: float, last: float) -> None:
         """Takes commands until the next picture is due."""
@@ -175,6 +178,10 @@ class Show(ABC):
                 gui.add_checkbox("Forces", self.stage.forces, hint="arrows of contact forces"),
                 lambda on: self._set_look("forces", on),
             )
+            self.length_input = self.listen(
+                gui.add_slider("Arrows", 0.1, 20.0, 0.1, 1.0, hint="their length, of that of the largest force"),
+                lambda length: self._set_look("length", length),
+            )
             self.gaps_input = self.listen(
                 gui.add_checkbox(
                     "Gaps", self.stage.gaps, hint="red: inside, yellow: in touch, blue: away, grey: unknown"
@@ -187,8 +194,8 @@ class Show(ABC):
             )
             self.button("Look at the bodies", self._look)
 
-    def _set_look(self, name: str, on: bool) -> None:
-        setattr(self.stage, name, on)
+    def _set_look(self, name: str, value: Any) -> None:
+        setattr(self.stage, name, value)
         self.redraw()
 
     def _look(self) -> None:

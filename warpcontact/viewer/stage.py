@@ -11,6 +11,11 @@ from numpy.typing import NDArray
 from warpcontact.checks import Array
 from warpcontact.replay.drawing import Curve, Drawing, Figure, Shape, Touch
 
+# Lights: of all around, and from one side.
+AMBIENT = 0.4
+SUN = 2.0
+SUN_FROM = (-4.0, -6.0, 10.0)
+
 # Widths in sizes of the largest body.
 ARROW = 0.03
 LINE = 0.02
@@ -84,6 +89,7 @@ class Stage:
 
     Attributes:
         forces: Whether arrows of forces are drawn.
+        length: Factor on the length of arrows.
         gaps: Whether contacts have the colours of their gaps.
         following: Whether the camera moves with the bodies.
     """
@@ -91,6 +97,7 @@ class Stage:
     def __init__(self, server: Any) -> None:
         self.server = server
         self.forces = True
+        self.length = 1.0
         self.gaps = False
         self.following = False
         self._figures: list[_Drawn] = []
@@ -98,6 +105,12 @@ class Stage:
         self._touches: list[tuple[Any, Any]] = []
         self._names: list[list[str]] = []
         self._centre: Array | None = None
+        # Those of viser outshine colours.
+        server.scene.configure_environment_map("studio", environment_intensity=AMBIENT)
+        server.scene.configure_default_lights(False)
+        server.scene.add_light_directional(
+            "/lights/sun", intensity=SUN, cast_shadow=True, position=tuple(SUN_FROM)
+        )
 
     def show(self, drawing: Drawing, record: int, force_scale: float) -> None:
         """Shows the first environment of a drawing at one of its records.
@@ -151,9 +164,9 @@ class Stage:
         centre, radius = middle(drawing, record)
         self._centre = centre
         place = centre + AWAY_BY * radius * FROM
-        cameras = [self.server.initial_camera, *(one.camera for one in self.server.get_clients().values())]
-        for camera in cameras:
-            camera.look_at, camera.position = centre, place
+        for camera in self._cameras():
+            # In this order: a camera that is moved takes what it looks at along.
+            camera.position, camera.look_at = place, centre
         self.server.initial_camera.near = 0.01 * radius
         self.server.initial_camera.far = max(1000.0, 1000.0 * radius)
 
@@ -167,9 +180,12 @@ class Stage:
         if not way.any():
             return
         self._centre = centre
-        for camera in [self.server.initial_camera, *(one.camera for one in self.server.get_clients().values())]:
-            place, look_at = camera.position + way, camera.look_at + way
-            camera.position, camera.look_at = place, look_at
+        for camera in self._cameras():
+            camera.position, camera.look_at = camera.position + way, camera.look_at + way
+
+    def _cameras(self) -> list[Any]:
+        """Returns those of the pages that are open, and of those that will be."""
+        return [self.server.initial_camera, *(one.camera for one in self.server.get_clients().values())]
 
     def _place(self, number: int, figure: Figure, record: int, colors: NDArray[np.uint8] | None) -> None:
         """Puts a figure where it is; ``colors``: of each item, instead of its own."""
@@ -189,7 +205,7 @@ class Stage:
             node.visible = bool(there.any())
             if there.any():
                 node.batched_positions, node.batched_wxyzs, node.batched_scales = positions, turns, scales
-                node.batched_colors = _bytes(color) if colors is None else colors[there]
+                node.batched_colors = _bytes(_linear(color if colors is None else colors[there] / 255.0))
 
     def _add_figure(self, number: int, figure: Figure, turns: Array, positions: Array, scales: Array) -> _Drawn:
         nodes, colors = [], []
@@ -204,10 +220,11 @@ class Stage:
                     turns,
                     positions,
                     batched_scales=scales,
-                    batched_colors=_bytes(color),
+                    batched_colors=_bytes(_linear(color)),
                     lod="off" if len(positions) <= FEW else "auto",
                     flat_shading=figure.shape.normals is None,
                     side="double",
+                    cast_shadow=figure.kind != "surface",
                 )
             )
             colors.append(color)
@@ -226,7 +243,7 @@ class Stage:
         arrows = self.server.scene.add_arrows(
             f"{name}/force",
             np.zeros((1, 2, 3)),
-            _bytes(touch.color),
+            _bytes(_linear(touch.color)),
             shaft_radius=ARROW * size,
             head_radius=2.0 * ARROW * size,
             head_length=4.0 * ARROW * size,
@@ -248,12 +265,13 @@ class Stage:
         acting = force.any(axis=-1)
         if self.forces and acting.any():
             start = at(touch.points, record)[acting]
-            node.points = np.stack([start, start + force_scale * force[acting]], axis=1)
+            node.points = np.stack([start, start + self.length * force_scale * force[acting]], axis=1)
         node.visible = bool(self.forces and acting.any())
 
     def _draw_spots(self, node: Any, touch: Touch, record: int, size: float, *, shown: bool) -> None:
         gaps = None if touch.gaps is None else at(touch.gaps, record)
-        known = np.zeros(0, bool) if gaps is None or not (shown and self.gaps) else np.isfinite(gaps)
+        # Where two are far from each other there is nothing to see between them.
+        known = np.zeros(0, bool) if gaps is None or not (shown and self.gaps) else gaps < FAR * size
         if gaps is not None and known.any():
             # Both at once: a cloud with fewer colours than points is drawn black.
             with self.server.atomic():
@@ -282,6 +300,11 @@ def middle(drawing: Drawing, record: int) -> tuple[Array, float]:
 
 def _bytes(color: Array) -> NDArray[np.uint8]:
     return (255.0 * np.clip(color, 0.0, 1.0)).round().astype(np.uint8)
+
+
+def _linear(color: Array) -> Array:
+    """Returns a colour as viser takes those of copies: not as on a screen, but as light."""
+    return ((np.clip(color, 0.0, 1.0) + 0.055) / 1.055) ** 2.4
 
 
 def _plain(name: str) -> str:

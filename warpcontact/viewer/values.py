@@ -26,11 +26,12 @@ def spoken(values: Any, flags: dict[str, Any] | None = None) -> str:
         finite = array[np.isfinite(array)]
         span = f", {_number(finite.min())} to {_number(finite.max())}" if finite.size else ""
         return f"{array.size} numbers{span}"
-    return ", ".join(_number(one) for one in array.reshape(-1))
+    digits = 6 if array.size == 1 else 4
+    return ", ".join(_number(one, digits) for one in array.reshape(-1))
 
 
-def _number(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
+def _number(value: Any, digits: int = 6) -> str:
+    return f"{value:.{digits}g}" if isinstance(value, float | np.floating) else str(value)
 
 
 def rows_of(data: xr.Dataset) -> list[tuple[str, str]]:

@@ -1,0 +1,238 @@
+"""Stills and films of runs and recordings, in Python and on the command line."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import warpcontact as wc
+from warpcontact.cli import main
+from warpcontact.rendering import filming, writers
+from warpcontact.rendering.records import Source
+
+SMALL = {"size": (64, 48), "samples": 1}
+STUDY = {
+    "name": "drop",
+    "envs": 3,
+    "duration": 0.2,
+    "dt": 1e-3,
+    "surface": [{"name": "ground", "mesh": {"shape": "grid", "size": [4.0, 4.0]}}],
+    "body": [{"name": "ball", "mass": 1.0, "inertia": [4e-3] * 3, "position": [0.0, 0.0, 0.15]}],
+    "point": [{"name": "centre", "body": "ball", "position": [0.0, 0.0, 0.0]}],
+    "template": [{"name": "rubber", "law": {"type": "HuntCrossley", "stiffness": 1e5, "restitution": 0.7}}],
+    "contact": [{"name": "touch", "points": "centre", "surface": "ground", "template": "rubber", "radius": 0.1}],
+    "variation": {"ball.mass": {"values": [0.5, 1.0, 2.0]}},
+    "record": {"every": 0.01, "readings": ["touch.normal_force", "touch.normal", "touch.point"]},
+    "output": {"usd_envs": 0},
+}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "drop"
+    return wc.Experiment.from_dict(STUDY).run(folder, device="cpu")
+
+
+def command(run, *words):
+    return main(["render", str(run.folder), *map(str, words), "--size", "64x48", "--samples", "1"])
+
+
+def test_a_still_is_written_as_it_is_returned(run, tmp_path):
+    picture = wc.render(run, tmp_path / "a.png", env=2, time=0.1, **SMALL)
+    assert picture.shape == (48, 64, 3)
+    assert picture.dtype == np.uint8
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), picture)
+    # From the run and from its recording alike, whatever the file.
+    np.testing.assert_array_equal(wc.render(run.recording, env=2, time=0.1, **SMALL), picture)
+    assert wc.render(run, tmp_path / "b.png", env=2, time=0.1, **SMALL) is not None
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    # The last record, of the first environment, unless others are named.
+    np.testing.assert_array_equal(wc.render(run, **SMALL), wc.render(run, env=[0], time=0.2, **SMALL))
+    assert (wc.render(run, time=0.0, **SMALL) != picture).any()
+
+
+def test_a_recording_without_its_scene_needs_it(run):
+    part = run.recording.isel(time=slice(0, 3))
+    with pytest.raises(ValueError, match="does not know its scene"):
+        wc.render(part, **SMALL)
+    assert wc.render(part, scene=run.scene, **SMALL).any()
+
+
+def test_the_nearest_record_is_drawn(run):
+    source = Source.of(run, None)
+    np.testing.assert_array_equal(source.nearest(np.array([0.0, 0.0149, 0.0151, 0.2])), [0, 1, 2, 20])
+    for wrong in (-0.01, 0.21, float("nan")):
+        with pytest.raises(ValueError, match=r"time must be within the recording, 0 to 0\.2 s, got"):
+            source.nearest(np.array(wrong))
+
+
+def test_the_command_says_what_it_drew(run, tmp_path, capsys):
+    assert command(run, "-o", tmp_path / "a.png", "--env", 1, "--time", 0.1) == 0
+    assert capsys.readouterr().out == f"environment 1 at 0.1 s: {tmp_path / 'a.png'}\n"
+    assert command(run, "-o", tmp_path / "b.png", "--envs", 0, 2, "--time", 0.103, "--together") == 0
+    said = capsys.readouterr().out
+    assert said == f"environments 0, 2 at 0.1 s, the record nearest to 0.103 s: {tmp_path / 'b.png'}\n"
+    expected = wc.render(run, env=1, time=0.1, **SMALL)
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), expected)
+
+
+def test_colours_tell_the_value_of_each_environment(run):
+    plain = wc.render(run, env=range(3), together=True, **SMALL)
+    colored = wc.render(run, env=range(3), color_by="ball.mass", labels=False, **SMALL)
+    assert (plain != colored).any()
+    with pytest.raises(
+        ValueError, match=r"color_by must be one number for each environment, got 'mass'; there are: .*ball\.mass"
+    ):
+        wc.render(run, env=range(3), color_by="mass", **SMALL)
+
+
+def test_a_gif_plays_as_long_as_what_it_shows(run, tmp_path, capsys):
+    assert command(run, "-o", tmp_path / "a.gif", "--fps", 30, "--speed", 0.2) == 0
+    # 0.2 s five times slower: 1 s, and 31 moments of it.
+    assert "0 to 0.2 s in 31 pictures, 1.03 s long" in capsys.readouterr().out
+    durations = []
+    with Image.open(tmp_path / "a.gif") as image:
+        for frame in range(image.n_frames):
+            image.seek(frame)
+            durations.append(image.info["duration"])
+        assert image.info["loop"] == 0
+        assert image.size == (64, 48)
+    # Records 10 ms apart are shown for 50 ms: pictures that are the same become one that is shown for longer.
+    assert sum(durations) == 1030
+    assert 5 < len(durations) <= 21
+
+
+def test_the_pictures_of_a_gif_are_those_of_the_records(run, tmp_path):
+    film = wc.film(run, tmp_path / "a.gif", fps=25.0, speed=0.25, env=1, progress=False, labels=False, **SMALL)
+    np.testing.assert_allclose(film.times, np.arange(21) * 0.01)
+    assert film.duration == pytest.approx(0.84)
+    with Image.open(tmp_path / "a.gif") as image:
+        image.seek(image.n_frames - 1)
+        last = np.asarray(image.convert("RGB")).astype(int)
+    expected = wc.render(run, env=1, time=0.2, labels=False, **SMALL).astype(int)
+    # 255 colours for all of it.
+    assert np.abs(last - expected).mean() < 4.0
+    again = tmp_path / "b.gif"
+    wc.film(run, again, fps=25.0, speed=0.25, env=1, progress=False, labels=False, **SMALL)
+    assert again.read_bytes() == (tmp_path / "a.gif").read_bytes()
+
+
+@pytest.mark.skipif(not (shutil.which("ffmpeg") and shutil.which("ffprobe")), reason="needs ffmpeg and ffprobe")
+def test_an_mp4_plays_in_browsers(run, tmp_path, capsys):
+    assert command(run, "-o", tmp_path / "a.mp4", "--time", 0.05, 0.15, "--fps", 20, "--speed", 0.1) == 0
+    assert "0.05 to 0.15 s in 21 pictures, 1.05 s long" in capsys.readouterr().out
+    said = subprocess.run(
+        ["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-of", "json", str(tmp_path / "a.mp4")],
+        capture_output=True,
+        check=True,
+    ).stdout
+    (stream,) = json.loads(said)["streams"]
+    assert (stream["codec_name"], stream["pix_fmt"]) == ("h264", "yuv420p")
+    assert (stream["width"], stream["height"]) == (64, 48)
+    assert int(stream["nb_read_frames"]) == 21
+    assert float(stream["duration"]) == pytest.approx(1.05)
+    raw = subprocess.run(
+        ["ffmpeg", "-v", "error", "-i", str(tmp_path / "a.mp4"), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"],
+        capture_output=True,
+        check=True,
+    ).stdout
+    first = np.frombuffer(raw, dtype=np.uint8)[: 48 * 64 * 3].reshape(48, 64, 3).astype(int)
+    expected = wc.render(run, time=0.05, labels=False, **SMALL).astype(int)
+    # Colours survive the way through H.264, but for its losses; the label covers little.
+    assert np.median(np.abs(first - expected)) <= 4
+
+
+def test_without_ffmpeg_the_error_names_what_works(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(writers.shutil, "which", lambda name: None)
+    with pytest.raises(
+        ValueError, match=r"a\.mp4: an \.mp4 file needs ffmpeg, which is not on the PATH; \.gif needs nothing"
+    ):
+        wc.film(run, tmp_path / "a.mp4", progress=False, **SMALL)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_ffmpeg_that_fails_says_why_and_leaves_nothing(run, tmp_path, monkeypatch):
+    program = tmp_path / "bin" / "ffmpeg"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\necho 'Unknown encoder libx264' >&2\nexit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(writers.shutil, "which", lambda name: str(program))
+    with pytest.raises(ValueError, match=r"a\.mp4: ffmpeg failed: Unknown encoder libx264; \.gif needs no ffmpeg"):
+        wc.film(run, tmp_path / "a.mp4", progress=False, **SMALL)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["bin"]
+
+
+def test_a_film_that_is_broken_off_leaves_the_last_one(run, tmp_path, monkeypatch):
+    file = tmp_path / "a.gif"
+    wc.film(run, file, progress=False, **SMALL)
+    before = file.read_bytes()
+    monkeypatch.setattr(filming.Show, "picture", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        wc.film(run, file, progress=False, **SMALL)
+    assert file.read_bytes() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.gif"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["-o", "{}/a.jpg"], r"--out .*a\.jpg: must end in \.png, \.gif or \.mp4, got \.jpg"),
+        (["-o", "{}/none/a.png"], "none does not exist"),
+        (["-o", "{}/a.png", "--env", "7"], "environment 7 is not in the recording, which has 0 to 2"),
+        (["-o", "{}/a.png", "--time", "1"], r"--time must be within the recording, 0 to 0\.2 s, got 1"),
+        (["-o", "{}/a.png", "--time", "0", "0.1"], "--time is one time of a picture, got 2"),
+        (["-o", "{}/a.gif", "--time", "0"], "--time is the first and the last time of a film, got 1"),
+        (["-o", "{}/a.gif", "--time", "0.1", "0.1"], "--time must be the first and a later last one"),
+        (["-o", "{}/a.gif", "--fps", "60"], "--fps must be greater than 0 and at most 50"),
+        (["-o", "{}/a.gif", "--fps", "0"], "--fps must be greater than 0"),
+        (["-o", "{}/a.gif", "--speed", "-1"], "--speed must be greater than 0"),
+        (["-o", "{}/a.png", "--fps", "20"], "--fps is of films"),
+        (["-o", "{}/a.png", "--from", "0", "100"], r"--from\[1\] must be at least -90"),
+        (["-o", "{}/a.png", "--device", "cuda:9"], "--device must be 'auto' or one of"),
+        (["-o", "{}/a.png", "--color-by", "x"], "--color-by must be one number for each environment, got 'x'"),
+        (["-o", "{}/a.png", "--background", "blue"], "--background must be one of 'light'"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said(run, tmp_path, capsys, words, message):
+    assert command(run, *(word.format(tmp_path) for word in words)) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("warpcontact: ")
+    assert re.search(message, error), error
+    assert not list(tmp_path.iterdir())
+
+
+def test_odd_sizes_of_mp4_are_refused(run, tmp_path, capsys):
+    code = main(["render", str(run.folder), "-o", str(tmp_path / "a.mp4"), "--size", "63x48"])
+    assert code == 2
+    assert "--size must be even for an .mp4 file, got 63 × 48 pixels" in capsys.readouterr().err
+
+
+def test_sizes_are_two_numbers(run, capsys):
+    with pytest.raises(SystemExit):
+        main(["render", str(run.folder), "-o", "a.png", "--size", "wide"])
+    assert "must be WIDTHxHEIGHT, such as 1280x720, got 'wide'" in capsys.readouterr().err
+
+
+def test_forces_that_were_not_recorded_are_said_to_be_missing(tmp_path, capsys):
+    bare = {**STUDY, "envs": 1, "variation": {}, "record": {"every": 0.1, "readings": ["touch.gap"]}}
+    run = wc.Experiment.from_dict(bare).run(tmp_path / "bare", device="cpu")
+    assert command(run, "-o", tmp_path / "a.png", "--forces") == 0
+    assert "no forces are shown" in capsys.readouterr().err
+    assert command(run, "-o", tmp_path / "a.png") == 0
+    assert "no forces are shown" not in capsys.readouterr().err
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path, capsys):
+    assert main(["render", str(tmp_path), "-o", str(tmp_path / "a.png")]) == 2
+    assert "holds no run" in capsys.readouterr().err
+
+
+def test_what_is_no_recording_is_refused():
+    with pytest.raises(
+        TypeError, match=r"recording must be what Simulation\.run or wc\.open_run returns, got str"
+    ):
+        wc.render("results", **SMALL)

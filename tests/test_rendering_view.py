@@ -1,0 +1,216 @@
+"""Where pictures are taken from, what is drawn into them, and how panels share one."""
+
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+from drawings import PLATE, balls, camera, covered, drawing, figure
+from warpcontact.kernels.rendering.world import CONE, CYLINDER
+
+from warpcontact.frames import placed
+from warpcontact.rendering import sheet
+from warpcontact.rendering.camera import MARGIN, direction, framed, spheres_to_see
+from warpcontact.rendering.items import from_z, of_curve, of_figure, of_touch
+from warpcontact.rendering.look import Look
+from warpcontact.rendering.show import Show, coloring_of
+from warpcontact.replay.drawing import Curve, Touch
+
+RED = np.array([0.9, 0.1, 0.1])
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 2.2])
+def test_the_nearest_eye_that_sees_all_spheres_touches_the_margin(aspect):
+    rng = np.random.default_rng(0)
+    for azimuth, elevation in ((0.3, 0.2), (2.0, -0.7), (-1.0, 0.5 * math.pi)):
+        points, radii = rng.normal(size=(20, 3)), rng.uniform(0.0, 0.3, 20)
+        eye = framed(points, radii, direction(azimuth, elevation), 0.6, aspect)
+        right, up, forward = eye.axes
+        seen = points - eye.target - eye.distance * eye.backward
+        depth = seen @ forward
+        most = []
+        for axis, widest in ((right, aspect), (up, 1.0)):
+            slope = (1.0 - MARGIN) * widest * math.tan(0.3)
+            # Distance of each sphere's surface from the planes of the margin, on both sides.
+            for sign in (-1.0, 1.0):
+                most.append(((sign * (seen @ axis) - slope * depth) / math.hypot(1.0, slope) + radii).max())
+        assert max(most) == pytest.approx(0.0, abs=1e-9)
+        # In one direction they touch both sides: the eye is nowhere nearer.
+        assert sorted(most)[-2] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_place_that_was_asked_for_is_kept():
+    eye = framed(
+        np.zeros((1, 3)), np.ones(1), direction(0.1, 0.2), 0.5, 1.0, target=np.array([1.0, 2.0, 3.0]), distance=7.0
+    )
+    np.testing.assert_array_equal(eye.target, [1.0, 2.0, 3.0])
+    assert eye.distance == 7.0
+
+
+def test_pictures_are_about_what_moves_and_what_stands_beside_it():
+    ball, wall, ground = (
+        of_figure(one, 0, 0)
+        for one in (
+            balls(RED, [[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]], 0.5),
+            figure(PLATE, RED, [1.0, 0.0, 1.0], 0.3),
+            figure(PLATE, RED, [0.0, 0.0, 0.0], 50.0),
+        )
+    )
+    centres, _ = spheres_to_see(drawing([]), [(ball, True), (wall, False), (ground, False)])
+    assert len(centres) == 2 + 8
+    assert centres[:, 0].max() == pytest.approx(1.3)
+    # What fell off the ground long ago would make all else tiny.
+    lost = of_figure(balls(RED, [[0.0, 0.0, 1.0], [0.0, 0.0, -900.0]], 0.5), 0, 0)
+    centres, _ = spheres_to_see(drawing([]), [(lost, True), (ground, False)])
+    np.testing.assert_array_equal(centres, [[0.0, 0.0, 1.0]])
+    # Where nothing moves, all of it; where there is nothing, something.
+    assert len(spheres_to_see(drawing([]), [(ground, False)])[0]) == 8
+    assert len(spheres_to_see(drawing([]), [])[0]) == 1
+
+
+def test_arrows_are_as_long_as_forces_and_shrink_with_them():
+    forces = np.array([[0.0, 0.0, 10.0], [3.0, 4.0, 0.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0, -1e-3]])
+    starts = np.arange(15.0).reshape(5, 3)
+    touch = Touch("touch", RED, starts[None, None], forces[None, None], None)
+    shafts, heads = of_touch(touch, 0, 0, 0.2, 0.1)
+    assert (shafts.kind, heads.kind) == (CYLINDER, CONE)
+    tips = placed(heads.scales[:, None] * (0.0, 0.0, 1.0), heads.positions, heads.rotations)[:, 0]
+    acting = [0, 1, 4]
+    np.testing.assert_allclose(tips, (starts + 0.2 * forces)[acting], atol=1e-12)
+    np.testing.assert_allclose(shafts.positions, starts[acting])
+    # The shortest is as slender as the others.
+    np.testing.assert_allclose(heads.scales[:, 2] / heads.scales[:, 0], heads.scales[0, 2] / heads.scales[0, 0])
+    assert heads.scales[2, 0] < 1e-3 * heads.scales[0, 0]
+
+
+def test_rotations_of_the_z_axis_reach_every_direction():
+    directions = np.random.default_rng(0).normal(size=(50, 3))
+    directions[:2] = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    turned = placed(np.broadcast_to((0.0, 0.0, 1.0), (50, 1, 3)), np.zeros((50, 3)), from_z(directions))[:, 0]
+    np.testing.assert_allclose(turned, directions, atol=1e-12)
+
+
+def test_curves_are_tubes_and_broken_ones_are_not_there():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 1, 0]])
+    curve = Curve("rope", RED, points[None, None], np.ones((1, 1), dtype=bool))
+    joints, tubes = of_curve(curve, 0, 0, 0.2)
+    assert len(joints.positions) == 4
+    assert len(tubes.positions) == 2  # of two points in one place there is nothing between
+    np.testing.assert_allclose(tubes.scales, [[0.1, 0.1, 1.0]] * 2)
+    broken = Curve("rope", RED, points[None, None], np.zeros((1, 1), dtype=bool))
+    assert of_curve(broken, 0, 0, 0.2) == []
+    failed = Curve("rope", RED, np.full((1, 1, 2, 3), np.nan), np.ones((1, 1), dtype=bool))
+    assert of_curve(failed, 0, 0, 0.2) == []
+
+
+def test_arrows_shine_through_what_is_before_them(device):
+    body = balls(np.array([0.1, 0.2, 0.9]), [[0.0, 0.0, 0.0]], 1.0)
+    touch = Touch("touch", RED, np.array([[[[0.0, 0.0, -0.5]]]]), np.array([[[[0.0, 0.0, 1.0]]]]), None)
+    look = {"size": (64, 64), "samples": 4, "device": device, "labels": False}
+    pictures = [
+        Show(drawing([body], touches=[touch], size=2.0), Look(**look, forces=forces)).picture(0).astype(int)
+        for forces in (True, False)
+    ]
+    changed = (pictures[0] != pictures[1]).any(axis=-1)
+    assert changed.sum() > 5
+    redder = pictures[0][changed][:, 0] - pictures[1][changed][:, 0]
+    assert (redder > 20).mean() > 0.7
+    assert (pictures[0][changed][:, 2] > 40).mean() > 0.7  # the body is still seen
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 16])
+def test_panels_are_of_one_size_and_do_not_overlap(count):
+    found = sheet.places(count, 640, 360)
+    assert len(found) == count
+    assert len({(right - left, bottom - top) for left, top, right, bottom in found}) == 1
+    owner = np.zeros((360, 640), dtype=int)
+    for left, top, right, bottom in found:
+        assert min(left, top) >= 0
+        owner[top:bottom, left:right] += 1
+    assert owner.max() == 1
+    assert owner.sum() > 0.7 * owner.size
+
+
+def test_too_many_panels_are_refused():
+    with pytest.raises(
+        ValueError, match="size must have room for panels of 900 environments, got 64 × 64 pixels; together"
+    ):
+        sheet.places(900, 64, 64)
+
+
+def test_colours_go_from_the_lowest_to_the_highest_value():
+    coloring = coloring_of("mass", np.array([3.0, np.nan, 1.0, 2.0]))
+    np.testing.assert_allclose(coloring.colors[[2, 3, 0]], sheet.scale_colors(np.array([0.0, 0.5, 1.0])))
+    np.testing.assert_allclose(coloring.colors[1], 0.5)  # grey where there is none
+    same = coloring_of("mass", np.array([2.0, 2.0]))
+    assert (same.colors[0] == same.colors[1]).all()
+
+
+def test_labels_are_written_where_they_are_asked_for():
+    picture = np.full((120, 200, 3), 200, dtype=np.uint8)
+    before = picture.copy()
+    sheet.write(picture, [(0, 0, 200, 120)], [""], "")
+    np.testing.assert_array_equal(picture, before)
+    sheet.write(picture, [(0, 0, 200, 120)], ["environment 7"], "0.400 s")
+    changed = (picture != before).any(axis=-1)
+    assert changed[:40, :120].any()
+    assert changed[90:, :80].any()
+    assert not changed[45:85].any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"size": (8, 8)}, r"size\[0\] must be at least 16"),
+        ({"size": (640.5, 360)}, "size.* must be a whole number"),
+        ({"view_from": (0.0, 95.0)}, r"view_from\[1\] must be at least -90"),
+        ({"view_from": (math.nan, 0.0)}, "view_from.* must be finite"),
+        ({"look_at": (0.0, 0.0)}, "look_at must be 3 numbers"),
+        ({"distance": 0.0}, "distance must be greater than 0"),
+        ({"fov": 180.0}, "fov must be at least 1"),
+        ({"samples": 0}, "samples must be at least 1"),
+        ({"samples": 2.5}, "samples must be a whole number"),
+        ({"threads": 0}, "threads must be at least 1"),
+        ({"forces": "yes"}, "forces must be True or False"),
+        (
+            {"background": "blue"},
+            "background must be one of 'light', 'white', 'dark', or a colour as #rrggbb, got 'blue'",
+        ),
+        ({"background": 7}, "background must be one of"),
+    ],
+)
+def test_options_that_are_not_allowed_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        Look(**options)
+
+
+def test_a_background_of_ones_own_fills_what_nothing_covers(device):
+    look = Look(size=(32, 32), background="#123456", device=device, labels=False)
+    picture = Show(drawing([balls(RED, [[0.0, 0.0, 0.0]], 0.5)]), look).picture(0)
+    np.testing.assert_array_equal(picture[0, 0], [0x12, 0x34, 0x56])
+    assert covered(picture).all()
+
+
+def test_far_ground_fades_into_the_background(device):
+    ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, 0.0], 1000.0)
+    look = Look(
+        size=(32, 512),
+        device=device,
+        background="white",
+        view_from=(0.0, 5.0),
+        look_at=(0.0, 0.0, 0.0),
+        distance=5.0,
+    )
+    column = Show(drawing([ground]), look).picture(0)[:, 16].astype(int).mean(axis=-1)
+    horizon = int(np.argmax(column < 255))
+    assert 0 < horizon < 256
+    assert column[horizon] > 240  # no edge
+    assert column[-1] < 150
+
+
+def test_the_camera_of_a_stage_is_that_of_its_view():
+    assert camera(0, 90).reach == pytest.approx(10.0 * math.tan(math.radians(10.0)))
+    right, up, forward = camera(0, 90).axes
+    np.testing.assert_allclose([right, up, forward], [[0, 1, 0], [-1, 0, 0], [0, 0, -1]], atol=1e-12)
+    assert wp.get_device("cpu").is_cpu

@@ -1,0 +1,436 @@
+"""The live view without a browser: what its pages do by their inputs, who may connect, how it ends."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+
+import numpy as np
+import pytest
+import runs
+from viewing import ball_on_ground, make_run, settle, until, viewing
+
+import warpcontact as wc
+from warpcontact.cli import main
+from warpcontact.viewer import opening
+
+WEIGHT = 9.81
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Folder of a finished run of ten environments in three shards."""
+    return make_run(tmp_path_factory.mktemp("view"))
+
+
+def place(show):
+    """Where the ball is drawn."""
+    ball = next(one for one in show.stage._figures if one.name == "touch")
+    return np.array(ball.nodes[0].batched_positions[0])
+
+
+def listens(address, port):
+    """Whether anybody answers there."""
+    with socket.socket() as one:
+        one.settimeout(5.0)
+        return one.connect_ex((address, port)) == 0
+
+
+def test_a_run_is_replayed_at_the_time_that_is_chosen(run):
+    recorded = wc.open_run(run).recording["ball.position"]
+    with viewing(run) as show:
+        assert show.picker.env == 0
+        # A page shows single precision, whatever was recorded.
+        np.testing.assert_array_equal(place(show), recorded.sel(env=0).values[0].astype(np.float32))
+        show.time_input.value = 0.1203
+        settle(show)
+        assert show.record == 120
+        np.testing.assert_array_equal(place(show), recorded.sel(env=0).values[120].astype(np.float32))
+        assert show.time_input.value == recorded["time"].values[120]
+        show.do(lambda: show._walk("Last"))
+        settle(show)
+        assert show.record == recorded.sizes["time"] - 1
+        show.do(lambda: show._walk("On"))
+        settle(show)
+        assert show.record == recorded.sizes["time"] - 1
+        assert show.problem == ""
+
+
+def test_another_environment_is_shown_at_the_same_time(run):
+    recorded = wc.open_run(run)
+    with viewing(run) as show:
+        show.time_input.value = 0.05
+        show.picker.input.value = 7
+        settle(show)
+        assert show.picker.env == 7
+        np.testing.assert_array_equal(
+            place(show), recorded.recording["ball.position"].sel(env=7).values[50].astype(np.float32)
+        )
+        mass = float(recorded.params["ball.mass"].sel(env=7))
+        assert f"{mass:.6g} kg" in show._facts["Parameters"].content
+        assert "ACTIVE" in show._facts["Outcomes"].content
+        show.picker.input.value = 10
+        settle(show)
+        assert show.problem == "there is no environment 10; there are 0 to 9"
+        assert show.picker.env == 7
+        show.do(lambda: show.picker._go("Next"))
+        show.do(lambda: show.picker._go("Next"))
+        show.do(lambda: show.picker._go("Next"))
+        settle(show)
+        assert show.picker.env == 0
+        assert show.problem == ""
+
+
+def test_playing_goes_on_to_the_end_and_begins_anew(run):
+    with viewing(run, speed=10.0) as show:
+        show.do(show.toggle)
+        until(lambda: not show.playing and show.record > 0)
+        assert show.record == 200
+        assert show.problem == ""
+        show.speed_input.value = "0.001"
+        show.do(show.toggle)
+        settle(show)
+        assert show.playing
+        assert show.record < 100
+        show.do(show.toggle)
+        settle(show)
+        assert not show.playing
+        show.speed_input.value = "1e9"
+        settle(show)
+        assert show.problem == "the speed must be from 0.001 to 1000, got 1e+09"
+
+
+def test_a_running_run_is_followed(tmp_path):
+    path = runs.study(tmp_path)
+    folder = tmp_path / "run"
+    words = (path, "--out", folder, "--shard", 4, "--device", "cpu", "--checkpoint", 0)
+    code, _, err = runs.run(*words, first=runs.ending_after(5))
+    assert code == -signal.SIGKILL, err
+    frames = runs.records(folder)[0]["frames"]
+    assert 0 < frames < 201
+    with viewing(folder) as show:
+        assert show.source.envs.tolist() == [0, 1, 2, 3]
+        assert len(show._drawing.times) == frames
+        assert "stopped" in show._status.content
+        show.do(lambda: show._walk("Last"))
+        settle(show)
+        code, _, err = runs.run("--resume", "--out", folder)
+        assert code == 0, err
+        until(lambda: show.source.state == "finished")
+        settle(show)
+        assert show.source.envs.tolist() == list(range(10))
+        assert len(show._drawing.times) == 201
+        # Who looked at the last record looks at the last one there is now.
+        assert show.record == 200
+        show.picker.input.value = 9
+        settle(show)
+        assert show.picker.env == 9
+        assert show.problem == ""
+
+
+def test_a_run_of_which_nothing_is_committed_is_waited_for(tmp_path):
+    folder = tmp_path / "run"
+    path = runs.study(tmp_path)
+    code, _, err = runs.run(
+        path, "--out", folder, "--shard", 4, "--device", "cpu", first=runs.ending_after(1, "before")
+    )
+    assert code == -signal.SIGKILL, err
+    with viewing(folder) as show:
+        assert show.picker.env is None
+        assert "nothing is committed" in show._status.content
+        show.do(show.toggle)
+        show.do(show._look)
+        show.do(lambda: show.picker._go("Next"))
+        settle(show)
+        assert show.problem == "there are none yet"
+
+
+def test_failed_environments_are_marked(tmp_path):
+    path = runs.study(tmp_path)
+    text = path.read_text().replace("[variation]", "[variation]\n'touch.law.stiffness' = { values = VALUES }")
+    values = [1e5] * 10
+    values[3] = values[8] = 1e12  # the step is far too long for it
+    path.write_text(text.replace("VALUES", str(values)) + "\n[quarantine]\nmax_speed = 50\n")
+    with pytest.warns(RuntimeWarning, match="2 of 10 environments became faster"):
+        wc.Experiment.from_toml(path).run(tmp_path / "run", device="cpu", progress=False)
+    assert wc.open_run(tmp_path / "run").health.frozen.tolist() == [3, 8]
+    with viewing(tmp_path / "run") as show:
+        for env in (3, 8, 3):
+            show.do(lambda: show.picker._go("Next frozen"))
+            settle(show)
+            assert show.picker.env == env
+            assert "TOO_FAST" in show.picker._text.content
+            assert "2 frozen" in show.picker._text.content
+
+
+def test_a_recording_is_replayed():
+    simulation = ball_on_ground()
+    recording = simulation.run(0.05, record=["touch.gap", "touch.normal_force", "touch.normal", "touch.point"])
+    with viewing(recording) as show:
+        show.picker.input.value = 2
+        show.gaps_input.value = True
+        show.time_input.value = 0.05
+        settle(show)
+        arrows, _ = show.stage._touches[0]
+        assert arrows.visible
+        start, end = arrows.points[0]
+        # The longest arrow is 1.5 times as long as the ball is wide, 0.2 m; single precision.
+        force = recording["touch.normal_force"].sel(env=2).values
+        np.testing.assert_allclose(end - start, [0, 0, 0.3 * force[-1] / force.max()], atol=1e-6)
+        ball = next(one for one in show.stage._figures if one.name == "touch")
+        red, green, blue = ball.nodes[0].batched_colors[0].tolist()
+        assert red > green > blue  # it lies in the ground a little
+        show.forces_input.value = False
+        settle(show)
+        assert not arrows.visible
+        assert show.problem == ""
+    with pytest.raises(ValueError, match="does not know its scene"):
+        wc.view(recording.isel(env=[0]), port=0, block=False)
+
+
+def test_a_simulation_goes_on_with_a_parameter_that_was_changed():
+    simulation = ball_on_ground()
+    with viewing(simulation) as show:
+        show.do(show.toggle)
+        until(lambda: simulation.time > 0.3)
+        show.do(show.pause)
+        settle(show)
+
+        def force():
+            found = []
+            show.do(lambda: found.append(simulation.model.reading("touch.normal_force")))
+            settle(show)
+            return found[0]
+
+        # It came to rest: a damped oscillation of 20 periods.
+        np.testing.assert_allclose(force(), WEIGHT, rtol=1e-6)
+        show.picker.input.value = 1
+        settle(show)
+        show.do(lambda: show.parameters._choose(_label(show, "ball.mass")))
+        settle(show)
+        assert show.parameters.field.value == "1"
+        show.parameters.field.value = "3"
+        show.do(show.parameters._set_one)
+        show.do(show.toggle)
+        until(lambda: simulation.time > 0.8)
+        show.do(show.pause)
+        settle(show)
+        np.testing.assert_allclose(force(), [WEIGHT, 3 * WEIGHT, WEIGHT], rtol=1e-5)
+        assert f"{3 * WEIGHT:.5}"[:4] in show._readings.content
+        assert "environment 1: ball.mass = 3" in show.parameters._result.content
+        assert show.problem == ""
+
+
+def _label(show, name):
+    return next(label for label, own in show.parameters._names.items() if own == name)
+
+
+def test_a_bad_value_is_told_and_the_simulation_goes_on():
+    simulation = ball_on_ground()
+    with viewing(simulation) as show:
+        show.do(show.toggle)
+        show.do(lambda: show.parameters._choose(_label(show, "ball.mass")))
+        settle(show)
+        show.parameters.field.value = "-<b>1"
+        show.do(show.parameters._set_one)
+        settle(show)
+        assert show.problem == "ball.mass must be numbers, got '-<b>1'"
+        assert "<b>" not in show._problem_text.content
+        show.parameters.field.value = "-1"
+        show.do(show.parameters._set_one)
+        settle(show)
+        assert show.problem.startswith("ball.mass must be greater than 0")
+        before = simulation.time
+        until(lambda: simulation.time > before + 0.05)
+        assert show.playing
+        np.testing.assert_array_equal(simulation.model["ball.mass"], 1.0)
+
+
+def test_steps_and_resets_are_of_what_was_asked_for():
+    simulation = ball_on_ground()
+    with viewing(simulation) as show:
+        assert simulation.steps == 0
+        for _ in range(3):
+            show.do(show._step)
+        settle(show)
+        assert simulation.steps == 3
+        assert not show.playing
+        first = np.array(simulation.state.body_position.numpy())
+        show.picker.input.value = 1
+        show.do(lambda: show._reset("This one"))
+        settle(show)
+        now = simulation.state.body_position.numpy()
+        np.testing.assert_array_equal(now[[0, 2]], first[[0, 2]])
+        assert (now[1] != first[1]).any()
+        show.do(lambda: show._reset("All"))
+        settle(show)
+        assert simulation.steps == 0
+        np.testing.assert_array_equal(simulation.state.body_position.numpy(), now[[1, 1, 1]])
+
+
+def test_time_follows_the_speed_that_was_asked_for():
+    simulation = ball_on_ground(1)
+    with viewing(simulation, speed=0.01) as show:
+        show.do(show.toggle)
+        until(lambda: simulation.steps >= 5)
+        # Steps of 1 ms at a hundredth of the real time: 0.1 s on the wall for each, and they cannot be ahead.
+        assert simulation.time < 0.5
+        assert show.problem == ""
+
+
+def test_an_experiment_is_stepped_with_a_few_environments(tmp_path):
+    path = runs.study(tmp_path, envs=40)
+    with viewing(path) as show:
+        model = show.simulation.model
+        assert model.envs == opening.ENVS
+        assert list(show.parameters.fields) == ["ball.mass", "ball.linear_velocity"]
+        np.testing.assert_array_equal(
+            model["ball.mass"], wc.Experiment.from_toml(path).model(16, "cpu")["ball.mass"]
+        )
+        show.parameters.fields["ball.mass"].value = "7"
+        show.parameters.fields["ball.linear_velocity"].value = "0, oops, 0"
+        show.do(show.parameters._set_all)
+        settle(show)
+        assert show.problem == "ball.linear_velocity must be numbers, got '0, oops, 0'"
+        assert model["ball.mass"][0] == 7.0
+        assert "touch.gap" in show._readings.content
+    with viewing(path, envs=3) as show:
+        assert show.simulation.model.envs == 3
+
+
+def test_what_stops_a_simulation_is_told(tmp_path):
+    path = runs.study(tmp_path, envs=2)
+    path.write_text(path.read_text() + '\n[quarantine]\npolicy = "raise"\nmax_speed = 5\n')
+    with viewing(path) as show:
+        show.parameters.fields["ball.linear_velocity"].value = "0, 0, 40"
+        show.do(show.parameters._set_all)
+        show.do(show.toggle)
+        until(lambda: show.problem)
+        settle(show)
+        assert "environment 0 failed" in show.problem
+        assert "TOO_FAST" in show.problem
+        assert not show.playing
+        show.do(lambda: show.picker._go("Next frozen"))
+        settle(show)
+        assert show.picker.env == 0
+
+
+def test_long_names_are_shown_shortened():
+    name = "x" * 10_000
+    scene = wc.Scene()
+    ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="ground")
+    ball = scene.add_body(1.0, (4e-3, 4e-3, 4e-3), position=(0, 0, 0.2), name=name)
+    soft = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0), name="centre"), ground, soft, radius=0.1, name="touch")
+    simulation = wc.Simulation(scene.build(1, "cpu"), dt=1e-3)
+    with viewing(simulation) as show:
+        show.do(lambda: show.parameters._choose(_label(show, f"{name}.mass")))
+        settle(show)
+        show.parameters.field.value = "bad"
+        show.do(show.parameters._set_one)
+        settle(show)
+        assert "must be numbers" in show.problem
+        for handle in (show._problem_text, show._readings, show._status, show.parameters._result):
+            assert len(handle.content) < 5_000
+        assert max(map(len, show.parameters._names)) < 100
+
+
+def test_the_page_is_on_this_machine_alone(run):
+    with viewing(run) as show:
+        port = show.server.get_port()
+        assert show.server.url == f"http://127.0.0.1:{port}"
+        with urllib.request.urlopen(show.server.url) as answer:
+            assert answer.status == 200
+        # Another address of this machine: whoever listens on all of them answers there.
+        assert listens("127.0.0.1", port)
+        assert not listens("127.0.0.2", port)
+        assert show.server.request_share_url() is None
+    assert not listens("127.0.0.1", port)
+
+
+def test_pages_of_others_may_not_connect(run):
+    import viser
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    protocol = f"viser-v{viser.__version__}"
+    with viewing(run) as show:
+        address, port = show.server.url.replace("http", "ws"), show.server.get_port()
+        with (
+            connect(address, subprotocols=[protocol], origin="http://example.org", proxy=None) as other,
+            pytest.raises(ConnectionClosed) as caught,
+        ):
+            other.recv(timeout=20)
+        assert caught.value.rcvd.code == 1008
+        with connect(
+            address, subprotocols=[protocol], origin=f"http://127.0.0.1:{port}", proxy=None, max_size=None
+        ) as own:
+            assert own.recv(timeout=20)
+
+
+def test_a_missing_extra_is_named_with_what_installs_it(run, monkeypatch, capsys):
+    monkeypatch.setattr(opening.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ImportError, match=r"pip install 'warpcontact\[view\]'"):
+        wc.view(run)
+    assert main(["view", str(run)]) == 2
+    assert "pip install 'warpcontact[view]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["nowhere"], "nowhere"),
+        (["--port", "70000"], "--port must be a whole number from 0 to 65535, got 70000"),
+        (["--speed", "0"], "--speed must be from 0.001 to 1000, got 0"),
+        (["--speed", "nan"], "--speed must be from 0.001 to 1000, got nan"),
+        (["--envs", "3"], "--envs is of an experiment, got 3"),
+    ],
+)
+def test_what_is_wrong_with_a_command_is_told(run, words, told, capsys):
+    target = [] if words[0] == "nowhere" else [str(run)]
+    assert main(["view", *target, *words, "--no-open"]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_a_run_without_series_says_so(tmp_path, capsys):
+    path = runs.study(tmp_path)
+    path.write_text(path.read_text().replace("[record]\n", "[record]\nseries = false\n"))
+    wc.Experiment.from_toml(path).run(tmp_path / "run", device="cpu", progress=False)
+    assert main(["view", str(tmp_path / "run"), "--no-open", "--port", "0"]) == 2
+    assert "the run recorded nothing over time: [record] series = false" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_ctrl_c_ends_the_command_cleanly(run, live, tmp_path):
+    target = runs.study(tmp_path) if live else run
+    command = [
+        sys.executable,
+        "-m",
+        "warpcontact",
+        "view",
+        str(target),
+        "--no-open",
+        "--port",
+        "0",
+        "--device",
+        "cpu",
+    ]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONWARNINGS": ""}
+    )
+    try:
+        line = process.stdout.readline()
+        assert line.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(line.split()[0]) as answer:
+            assert answer.status == 200
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+    assert process.returncode == 0, err
+    assert out == ""
+    assert "Traceback" not in err

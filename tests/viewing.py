@@ -1,0 +1,54 @@
+"""What tests of the live view share: small runs, pages that are closed, and waiting for their threads."""
+
+import contextlib
+import threading
+import time
+
+import runs
+import warp as wp
+
+import warpcontact as wc
+
+
+def make_run(folder, **replaced):
+    """Runs the small study into ``folder / "run"``, in shards of 4 environments; returns the folder."""
+    experiment = wc.Experiment.from_toml(runs.study(folder, **replaced))
+    experiment.run(folder / "run", shard=4, device="cpu", progress=False)
+    return folder / "run"
+
+
+@contextlib.contextmanager
+def viewing(target, **options):
+    """Shows ``target`` on a page; yields what is behind it, when it has begun."""
+    with wc.view(target, port=0, block=False, device="cpu", **options) as viewer:
+        settle(viewer.show)
+        yield viewer.show
+
+
+def settle(show):
+    """Waits until the thread has done all that it was asked so far, and shows it."""
+    done = threading.Event()
+    show.do(done.set)
+    assert done.wait(120.0), "the thread of the page does not answer"
+    seen = show.pictures
+    until(lambda: show.pictures > seen)
+
+
+def until(holds, timeout=60.0):
+    """Waits until ``holds()``."""
+    end = time.monotonic() + timeout
+    while not holds():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
+
+
+def ball_on_ground(envs=3, **contact):
+    """A simulation of a ball that lies on the ground, in several environments."""
+    scene = wc.Scene()
+    ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="ground")
+    ball = scene.add_body(1.0, (4e-3, 4e-3, 4e-3), position=(0, 0, 0.0999), name="ball")
+    centre = scene.add_point(ball, (0, 0, 0), name="centre")
+    soft = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e5, damping=600.0))
+    scene.add_contact(centre, ground, soft, radius=0.1, name="touch", **contact)
+    wp.config.log_level = wp.LOG_ERROR
+    return wc.Simulation(scene.build(envs, "cpu", "float64"), dt=1e-3)

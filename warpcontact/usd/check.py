@@ -1,0 +1,300 @@
+"""Whether a stage is sound: what the validators of USD find, and what they do not look at.
+
+These find missing metadata and wrong schemas; they pass a stage with points that are not finite, faces without
+points, negative masses and rigid bodies in rigid bodies.
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Rounding of single precision, in sizes of what is compared.
+ROUNDING = 1.0e-5
+# More of one kind on one prim tell nothing new.
+MOST = 3
+
+
+def check_usd(path: str | Path) -> list[str]:
+    """Returns what is wrong with a stage, in sentences that begin with the path of a prim; none: it is sound.
+
+    All time samples are looked at: points, poses, extents and masses must be finite, quaternions of unit length,
+    indices in range, extents around what they are of, principal moments those of a body, rigid bodies not in one
+    another; and none of the validators that come with USD must find anything.
+
+    Args:
+        path: A ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file of one's own: reading a hostile file may end the
+            process.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    from pxr import Tf, Usd, UsdValidation
+
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"{path} is no file")
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        raise OSError(f"cannot read {path}: {str(error).strip()}") from error
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    told = UsdValidation.ValidationContext(validators).Validate(stage)
+    found = [f"{_site(error)}: {error.GetMessage()}" for error in told]
+    for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)):
+        for check in _CHECKS:
+            for number, finding in enumerate(check(prim)):
+                if number < MOST:
+                    found.append(f"{prim.GetPath()}: {finding}")
+    return found
+
+
+def _site(error: Any) -> str:
+    sites = error.GetSites()
+    return str(sites[0].GetPrim().GetPath()) if sites and sites[0].IsPrim() else "/"
+
+
+def _samples(attribute: Any) -> Iterator[tuple[str, Any]]:
+    """Iterates over the default value and the time samples of an attribute, with where they are in words."""
+    from pxr import Usd
+
+    if attribute.HasAuthoredValue():
+        default = attribute.Get(Usd.TimeCode.Default())
+        if default is not None:
+            yield "", default
+    for code in attribute.GetTimeSamples():
+        value = attribute.Get(code)
+        if value is not None:
+            yield f" at time {code:g}", value
+
+
+def _numbers(value: Any) -> NDArray[Any] | None:
+    """Returns a value as an array of reals; quaternions as (…, 4), the real part last; ``None``: it is none."""
+    from pxr import Gf
+
+    if isinstance(value, Gf.Quatd | Gf.Quatf | Gf.Quath):
+        return np.array([*value.GetImaginary(), value.GetReal()], dtype=np.float64)
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):
+        return None
+    return array if array.dtype.kind == "f" else None
+
+
+def _finite(prim: Any) -> Iterator[str]:
+    for attribute in prim.GetAttributes():
+        name = attribute.GetName()
+        # What was recorded may be unknown; a limit and a force at which something breaks may be infinite.
+        if name.startswith(("warpcontact:", "primvars:warpcontact:")) or attribute.GetTypeName() == "asset":
+            continue
+        may_be_infinite = "Limit" in name or "break" in name.lower() or name.startswith("limit:")
+        for where, value in _samples(attribute):
+            numbers = _numbers(value)
+            if numbers is None:
+                continue
+            bad = np.isnan(numbers) if may_be_infinite else ~np.isfinite(numbers)
+            if bad.any():
+                yield f"{name}{where} must be finite, got {numbers[bad].flat[0]}"
+                break
+
+
+def _sorted(prim: Any) -> Iterator[str]:
+    for attribute in prim.GetAttributes():
+        codes = np.array(attribute.GetTimeSamples())
+        if len(codes) and not (np.isfinite(codes).all() and (np.diff(codes) > 0.0).all()):
+            name = attribute.GetName()
+            yield f"time samples of {name} must be at finite times that increase, got {codes.tolist()}"
+
+
+def _quaternions(prim: Any) -> Iterator[str]:
+    for attribute in prim.GetAttributes():
+        type_name = str(attribute.GetTypeName())
+        if not type_name.startswith("quat") or attribute.GetName().startswith("warpcontact:"):
+            continue
+        # Half precision has three digits.
+        allowed = 2.0e-3 if type_name.startswith("quath") else 1.0e-5
+        for where, value in _samples(attribute):
+            numbers = _numbers(value)
+            if numbers is None or numbers.size == 0:
+                continue
+            length = np.linalg.norm(numbers.astype(np.float64).reshape(-1, 4), axis=1)
+            # No principal axes are said by a quaternion of zeros, which is the fallback of UsdPhysics.
+            if attribute.GetName() == "physics:principalAxes" and not length.any():
+                continue
+            off = np.abs(length - 1.0)
+            if not (off <= allowed).all():
+                yield f"{attribute.GetName()}{where} must be of unit length, got {length[np.argmax(off)]:g}"
+                break
+
+
+def _mesh(prim: Any) -> Iterator[str]:
+    from pxr import UsdGeom
+
+    if not prim.IsA(UsdGeom.Mesh):
+        return
+    mesh = UsdGeom.Mesh(prim)
+    points = [len(value) for _, value in _samples(mesh.GetPointsAttr())]
+    count = min(points, default=0)
+    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
+    sizes = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
+    if len(indices) and not (indices.min() >= 0 and indices.max() < count):
+        worst = indices[(indices < 0) | (indices >= count)][0]
+        yield f"faceVertexIndices must be from 0 to {count - 1}, the last point, got {worst}"
+    if (sizes < 3).any():
+        yield f"faceVertexCounts must be at least 3, got {sizes.min()}"
+    if sizes.sum() != len(indices):
+        yield f"faceVertexCounts must add up to the {len(indices)} indices, got {sizes.sum()}"
+    for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
+        chosen = np.array(subset.GetIndicesAttr().Get() or [], dtype=np.int64)
+        if len(chosen) and not (chosen.min() >= 0 and chosen.max() < len(sizes)):
+            yield f"indices of {subset.GetPrim().GetName()} must be from 0 to {len(sizes) - 1}, the last face"
+
+
+def _curves(prim: Any) -> Iterator[str]:
+    from pxr import UsdGeom
+
+    if not prim.IsA(UsdGeom.Curves):
+        return
+    curves = UsdGeom.Curves(prim)
+    counts = np.array(curves.GetCurveVertexCountsAttr().Get() or [], dtype=np.int64)
+    for where, points in _samples(curves.GetPointsAttr()):
+        if counts.sum() != len(points):
+            yield f"curveVertexCounts must add up to the {len(points)} points{where}, got {counts.sum()}"
+            return
+
+
+def _instancer(prim: Any) -> Iterator[str]:
+    from pxr import UsdGeom
+
+    if not prim.IsA(UsdGeom.PointInstancer):
+        return
+    instancer = UsdGeom.PointInstancer(prim)
+    prototypes = len(instancer.GetPrototypesRel().GetForwardedTargets())
+    for where, value in _samples(instancer.GetProtoIndicesAttr()):
+        numbers = np.array(value, dtype=np.int64)
+        if len(numbers) and not (numbers.min() >= 0 and numbers.max() < prototypes):
+            worst = numbers[(numbers < 0) | (numbers >= prototypes)][0]
+            yield f"protoIndices{where} must be from 0 to {prototypes - 1}, the last prototype, got {worst}"
+    indices = instancer.GetProtoIndicesAttr().Get()
+    count = 0 if indices is None else len(indices)
+    for name in ("positions", "orientations", "orientationsf", "scales", "ids"):
+        for where, value in _samples(prim.GetAttribute(name)):
+            if len(value) not in (0, count):
+                yield f"{name}{where} must be as many as the {count} protoIndices, got {len(value)}"
+                break
+    ids = np.array(instancer.GetIdsAttr().Get() or [], dtype=np.int64)
+    if len(np.unique(ids)) != len(ids):
+        yield "ids must differ"
+    for name, api in _primvars(prim):
+        for where, value in _samples(api.GetAttr()):
+            if api.GetInterpolation() in ("vertex", "varying") and len(value) != count:
+                yield f"primvar {name}{where} must have one value for each of {count} instances, got {len(value)}"
+                break
+
+
+def _primvars(prim: Any) -> Iterator[tuple[str, Any]]:
+    from pxr import UsdGeom
+
+    for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
+        yield primvar.GetPrimvarName(), primvar
+
+
+def _extent(prim: Any) -> Iterator[str]:
+    from pxr import Usd, UsdGeom
+
+    if not prim.IsA(UsdGeom.Boundable) or prim.IsAbstract():
+        return
+    boundable = UsdGeom.Boundable(prim)
+    attribute = boundable.GetExtentAttr()
+    if not attribute.HasAuthoredValue():
+        if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer):
+            yield "extent must be there"
+        return
+    for code in attribute.GetTimeSamples() or [Usd.TimeCode.Default()]:
+        found = np.array(attribute.Get(code), dtype=np.float64)
+        if found.shape != (2, 3):
+            yield f"extent must be two corners, got {found.tolist()}"
+            return
+        needed = _needed(prim, boundable, code)
+        if needed is None:
+            continue
+        slack = ROUNDING * (1.0 + np.abs(needed).max())
+        if (found[0] > needed[0] + slack).any() or (found[1] < needed[1] - slack).any():
+            where = "" if code == Usd.TimeCode.Default() else f" at time {code:g}"
+            yield f"extent{where} must hold {needed.tolist()}, got {found.tolist()}"
+            return
+
+
+def _needed(prim: Any, boundable: Any, code: Any) -> NDArray[Any] | None:
+    """Returns the corners of what a prim takes of space, (2, 3), or ``None`` if nobody can say."""
+    from pxr import UsdGeom
+
+    if prim.IsA(UsdGeom.PointInstancer):
+        corners = UsdGeom.PointInstancer(prim).ComputeExtentAtTime(code, code)
+    else:
+        corners = UsdGeom.Boundable.ComputeExtentFromPlugins(boundable, code)
+    array = np.array(corners, dtype=np.float64) if corners is not None else np.empty(0)
+    return array if array.shape == (2, 3) and np.isfinite(array).all() and (array[0] <= array[1]).all() else None
+
+
+def _mass(prim: Any) -> Iterator[str]:
+    from pxr import UsdPhysics
+
+    if not prim.HasAPI(UsdPhysics.MassAPI):
+        return
+    api = UsdPhysics.MassAPI(prim)
+    for name, attribute in (("mass", api.GetMassAttr()), ("density", api.GetDensityAttr())):
+        for where, value in _samples(attribute):
+            if not (np.isfinite(value) and value > 0.0):
+                yield f"{name}{where} must be greater than 0 and finite, got {value}"
+    for where, value in _samples(api.GetDiagonalInertiaAttr()):
+        moments = np.sort(np.array(value, dtype=np.float64))
+        if not np.isfinite(moments).all() or moments[0] <= 0.0:
+            yield f"diagonalInertia{where} must be greater than 0 and finite, got {moments.tolist()}"
+        elif moments[2] > (moments[0] + moments[1]) * (1.0 + ROUNDING):
+            yield (
+                f"diagonalInertia{where} must be that of a body: no moment may exceed the sum of the others, got "
+                f"{moments.tolist()}"
+            )
+
+
+def _nested(prim: Any) -> Iterator[str]:
+    from pxr import UsdPhysics
+
+    if not prim.HasAPI(UsdPhysics.RigidBodyAPI):
+        return
+    above = prim.GetParent()
+    while above and not above.IsPseudoRoot():
+        if above.HasAPI(UsdPhysics.RigidBodyAPI):
+            yield f"must not be a rigid body in the rigid body {above.GetPath()}"
+            return
+        above = above.GetParent()
+
+
+def _material(prim: Any) -> Iterator[str]:
+    from pxr import UsdPhysics
+
+    if not prim.HasAPI(UsdPhysics.MaterialAPI):
+        return
+    api = UsdPhysics.MaterialAPI(prim)
+    limits = {"StaticFriction": np.inf, "DynamicFriction": np.inf, "Restitution": 1.0, "Density": np.inf}
+    for name, most in limits.items():
+        for where, value in _samples(getattr(api, f"Get{name}Attr")()):
+            if not (np.isfinite(value) and 0.0 <= value <= most):
+                up_to = f" to {most:g}" if np.isfinite(most) else " on"
+                yield f"{name[0].lower()}{name[1:]}{where} must be from 0{up_to}, got {value}"
+
+
+_CHECKS: tuple[Callable[[Any], Iterator[str]], ...] = (
+    _finite,
+    _sorted,
+    _quaternions,
+    _mesh,
+    _curves,
+    _instancer,
+    _extent,
+    _mass,
+    _nested,
+    _material,
+)

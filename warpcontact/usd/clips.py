@@ -1,0 +1,193 @@
+"""Long recordings as value clips: files of some records each, written one after the other and picked up again.
+
+    run.usdc                     metadata, and which clip holds which time
+    run.clips/topology.usdc      all that does not change over time, and the first record as default values
+    run.clips/manifest.usdc      which attributes are in clips
+    run.clips/clip_000000.usdc   time samples of a block of records, and of the one behind it
+    run.clips/clips.json         which clips are whole, and of what
+
+No more than a block of records is in memory at once. A clip holds the first record of the next one, too, so that
+viewers interpolate across the seam as within a clip.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpcontact.durable import write_json
+from warpcontact.replay.content import Content
+from warpcontact.replay.couplings import Coil
+from warpcontact.usd.author import Samples
+from warpcontact.usd.files import save_layer
+from warpcontact.usd.layout import WORLD
+from warpcontact.usd.stage import Export, Tell
+
+FOLDER_SUFFIX = ".clips"
+RECORD = "clips.json"
+
+Range = tuple[int, int]
+
+
+def check_frames(value: Any, path: Path) -> int:
+    """Returns the number of records of a clip.
+
+    Raises:
+        ValueError: If it is none, or ``path`` is of a package, which holds no clips.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise ValueError(f"clip_frames must be a whole number of records, at least 1, got {value!r}")
+    if path.suffix == ".usdz":
+        raise ValueError(f"clip_frames is not for .usdz, which is one file, got {str(path)!r}")
+    return int(value)
+
+
+class Clips:
+    """Writes an export as clips.
+
+    Args:
+        export: What to write.
+        path: The stage.
+        frames: Number of records of a clip.
+    """
+
+    def __init__(self, export: Export, path: Path, frames: int) -> None:
+        self.export = export
+        self.path = path
+        self.folder = path.with_name(path.stem + FOLDER_SUFFIX)
+        count = len(export.replay.codes)
+        self.blocks = [(first, min(first + frames, count)) for first in range(0, count, frames)]
+        self._inputs: list[str] = []
+
+    def write(self, tell: Tell) -> None:
+        """Writes what is not there yet; the stage comes last."""
+        from pxr import Sdf, Usd
+
+        survey = self.export.survey(self._contents(noting=True))
+        stage = Usd.Stage.CreateInMemory()
+        manifest = Sdf.Layer.CreateAnonymous(".usdc")
+        first = self._content((0, 1), survey.coils)
+        self.export.define(stage, first, survey)
+        header = Samples([], None, declared=manifest)
+        self.export.animate(stage, first, header, (0, 1), lambda _: None)
+        topology = self.folder / "topology.usdc"
+        save_layer(stage.GetRootLayer(), topology)
+        save_layer(manifest, self.folder / "manifest.usdc")
+        about = {"topology": _sha(topology), "codes": _digest(np.array(self.export.replay.codes))}
+        known = self._known(about)
+        done: list[dict[str, Any]] = []
+        for number, (block, given) in enumerate(zip(self.blocks, self._inputs, strict=True)):
+            file = self.folder / _name(number)
+            entry = {"file": file.name, "records": list(block), "input": given}
+            earlier = known.get(file.name, {})
+            if {**entry, "sha256": earlier.get("sha256")} == earlier and _sha(file) == earlier["sha256"]:
+                tell((block[1] - block[0]) * len(self.export.replay.envs))
+            else:
+                self._write_clip(stage, file, block, survey.coils, tell)
+            done.append({**entry, "sha256": _sha(file)})
+            # Those of an earlier attempt that come later may be whole as well.
+            later = [known[name] for name in sorted(known) if name > file.name]
+            write_json(self.folder / RECORD, {**about, "clips": [*done, *later]})
+        write_json(self.folder / RECORD, {**about, "clips": done})
+        for file in self.folder.glob("clip_*.usdc"):
+            if file.name not in {entry["file"] for entry in done}:
+                file.unlink()
+        save_layer(self._root(stage), self.path)
+
+    def _contents(self, *, noting: bool) -> Iterator[tuple[Range, Content]]:
+        for block in self.blocks:
+            records = self._with_next(block)
+            content = self._content(records, None)
+            if noting:
+                self._inputs.append(self._input(content, records))
+            yield records, content
+
+    def _with_next(self, block: Range) -> Range:
+        return block[0], min(block[1] + 1, len(self.export.replay.codes))
+
+    def _content(self, records: Range, coils: dict[str, Coil] | None) -> Content:
+        return Content.of(self.export.replay.part(*records), coils)
+
+    def _input(self, content: Content, records: Range) -> str:
+        """Returns the SHA-256 of all values that a clip shows."""
+        data = content.replay.data
+        values = [np.ascontiguousarray(data[name].values) for name in sorted(map(str, data.data_vars))]
+        ensemble, coloring = self.export.ensemble, self.export.coloring
+        if ensemble is not None:
+            for body in ensemble.replay.scene.bodies:
+                values += ensemble.poses(body, *records)
+            if coloring is not None:
+                values.append(coloring.of(ensemble.replay.envs, *records))
+        return _digest(*values)
+
+    def _known(self, about: dict[str, str]) -> dict[str, dict[str, Any]]:
+        """Returns the clips of an earlier attempt that are of the same export, by the names of their files."""
+        try:
+            told = json.loads((self.folder / RECORD).read_bytes())
+            same = all(told[key] == value for key, value in about.items())
+            return {str(entry["file"]): dict(entry) for entry in told["clips"]} if same else {}
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return {}
+
+    def _write_clip(self, stage: Any, file: Path, block: Range, coils: dict[str, Coil], tell: Tell) -> None:
+        from pxr import Sdf
+
+        records = self._with_next(block)
+        content = self._content(records, coils)
+        layer = Sdf.Layer.CreateAnonymous(".usdc")
+        samples = Samples(content.replay.codes, layer, defaults=False)
+        self.export.animate(stage, content, samples, records, lambda envs: tell(envs * (block[1] - block[0])))
+        save_layer(layer, file)
+
+    def _root(self, topology: Any) -> Any:
+        """Returns the layer that shows the topology with the clips."""
+        from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+
+        layer, given = Sdf.Layer.CreateAnonymous(".usdc"), topology.GetRootLayer()
+        stage = Usd.Stage.Open(layer)
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+        for key in ("startTimeCode", "endTimeCode", "timeCodesPerSecond", "framesPerSecond", "customLayerData"):
+            setattr(layer, key, getattr(given, key))
+        world = stage.DefinePrim(WORLD)
+        stage.SetDefaultPrim(world)
+        below = f"./{self.folder.name}"
+        codes = self.export.replay.codes
+        clips = Usd.ClipsAPI(world)
+        clips.SetClipAssetPaths([Sdf.AssetPath(f"{below}/{_name(k)}") for k in range(len(self.blocks))])
+        clips.SetClipManifestAssetPath(Sdf.AssetPath(f"{below}/manifest.usdc"))
+        clips.SetClipPrimPath(WORLD)
+        clips.SetClipActive([(codes[first], number) for number, (first, _) in enumerate(self.blocks)])
+        clips.SetClipTimes([(codes[0], codes[0]), (codes[-1], codes[-1])])
+        # By a reference: clips are weaker than default values of the layer that names them. Without a stage, which
+        # would look for it from where there is no file yet.
+        del stage, world, clips
+        reference = Sdf.Reference(f"{below}/topology.usdc", WORLD)
+        layer.GetPrimAtPath(WORLD).referenceList.prependedItems.append(reference)
+        return layer
+
+
+def _name(number: int) -> str:
+    return f"clip_{number:06d}.usdc"
+
+
+def _sha(path: Path) -> str:
+    """Returns the SHA-256 of a file; of none an empty text."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return ""
+
+
+def _digest(*values: Any) -> str:
+    total = hashlib.sha256()
+    for value in values:
+        array = np.ascontiguousarray(value)
+        total.update(f"{array.dtype}{array.shape}".encode())
+        total.update(array.tobytes() if array.dtype.kind != "O" else repr(array.tolist()).encode())
+    return total.hexdigest()

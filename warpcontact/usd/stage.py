@@ -1,0 +1,173 @@
+"""What is asked of an export, and how it gets onto a stage."""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from warpcontact import checks
+from warpcontact._version import __version__
+from warpcontact.checks import limits
+from warpcontact.replay.content import Content
+from warpcontact.replay.ensemble import Ensemble
+from warpcontact.replay.replay import Replay
+from warpcontact.replay.survey import Survey
+from warpcontact.scene import Scene
+from warpcontact.usd.author import Samples, write_box
+from warpcontact.usd.coloring import Coloring
+from warpcontact.usd.ensemble import define_ensemble, write_ensemble
+from warpcontact.usd.environments import Environments, layout_of
+from warpcontact.usd.layout import WORLD, Layout
+from warpcontact.usd.materials import Materials
+from warpcontact.usd.scenery import define_camera, define_lights, define_look
+
+#: Goes up when what is on a stage is to be read in another way.
+SCHEMA = 1
+# What recordings say of themselves, and what a stage calls it.
+_TOLD = {
+    "source": "source",
+    "name": "name",
+    "device": "device",
+    "precision": "precision",
+    "integrator": "integrator",
+    "fingerprint": "fingerprint",
+}
+#: Is told how much more is done.
+Tell = Callable[[int], None]
+
+
+class Export:
+    """What is asked for, and how it gets onto a stage; arguments and errors are those of ``export_usd``.
+
+    Attributes:
+        replay: The environments with full physics.
+        ensemble: All that are shown; ``None``: no others.
+        coloring: What colours these.
+    """
+
+    def __init__(
+        self,
+        recording: xr.Dataset,
+        envs: int | Iterable[int] | None,
+        scene: Scene | None,
+        spacing: ArrayLike,
+        force_scale: float | None,
+        ensemble: bool | str,
+        color_by: str | xr.DataArray | None,
+        *,
+        load: bool,
+    ) -> None:
+        self.spacing = checks.numbers("spacing", spacing, (2,), limits("m", at_least=0.0))
+        if force_scale is not None:
+            force_scale = float(checks.numbers("force_scale", force_scale, (), limits("m/N", above=0.0)))
+        self.force_scale = force_scale
+        if not (isinstance(ensemble, bool) or ensemble == "auto"):
+            raise ValueError(f"ensemble must be True, False or 'auto', got {ensemble!r}")
+        if ensemble is True and self.spacing.any():
+            raise ValueError("ensemble=True shows all environments in place: leave spacing 0 along both axes")
+        self.replay = Replay.of(recording, scene, envs, load=load)
+        self.coloring = None if color_by is None else Coloring(color_by, recording)
+        self.ensemble: Ensemble | None = None
+        if not self.spacing.any():
+            self.ensemble = Ensemble.of(recording, self.replay.scene, self.replay.envs, ensemble)
+        self._layout: Layout | None = None
+        self._environments: Environments | None = None
+
+    def survey(self, blocks: Iterable[tuple[tuple[int, int], Content]]) -> Survey:
+        """Returns what has to be known of all records, given as ranges with what is in them."""
+
+        def contents() -> Iterator[Content]:
+            for records, content in blocks:
+                if self.ensemble is not None:
+                    self.ensemble.look_through(*records)
+                    if self.coloring is not None:
+                        self.coloring.look_through(self.ensemble.replay.envs, *records)
+                yield content
+
+        survey = Survey.of(contents())
+        if self.ensemble is not None:
+            self.ensemble = self.ensemble.drop()
+        return survey
+
+    def define(self, stage: Any, content: Content, survey: Survey) -> None:
+        """Writes all that does not change over time; ``content`` begins with the first record."""
+        from pxr import Kind, Usd, UsdGeom
+
+        materials = Materials(self.replay)
+        scale = survey.force_scale if self.force_scale is None else self.force_scale
+        self._layout = layout = layout_of(content, survey, self.spacing, scale, materials)
+        self._metadata(stage, layout)
+        world = UsdGeom.Xform.Define(stage, WORLD).GetPrim()
+        Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
+        stage.SetDefaultPrim(world)
+        define_look(stage, f"{WORLD}/Looks", world)
+        places = np.array([layout.place(row) for row in range(len(layout.envs))])
+        low, high = (survey.low + places).min(axis=0), (survey.high + places).max(axis=0)
+        define_camera(stage, f"{WORLD}/Camera", low, high)
+        define_lights(stage, f"{WORLD}/Lights")
+        self._environments = Environments(stage, content, layout, materials)
+        self._environments.define(content, survey)
+        if self.ensemble is not None:
+            define_ensemble(stage, self.ensemble, layout, self.coloring)
+        self._say_space(stage, world, low, high)
+
+    def animate(
+        self, stage: Any, content: Content, samples: Samples, records: tuple[int, int], tell: Tell
+    ) -> None:
+        """Writes what changes over time in a range of records.
+
+        Args:
+            stage: The stage, after ``define``.
+            content: What is in these records.
+            samples: Receives it.
+            records: The first of them, and the one behind the last.
+            tell: Called with the number of environments that are done.
+        """
+        assert self._environments is not None
+        assert self._layout is not None
+        self._environments.animate(content, samples, tell)
+        if self.ensemble is not None:
+            write_ensemble(stage, self.ensemble, self._layout, self.coloring, samples, records)
+
+    def _say_space(self, stage: Any, world: Any, low: Any, high: Any) -> None:
+        """Says what space the whole takes, as far as the ensemble does not take more."""
+        if self.ensemble is not None:
+            return
+        boxes = [np.array([low, high])]
+        from pxr import Usd, UsdGeom
+
+        cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), [UsdGeom.Tokens.default_], useExtentsHint=True)
+        bound = cache.ComputeWorldBound(world).ComputeAlignedRange()
+        if not bound.IsEmpty():
+            boxes.append(np.array([bound.GetMin(), bound.GetMax()]))
+        corners = np.concatenate(boxes)
+        write_box(world, corners.min(axis=0), corners.max(axis=0))
+
+    def _metadata(self, stage: Any, layout: Layout) -> None:
+        from pxr import UsdGeom, UsdPhysics, Vt
+
+        replay = self.replay
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+        stage.SetStartTimeCode(replay.codes[0])
+        stage.SetEndTimeCode(replay.codes[-1])
+        stage.SetTimeCodesPerSecond(replay.rate)
+        stage.SetFramesPerSecond(replay.rate)
+        attrs = replay.data.attrs
+        notes: dict[str, Any] = {
+            "version": __version__,
+            "schema": SCHEMA,
+            "environments": Vt.IntArray(replay.envs),
+            "startTime": float(replay.times[0]),
+            "forceScale": layout.force_scale,
+        }
+        notes |= {key: str(attrs[name]) for name, key in _TOLD.items() if name in attrs}
+        if "frozen_environments" in attrs:
+            frozen = set(attrs["frozen_environments"])
+            notes["frozenEnvironments"] = Vt.IntArray([env for env in replay.envs if env in frozen])
+        notes |= {key: float(attrs[key]) for key in ("dt",) if key in attrs}
+        notes |= {key: int(attrs[key]) for key in ("seed",) if key in attrs}
+        stage.GetRootLayer().customLayerData = {"warpcontact": notes}
