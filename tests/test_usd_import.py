@@ -359,10 +359,10 @@ def test_instances_are_read_where_they_are(tmp_path):
 def test_names_of_elements_are_those_of_prims_made_valid_and_told_apart(tmp_path):
     ball = prim("Sphere", "part", COLLIDER, "double radius = 0.1")
     long = "a" * 10_000
-    content = "".join(body(name, ball, moved(i, 0, 0)) for i, name in enumerate(["scene", "part", long]))
+    content = "".join(body(name, ball, moved(i, 0, 0)) for i, name in enumerate(["scene", "part", long, "größe"]))
     scene = read(tmp_path, content)
-    assert [one.name for one in scene.bodies] == ["scene_2", "part", "a" * 60]
-    assert [one.name for one in scene.shapes] == ["part_2", "part_3", "part_4"]
+    assert [one.name for one in scene.bodies] == ["scene_2", "part", "a" * 60, "gr__e"]
+    assert [one.name for one in scene.shapes] == ["part_2", "part_3", "part_4", "part_5"]
 
 
 def test_what_is_for_looks_and_what_is_switched_off_is_said(tmp_path):
