@@ -196,6 +196,7 @@ def test_a_file_that_ends_the_reader_ends_in_an_error(tmp_path):
     assert "the reader crashed on it" in problems(path)[0]
 
 
+@pytest.mark.slow
 def test_a_file_that_takes_too_long_is_given_up(tmp_path):
     doubling = "".join(
         prim("Xform", f"p{i}", "", "".join(prim("Xform", n, f"prepend references = </p{i - 1}>") for n in "ab"))
