@@ -1,7 +1,12 @@
 """What is read of a stage of UsdPhysics: units, masses, shapes, materials, gravity, and who touches whom."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+from pxr import UsdUtils
 from scipy.spatial.transform import Rotation
 from usd_physics import BODY, COLLIDER, CUBE, SIDES, WEIGHT, body, mesh, moved, prim, stage
 
@@ -359,10 +364,10 @@ def test_instances_are_read_where_they_are(tmp_path):
 def test_names_of_elements_are_those_of_prims_made_valid_and_told_apart(tmp_path):
     ball = prim("Sphere", "part", COLLIDER, "double radius = 0.1")
     long = "a" * 10_000
-    content = "".join(body(name, ball, moved(i, 0, 0)) for i, name in enumerate(["scene", "part", long]))
+    content = "".join(body(name, ball, moved(i, 0, 0)) for i, name in enumerate(["scene", "part", long, "größe"]))
     scene = read(tmp_path, content)
-    assert [one.name for one in scene.bodies] == ["scene_2", "part", "a" * 60]
-    assert [one.name for one in scene.shapes] == ["part_2", "part_3", "part_4"]
+    assert [one.name for one in scene.bodies] == ["scene_2", "part", "a" * 60, "gr__e"]
+    assert [one.name for one in scene.shapes] == ["part_2", "part_3", "part_4", "part_5"]
 
 
 def test_what_is_for_looks_and_what_is_switched_off_is_said(tmp_path):
@@ -372,3 +377,35 @@ def test_what_is_for_looks_and_what_is_switched_off_is_said(tmp_path):
     assert any("1 shapes without CollisionAPI" in remark for remark in scene.remarks)
     assert any("/body/off: its collision is not enabled" in remark for remark in scene.remarks)
     assert not scene.shapes
+
+
+def test_the_same_scene_runs_with_hard_contact(tmp_path):
+    content = body(content="float physics:mass = 1\n" + CUBE_OF["Cube"], pose=moved(0, 0, 0.3)) + FLOOR_OF["Plane"]
+    sim = wc.Simulation(
+        read(tmp_path, content).build(device="cpu"), dt=2e-3, integrator=wc.integrators.MoreauJean()
+    )
+    sim.step(200)
+    # Contact without a stiffness: it does not sink in but by the rounding of the solver.
+    assert sim.state.body_position.numpy()[0, 0, 2] == pytest.approx(0.3, abs=1e-5)
+
+
+def test_a_package_is_read(tmp_path):
+    path = stage(tmp_path, body(content=WEIGHT))
+    package = tmp_path / "stage.usdz"
+    assert UsdUtils.CreateNewUsdzPackage(str(path), str(package))
+    assert [one.name for one in wc.Scene.from_usd(package).bodies] == ["body"]
+
+
+def test_the_process_that_reads_does_not_import_warp():
+    root = Path(wc.__file__).parent
+    folders = {"warpcontact": root, "warpcontact.meshes": root / "meshes", "warpcontact.usd": root / "usd"}
+    packages = {name: str(folder) for name, folder in folders.items()}
+    script = (
+        "import sys, types\n"
+        f"for name, folder in {packages!r}.items():\n"
+        "    sys.modules[name] = types.ModuleType(name)\n"
+        "    sys.modules[name].__path__ = [folder]\n"
+        "import warpcontact.usd.importing.stage, warpcontact.usd.importing.packing\n"
+        "assert 'warp' not in sys.modules and 'warpcontact.scene' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)

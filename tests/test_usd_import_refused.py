@@ -1,11 +1,15 @@
 """Stages that make no sense, or have what there is no counterpart for, are refused with a list."""
 
+import described_scenes
 import numpy as np
 import pytest
+from pxr import Usd
 from usd_physics import COLLIDER, CUBE, SIDES, WEIGHT, body, mesh, moved, prim, stage, text
 
 import warpcontact as wc
 from warpcontact.meshes.isolation import Limits
+from warpcontact.usd.author import identifiers
+from warpcontact.usd.description import write_description
 
 BALL = prim("Sphere", "ball", COLLIDER, "double radius = 1")
 
@@ -192,6 +196,7 @@ def test_a_file_that_ends_the_reader_ends_in_an_error(tmp_path):
     assert "the reader crashed on it" in problems(path)[0]
 
 
+@pytest.mark.slow
 def test_a_file_that_takes_too_long_is_given_up(tmp_path):
     doubling = "".join(
         prim("Xform", f"p{i}", "", "".join(prim("Xform", n, f"prepend references = </p{i - 1}>") for n in "ab"))
@@ -223,6 +228,27 @@ def test_arguments_out_of_range_are_refused(tmp_path, options, error, message):
 def test_a_stage_that_describes_several_scenes_is_refused(tmp_path):
     scopes = "".join(prim("Scope", name, "", "custom int64 warpcontact:schema = 1") for name in "ab")
     assert "a stage describes one scene, got descriptions at /a, /b" in problems(stage(tmp_path, scopes))[0]
+
+
+@pytest.mark.slow
+def test_damaged_descriptions_end_in_a_scene_or_an_error_with_a_reason(tmp_path):
+    stage = Usd.Stage.CreateInMemory()
+    scene = described_scenes.touching()
+    write_description(stage, scene, identifiers(scene.element_names()))
+    content = stage.GetRootLayer().ExportToString().encode()
+    random = np.random.default_rng(6)
+    reasons = []
+    for number in range(40):
+        data = bytearray(content)
+        for place in random.integers(0, len(data), 20):
+            data[place] = data[int(random.integers(0, len(data)))]
+        path = tmp_path / f"{number}.usda"
+        path.write_bytes(data)
+        try:
+            wc.Scene.from_usd(path)
+        except wc.StageError as error:
+            reasons.append(error.problems)
+    assert all(reasons)
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import importlib.util
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
 
@@ -83,3 +84,38 @@ def test_friction_and_restitution_are_those_of_the_template(loaded):
         (shape,) = builder.body_shapes[number]
         assert builder.shape_material_mu[shape] == pytest.approx(0.4)
         assert builder.shape_material_restitution[shape] == pytest.approx(0.6)
+
+
+# Of newton's own: bodies whose mass, centre and inertia follow from shapes, densities and materials.
+WEIGHING = (
+    "examples/assets/axis_cube.usda",
+    "examples/assets/palletizer_scene.usda",
+    "examples/assets/humanoid.usda",
+    "tests/assets/cube_cylinder.usda",
+)
+
+
+@pytest.mark.parametrize("name", WEIGHING)
+def test_bodies_of_scenes_of_others_weigh_and_lie_as_newton_reads_them(name):
+    import newton
+    from test_usd_import_others import scene_file
+
+    path = scene_file(name)
+    scene = wc.Scene.from_usd(path, skip_unsupported=True)
+    builder = newton.ModelBuilder()
+    numbers = builder.add_usd(str(path))["path_body_map"]
+    numbers = {path.rpartition("/")[2]: number for path, number in numbers.items()}
+    assert len(numbers) == len(scene.bodies)
+    for body in scene.bodies:
+        if isinstance(body.motion, wc.motions.Fixed):
+            continue  # the mass of what does not move means nothing
+        i = numbers[body.name]
+        pose, centre = np.array(builder.body_q[i]), np.array(builder.body_com[i])
+        # Newton computes in single precision, a few roundings of it.
+        assert float(body.mass) == pytest.approx(builder.body_mass[i], rel=1e-6)
+        place = pose[:3] + Rotation.from_quat(pose[3:]).apply(centre)
+        np.testing.assert_allclose(body.position, place, atol=1e-6)
+        own, theirs = (Rotation.from_quat(q).as_matrix() for q in (body.orientation, pose[3:]))
+        inertia = np.array(builder.body_inertia[i]).reshape(3, 3)
+        expected = theirs @ inertia @ theirs.T
+        np.testing.assert_allclose(own @ body.inertia @ own.T, expected, atol=1e-5 * np.trace(expected))

@@ -14,7 +14,7 @@ from warpcontact.kernels.motions import Fixed, Prescribed
 from warpcontact.scene import Scene
 from warpcontact.usd.importing.errors import StageError, shortened
 from warpcontact.usd.importing.findings import Unsupported, Wrong
-from warpcontact.usd.importing.forms import Solidity, solidity
+from warpcontact.usd.importing.forms import Part, part_of
 from warpcontact.usd.importing.solids import Weight
 from warpcontact.usd.importing.touching import NO_MATERIAL, Collider, Touching, pairs_of
 
@@ -63,7 +63,7 @@ class _Assembly:
     def scene(
         self, subject: str, template: Template | None, contact_time: float, samples: int | str, skip: bool
     ) -> Scene:
-        found = [self._tried(one, partial(self._solidity, one, name)) for one, name in self._named_colliders()]
+        found = [self._tried(one, partial(self._part, one, name)) for one, name in self._named_colliders()]
         scene = Scene(self.physics["gravity"])
         bodies: list[Body | None] = []
         centres = []
@@ -117,17 +117,17 @@ class _Assembly:
         if problems:
             raise StageError(subject, problems)
 
-    def _solidity(self, record: dict[str, Any], name: str) -> Solidity:
+    def _part(self, record: dict[str, Any], name: str) -> Part:
         """Returns a collider in the frame of its body, the origin of which is that of the prim."""
         shape, placement = record["shape"], record["placement"]
         if record["body"] < 0:
-            return solidity(shape, placement[:3, :3], placement[:3, 3], name, filled=False)
+            return part_of(shape, placement[:3, :3], placement[:3, 3], name, filled=False)
         carrier = self.physics["bodies"][record["body"]]
         linear, place = carrier["turn"].T @ placement[:3, :3], _local(carrier, placement[:3, 3])
-        return solidity(shape, linear, place, name, filled=True)
+        return part_of(shape, linear, place, name, filled=True)
 
     def _body(
-        self, scene: Scene, record: dict[str, Any], name: str, colliders: list[tuple[dict[str, Any], Solidity]]
+        self, scene: Scene, record: dict[str, Any], name: str, colliders: list[tuple[dict[str, Any], Part]]
     ) -> Body:
         turn = record["turn"]
         weight = self._weight(record, colliders)
@@ -144,13 +144,13 @@ class _Assembly:
             name=name,
         )
 
-    def _weight(self, record: dict[str, Any], colliders: list[tuple[dict[str, Any], Solidity]]) -> Weight:
+    def _weight(self, record: dict[str, Any], colliders: list[tuple[dict[str, Any], Part]]) -> Weight:
         """Returns mass, centre and inertia of a body in its frame.
 
         What MassAPI says of the body comes before what it says of its colliders, and that before what follows
         from their volumes and densities.
         """
-        parts = [_part(record, one, own) for one, own in colliders]
+        parts = [_weight_of(record, one, own) for one, own in colliders]
         weights = [part for part in parts if part is not None]
         weight = Weight.total(weights) if weights else None
         centre = None if record["centre"] is None else _local(record, record["centre"])
@@ -170,11 +170,9 @@ class _Assembly:
             weight = Weight(weight.mass, weight.centre, _tensor(moments, record["axes"]))
         return weight
 
-    def _collider(
-        self, record: dict[str, Any], name: str, body: Body | None, own: Solidity, shift: Array
-    ) -> Collider:
+    def _collider(self, record: dict[str, Any], name: str, body: Body | None, own: Part, shift: Array) -> Collider:
         self.remarks += [f"{shortened(record['path'])}: {remark}" for remark in own.remarks]
-        placed = Solidity(own.form, own.mesh, own.position - shift, own.orientation, own.solid)
+        placed = Part(own.form, own.mesh, own.position - shift, own.orientation, own.solid)
         moves = record["body"] >= 0 and not self.physics["bodies"][record["body"]]["kinematic"]
         material = NO_MATERIAL if record["material"] is None else record["material"]
         return Collider(record["path"], name, body, moves, placed, material, bool(record["visible"]))
@@ -186,7 +184,7 @@ def _local(body: dict[str, Any], place: Array) -> Array:
     return local
 
 
-def _part(body: dict[str, Any], record: dict[str, Any], own: Solidity) -> Weight | None:
+def _weight_of(body: dict[str, Any], record: dict[str, Any], own: Part) -> Weight | None:
     """Returns the weight of a collider in the frame of its body; ``None`` if it has none."""
     density = record["density"] or (record["material"] or {}).get("density") or body["density"] or DENSITY
     if own.solid is None or not own.solid.volume > 0.0:

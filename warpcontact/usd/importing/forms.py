@@ -25,7 +25,7 @@ REACH = 1000.0
 
 
 @dataclass(frozen=True)
-class Solidity:
+class Part:
     """A collider in the frame of its body, or of the world.
 
     Attributes:
@@ -52,7 +52,7 @@ class Solidity:
         return triangles(self.form, name)
 
 
-def solidity(shape: dict[str, Any], linear: Array, place: Array, name: str, *, filled: bool) -> Solidity:
+def part_of(shape: dict[str, Any], linear: Array, place: Array, name: str, *, filled: bool) -> Part:
     """Returns what a collider is.
 
     Args:
@@ -76,7 +76,7 @@ def solidity(shape: dict[str, Any], linear: Array, place: Array, name: str, *, f
     if kind == "plane":
         normal = np.linalg.solve(linear.T, shape["axes"][2])
         aside = np.linalg.svd(normal[None])[2][1]
-        return Solidity(shapes.Plane(), None, place, _turn(aside, normal), None)
+        return Part(shapes.Plane(), None, place, _turn(aside, normal), None)
     return _about_axis(shape, linear, place)
 
 
@@ -86,21 +86,21 @@ def _turn(u: Array, w: Array) -> Array:
     return Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z])).as_quat()
 
 
-def _sphere(radius: float, linear: Array, place: Array) -> Solidity:
+def _sphere(radius: float, linear: Array, place: Array) -> Part:
     axes, sizes, _ = np.linalg.svd(linear)
     solid = solids.ball(radius).placed(linear, place)
     if sizes[0] - sizes[2] <= _EQUAL * sizes[0]:
-        return Solidity(shapes.Sphere(radius * float(sizes.mean())), None, place, np.array([0.0, 0, 0, 1]), solid)
+        return Part(shapes.Sphere(radius * float(sizes.mean())), None, place, np.array([0.0, 0, 0, 1]), solid)
     semi_axes: Any = tuple((radius * sizes).tolist())
-    return Solidity(shapes.Ellipsoid(semi_axes), None, place, _turn(axes[:, 0], axes[:, 2]), solid)
+    return Part(shapes.Ellipsoid(semi_axes), None, place, _turn(axes[:, 0], axes[:, 2]), solid)
 
 
-def _box(half: Array, linear: Array, place: Array) -> Solidity:
+def _box(half: Array, linear: Array, place: Array) -> Part:
     lengths = np.linalg.norm(linear, axis=0)
     _check_square(linear / lengths, "box")
     extents: Any = tuple((half * lengths).tolist())
     solid = solids.cuboid(half).placed(linear, place)
-    return Solidity(shapes.RoundedBox(extents), None, place, _turn(linear[:, 0], linear[:, 2]), solid)
+    return Part(shapes.RoundedBox(extents), None, place, _turn(linear[:, 0], linear[:, 2]), solid)
 
 
 def _check_square(axes: Array, kind: str) -> None:
@@ -108,7 +108,7 @@ def _check_square(axes: Array, kind: str) -> None:
         raise Unsupported(f"a {kind} that is sheared")
 
 
-def _about_axis(shape: dict[str, Any], linear: Array, place: Array) -> Solidity:
+def _about_axis(shape: dict[str, Any], linear: Array, place: Array) -> Part:
     kind, radius, half, frame = shape["kind"], shape["radius"], shape["half"], shape["axes"].T
     own = linear @ frame  # columns: x, y and z of the shape in the frame of the body
     lengths = np.linalg.norm(own, axis=0)
@@ -122,13 +122,13 @@ def _about_axis(shape: dict[str, Any], linear: Array, place: Array) -> Solidity:
     thick, long = radius * float(lengths[0]), half * float(lengths[2])
     orientation = _turn(own[:, 0], own[:, 2])
     if kind == "capsule":
-        return Solidity(shapes.Capsule(thick, long), None, place, orientation, solid)
+        return Part(shapes.Capsule(thick, long), None, place, orientation, solid)
     if kind == "cylinder":
-        return Solidity(shapes.Cylinder(thick, long), None, place, orientation, solid)
-    return Solidity(shapes.Cone(thick, 2.0 * long), None, place - half * own[:, 2], orientation, solid)
+        return Part(shapes.Cylinder(thick, long), None, place, orientation, solid)
+    return Part(shapes.Cone(thick, 2.0 * long), None, place - half * own[:, 2], orientation, solid)
 
 
-def _mesh(shape: dict[str, Any], linear: Array, place: Array, name: str, filled: bool) -> Solidity:
+def _mesh(shape: dict[str, Any], linear: Array, place: Array, name: str, filled: bool) -> Part:
     vertices, faces, asked = shape["vertices"], shape["faces"], shape["approximation"]
     used = vertices[np.unique(faces)]
     way = APPROXIMATIONS[asked]
@@ -160,7 +160,7 @@ def _mesh(shape: dict[str, Any], linear: Array, place: Array, name: str, filled:
         except Wrong:
             solid = None  # a flat one weighs nothing
     placed = None if solid is None else solid.placed(np.eye(3), place)
-    return Solidity(None, mesh, place, np.array([0.0, 0.0, 0.0, 1.0]), placed, tuple(remarks))
+    return Part(None, mesh, place, np.array([0.0, 0.0, 0.0, 1.0]), placed, tuple(remarks))
 
 
 def _sound(vertices: Array, faces: Any, name: str, remarks: list[str]) -> Mesh:

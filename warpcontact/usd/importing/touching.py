@@ -16,7 +16,7 @@ from warpcontact.meshes import sample_surface
 from warpcontact.scene import Scene
 from warpcontact.smooth.elements import Shape
 from warpcontact.usd.importing.findings import Wrong
-from warpcontact.usd.importing.forms import Solidity
+from warpcontact.usd.importing.forms import Part
 from warpcontact.usd.importing.together import share_of
 
 #: Friction and restitution where no physics material is bound.
@@ -52,7 +52,7 @@ class Collider:
     name: str
     body: Body | None
     moves: bool
-    own: Solidity
+    own: Part
     material: dict[str, float]
     visible: bool
     shape: Shape | None = None
