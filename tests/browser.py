@@ -48,10 +48,11 @@ def browser(folder):
     ``page(url, size, dark, still, script)``: ``still`` for who wants no motion, ``script``: whether any runs.
     """
     profile = Path(folder) / "profile"
+    port_file = profile / "DevToolsActivePort"
+    port_file.unlink(missing_ok=True)  # of a browser that had the folder before
     command = [executable(), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        port_file = profile / "DevToolsActivePort"
         _wait(lambda: port_file.is_file() and "\n" in port_file.read_text(), 60.0, "Chromium to start")
         port = int(port_file.read_text().split("\n")[0])
 

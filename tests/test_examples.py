@@ -37,7 +37,7 @@ def test_berthing_stops_and_rebounds_as_its_closed_form_says(device, tmp_path, c
     animation = tmp_path / "berth.usdc"
     result = load("berthing").main(["--envs", "4", "--device", device, "--usd", str(animation)])
     assert "passed the closest distance of 0.1 m: in environment 3" in capsys.readouterr().out
-    assert animation.exists()
+    assert wc.check_usd(animation) == []
     # Semi-implicit Euler at τ/105 with weak damping; its velocities are half a step early.
     assert result["distance"] < 1.0e-3
     assert result["rebound"] < 5.0e-4
@@ -173,6 +173,7 @@ def test_a_ball_breaks_through_a_wall_of_boxes(device, tmp_path, capsys):
         # What rounding and turning add to it is of second order in the step.
         assert result["friction"] + result["impact"] == pytest.approx(result["lost"], rel=1e-2)
         assert result["converged"] > 0.5
+    assert wc.check_usd(animation) == []
     usd = pytest.importorskip("pxr.Usd")
     stage = usd.Stage.Open(str(animation))
     ball = stage.GetPrimAtPath("/World/env_0/ball")

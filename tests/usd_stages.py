@@ -49,6 +49,7 @@ def simulate(device, precision="float32"):
 def export(recording, tmp_path, suffix=".usda", **options):
     path = tmp_path / f"stage{suffix}"
     assert wc.export_usd(recording, path, **options) == path
+    assert wc.check_usd(path) == []
     return Usd.Stage.Open(str(path))
 
 

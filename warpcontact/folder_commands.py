@@ -26,13 +26,31 @@ def add_to(commands: Any) -> None:
     kind = export.add_mutually_exclusive_group(required=True)
     kind.add_argument("--csv", metavar="FILE", help="a table of comma-separated values")
     kind.add_argument("--parquet", metavar="FILE", help="a Parquet file; needs pyarrow")
-    kind.add_argument("--usd", metavar="FILE", help="an animation, a .usda, .usdc or .usdz file")
+    kind.add_argument("--usd", metavar="FILE", help="an animation, a .usd, .usda, .usdc or .usdz file")
     export.add_argument(
         "--envs",
         metavar="N",
         nargs="+",
         type=int,
-        help=f"numbers of the environments of the animation (default: the first {ANIMATED})",
+        help=f"environments of the animation with full physics, by their numbers (default: the first {ANIMATED}); "
+        "all others are shown as instances",
+    )
+    export.add_argument(
+        "--clips",
+        metavar="N",
+        type=int,
+        help="animation of a long run: one file for so many records, in a folder beside FILE; after an "
+        "interruption the same command goes on",
+    )
+    export.add_argument(
+        "--color-by", metavar="NAME", help="outcome, parameter or reading that colours the animation"
+    )
+    export.add_argument(
+        "--spacing",
+        metavar=("X", "Y"),
+        nargs=2,
+        type=float,
+        help="distances between the environments of the animation on a grid [m] (default: all in place)",
     )
 
 
@@ -62,8 +80,9 @@ def export(arguments: argparse.Namespace) -> None:
     from warpcontact.experiment.run import open_run
 
     run = open_run(arguments.folder)
-    if arguments.envs is not None and not arguments.usd:
-        raise ValueError("--envs is of --usd; a table has all environments")
+    for option in ("envs", "clips", "color_by", "spacing"):
+        if getattr(arguments, option) is not None and not arguments.usd:
+            raise ValueError(f"--{option.replace('_', '-')} is of --usd; a table has all environments")
     if arguments.csv:
         run.to_csv(arguments.csv)
     elif arguments.parquet:
@@ -76,5 +95,13 @@ def export(arguments: argparse.Namespace) -> None:
 
         recording = run.recording
         numbers = recording["env"].values[:ANIMATED].tolist() if arguments.envs is None else arguments.envs
-        export_usd(recording, arguments.usd, envs=numbers)
+        name = arguments.color_by
+        export_usd(
+            recording,
+            arguments.usd,
+            envs=numbers,
+            clip_frames=arguments.clips,
+            color_by=run.outcome.get(name, name),
+            spacing=arguments.spacing or (0.0, 0.0),
+        )
     print(arguments.csv or arguments.parquet or arguments.usd)

@@ -31,6 +31,8 @@ from warpcontact.parameters import Parameter
 from warpcontact.readings import AXES
 from warpcontact.scene import Scene
 
+#: Attribute of a recording: parameters that it does not hold and that are those of the scene everywhere.
+UNCHANGED = "unchanged_parameters"
 # Frames wait on a GPU up to this size, then move to the host in one copy.
 RING_BYTES = 64 * 2**20
 
@@ -190,11 +192,13 @@ def item_dimension(scene: Scene, element: str) -> str:
     """Returns the name of the item axis of a set: sets of different size cannot share one."""
     sizes = {points.count for points in scene.points if not points.single}
     sizes |= {body.count for body in scene.bodies if not body.single}
+    # A mutual contact has one item for each of its shapes, which may be those of several sets.
+    sizes |= {pile.count for pile in scene.mutual_contacts if pile.name == element}
     return "item" if len(sizes) == 1 else f"{element}.item"
 
 
 def moved_elements(model: Environments) -> list[str]:
-    """Returns the parameters of surfaces, shapes and points that are not those of the scene in environment 0."""
+    """Returns the parameters that a replay takes from the scene and that are not those of it in environment 0."""
     scene = model.scene
     first = {
         f"{surface.name}.{key}": getattr(surface, key)
@@ -207,8 +211,31 @@ def moved_elements(model: Environments) -> list[str]:
         first |= {f"{shape.name}.{key}": v[0] if shape.single else v for key, v in own.items()}
     for points in scene.points:
         first[f"{points.name}.position"] = points.positions[0] if points.single else points.positions
+    first["scene.gravity"] = scene.gravity
+    for body in scene.bodies:
+        first |= {f"{body.name}.motion.{key}": value for key, value in body.motion.parameters().items()}
+    contacts: list[Any] = [*scene.contacts, *scene.smooth_contacts, *scene.mutual_contacts]
+    for contact in contacts:
+        formulas = contact.template.formulas
+        values = {f"friction.{key}": value for key, value in formulas["friction"].parameters().items()}
+        values["law.restitution"] = getattr(formulas["law"], "restitution", None)
+        first |= {f"{contact.name}.{key}": value for key, value in values.items() if value is not None}
+    known = model.parts[0].parameters
+    return [name for name, value in first.items() if name in known and not _is(model, name, value)]
+
+
+def _is(model: Environments, name: str, value: Any) -> bool:
+    """Whether a parameter has a value in environment 0."""
     part = model.parts[0]
-    return [name for name, value in first.items() if not (part.parameters[name].read(part.envs)[0] == value).all()]
+    return bool((part.parameters[name].read(part.envs)[0] == value).all())
+
+
+def unchanged_parameters(model: Environments, kept: Iterable[str]) -> list[str]:
+    """Returns what a recording does not hold of masses and inertias, and is that of the scene everywhere."""
+    own = {f"{body.name}.{key}": getattr(body, key) for body in model.scene.bodies for key in ("mass", "inertia")}
+    absent = own.keys() - set(kept)
+    # Values of one field are of all bodies, and may be equal where each environment has its own.
+    return [name for name in own if name in absent and bool((model[name] == own[name]).all())]
 
 
 class Recorder:
@@ -404,6 +431,8 @@ class Recorder:
         """Returns the frames taken and the parameters kept as one data set."""
         variables = {**self._series_variables(), **self._parameter_variables()}
         attrs = {**sources(self.model), **attributes}
+        if unchanged := unchanged_parameters(self.model, map(str, variables)):
+            attrs[UNCHANGED] = unchanged
         recording = Recording(**self._labelled(variables, self._time()), attrs=attrs)
         recording.scene = self.model.scene
         return recording

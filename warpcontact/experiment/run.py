@@ -108,7 +108,8 @@ class Run:
         for data in (self.series, self.params):
             variables |= {name: array.variable for name, array in data.data_vars.items()}
         coordinates = {**self.params.coords, **self.series.coords}
-        told = {key: self.summary[key] for key in ("device", "frozen_environments") if key in self.summary}
+        kept = ("device", "frozen_environments", "fingerprint")
+        told = {key: self.summary[key] for key in kept if key in self.summary}
         recording = Recording(variables, coords=coordinates, attrs={**self.series.attrs, **told})
         recording.scene = self.scene
         return recording

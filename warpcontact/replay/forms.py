@@ -1,5 +1,6 @@
 """Shapes of analytic form, on single bodies and on sets of them."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from warpcontact.checks import Array
 from warpcontact.frames import placed, product
 from warpcontact.kernels.smooth import shapes
+from warpcontact.kernels.smooth.patch import Patch
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.replay.replay import Replay
 from warpcontact.replay.spheres import body_color
@@ -56,11 +58,26 @@ class FormPlacement:
 
     @property
     def reach(self) -> float:
-        """How far it reaches at most from the origin of its carrier [m]; 0 of a half-space."""
+        """How far it reaches at most from the origin of its carrier in any environment [m]; 0 of a half-space."""
         if issubclass(self.shape.kind, Plane):
             return 0.0
-        far = [np.linalg.norm(tessellate(self.shape.kind, self.of_item(0, 0))[0], axis=1).max()]
+        far = [np.linalg.norm(tessellate(self.shape.kind, sizes)[0], axis=1).max() for sizes in self._largest()]
         return float(max(far) + np.linalg.norm(self.positions, axis=-1).max())
+
+    def _largest(self) -> Iterator[dict[str, Array]]:
+        """Iterates over sizes of which one reaches as far as any of them."""
+        kind = self.shape.kind
+        lengths = {key for key in self.sizes if kind.limits(key)["unit"] == "m"}
+        if issubclass(kind, Patch):
+            lengths = set()
+        most = {key: self.sizes[key].max(axis=(0, 1)) for key in lengths}
+        others = [key for key in self.sizes if key not in lengths]
+        count = self.positions.shape[0] * self.positions.shape[1]
+        rows = [self.sizes[key].reshape(count, -1) for key in others]
+        _, first = np.unique(np.concatenate([np.zeros((count, 1)), *rows], axis=1), axis=0, return_index=True)
+        for number in first.tolist():
+            own = self.of_item(*divmod(number, self.positions.shape[1]))
+            yield {key: most.get(key, value) for key, value in own.items()}
 
     def of_item(self, row: int, item: int) -> dict[str, Array]:
         """Returns the parameters of one of them in environment number ``row``."""

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.frames import placed
+from warpcontact.recorder import UNCHANGED
 from warpcontact.scene import Body, Contact, Points, Scene, Surface
 
 DEFAULT_ENVIRONMENTS = 16
-#: Attribute of a recording: parameters that it does not hold and that are those of the scene everywhere.
-UNCHANGED = "unchanged_parameters"
 # Time codes per second of a single record, which has no interval; the default of USD.
 STILL_RATE = 24.0
 

@@ -1,5 +1,6 @@
 """Forces as arrows: a shaft and a head for each, as instances of a cylinder and a cone."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,8 @@ def write_arrows(prim: Any, samples: Samples, lines: ForceLines, row: int, scale
     samples.write(arrows.CreateScalesAttr(), [vectors(frame) for frame in scales])
     masked = [long_integers(np.flatnonzero(frame)) for frame in hidden]
     samples.write(arrows.CreateInvisibleIdsAttr(), masked)
-    reach = HEAD * SHAFT * size
+    # Corners of the boxes about heads, which turn with them.
+    reach = math.sqrt(2.0) * HEAD * SHAFT * size
     ends = np.concatenate([start, start + vector], axis=1)
     extents = np.stack([ends.min(axis=1) - reach, ends.max(axis=1) + reach], axis=1)
     samples.write(arrows.CreateExtentAttr(), [vectors(frame) for frame in extents])

@@ -17,6 +17,7 @@ from warpcontact.replay.survey import Survey
 from warpcontact.scene import Scene
 from warpcontact.usd.author import Samples, write_box
 from warpcontact.usd.coloring import Coloring
+from warpcontact.usd.description import write_description
 from warpcontact.usd.ensemble import define_ensemble, write_ensemble
 from warpcontact.usd.environments import Environments, layout_of
 from warpcontact.usd.layout import WORLD, Layout
@@ -112,6 +113,7 @@ class Export:
         if self.ensemble is not None:
             define_ensemble(stage, self.ensemble, layout, self.coloring)
         self._say_space(stage, world, low, high)
+        write_description(stage, self.replay.scene, layout.names)
 
     def animate(
         self, stage: Any, content: Content, samples: Samples, records: tuple[int, int], tell: Tell

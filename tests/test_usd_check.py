@@ -1,0 +1,206 @@
+"""check_usd finds every defect on a stage that was sound before, and names the prim, the attribute, the value."""
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, Vt
+from usd_stages import simulate
+
+import warpcontact as wc
+
+BALL, FLOOR, ENSEMBLE = "/World/env_0/ball", "/World/Surfaces/floor", "/World/Ensemble/ball"
+FORCE = "/World/env_0/contacts/touch/force"
+
+
+@pytest.fixture(scope="module")
+def sound(device, tmp_path_factory):
+    path = tmp_path_factory.mktemp("sound") / "stage.usdc"
+    return wc.export_usd(simulate(device), path, envs=[0, 1])
+
+
+def set_to(path, name, value, code=None):
+    def spoil(stage):
+        attribute = stage.GetPrimAtPath(path).GetAttribute(name)
+        assert attribute, (path, name)
+        attribute.Set(value) if code is None else attribute.Set(value, code)
+
+    return spoil
+
+
+def one_vector(path, name, row, value, code=None):
+    def spoil(stage):
+        attribute = stage.GetPrimAtPath(path).GetAttribute(name)
+        values = np.array(attribute.Get() if code is None else attribute.Get(code))
+        values[row] = value
+        array = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))
+        attribute.Set(array) if code is None else attribute.Set(array, code)
+
+    return spoil
+
+
+def nest(stage):
+    UsdPhysics.RigidBodyAPI.Apply(UsdGeom.Xform.Define(stage, f"{BALL}/inner").GetPrim())
+
+
+def shorten(stage):
+    attribute = stage.GetPrimAtPath(ENSEMBLE).GetAttribute("orientationsf")
+    attribute.Set(Vt.QuatfArray([Gf.Quatf(1, 0, 0, 0)]), 3)
+
+
+def no_extent(stage):
+    UsdGeom.Sphere.Define(stage, "/World/extra").CreateRadiusAttr(2.0)
+
+
+def no_up_axis(stage):
+    stage.GetRootLayer().ClearDefaultPrim()
+
+
+def curve(stage):
+    curves = UsdGeom.BasisCurves.Define(stage, "/World/line")
+    curves.CreateTypeAttr("linear")
+    curves.CreateCurveVertexCountsAttr([3])
+    curves.CreatePointsAttr([(0, 0, 0), (1, 0, 0)])
+    curves.CreateExtentAttr([(0, 0, 0), (1, 0, 0)])
+
+
+def primvar(stage):
+    api = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath(ENSEMBLE))
+    api.CreatePrimvar("heat", Sdf.ValueTypeNames.FloatArray, "vertex").Set([1.0, 2.0])
+
+
+DEFECTS = {
+    "a point that is not finite": (
+        one_vector(FLOOR, "points", 1, np.nan),
+        FLOOR,
+        "points must be finite, got nan",
+    ),
+    "a pose that is not finite": (
+        set_to(BALL, "xformOp:translate", Gf.Vec3d(0, float("inf"), 0), 7.0),
+        BALL,
+        "xformOp:translate at time 7 must be finite, got inf",
+    ),
+    "a velocity that is not finite": (
+        set_to("/World/env_1/cube", "physics:velocity", Gf.Vec3f(float("nan"), 0, 0), 2.0),
+        "/World/env_1/cube",
+        "physics:velocity at time 2 must be finite",
+    ),
+    "an extent that is not finite": (
+        one_vector(FORCE, "extent", 0, np.nan, 4.0),
+        FORCE,
+        "extent at time 4 must be finite",
+    ),
+    "an extent that is too small": (
+        set_to(FLOOR, "extent", [(0, 0, 0), (1, 1, 0)]),
+        FLOOR,
+        "extent must hold",
+    ),
+    "an animated extent that is too small": (
+        set_to(ENSEMBLE, "extent", [(0, 0, 0), (1, 1, 0)], 5.0),
+        ENSEMBLE,
+        "extent at time 5 must hold",
+    ),
+    "no extent": (no_extent, "/World/extra", "extent must be there"),
+    "a face of a point that is not there": (
+        set_to(FLOOR, "faceVertexIndices", [0, 1, 2, 0, 2, 4]),
+        FLOOR,
+        "faceVertexIndices must be from 0 to 3, the last point, got 4",
+    ),
+    "a face of a negative point": (
+        set_to(FLOOR, "faceVertexIndices", [0, 1, -2, 0, 2, 3]),
+        FLOOR,
+        "faceVertexIndices must be from 0 to 3, the last point, got -2",
+    ),
+    "a face of two points": (set_to(FLOOR, "faceVertexCounts", [2, 4]), FLOOR, "at least 3, got 2"),
+    "faces that do not add up": (set_to(FLOOR, "faceVertexCounts", [3]), FLOOR, "add up to the 6 indices, got 3"),
+    "a group of a face that is not there": (
+        set_to(f"{FLOOR}/active", "indices", [2]),
+        FLOOR,
+        "indices of active must be from 0 to 1",
+    ),
+    "curves that do not add up": (curve, "/World/line", "curveVertexCounts must add up to the 2 points, got 3"),
+    "a prototype that is not there": (
+        set_to(ENSEMBLE, "protoIndices", [0, 0, 9, 0]),
+        ENSEMBLE,
+        "protoIndices must be from 0 to",
+    ),
+    "instances that are not as many": (
+        shorten,
+        ENSEMBLE,
+        "orientationsf at time 3 must be as many as the 4 protoIndices, got 1",
+    ),
+    "ids twice": (set_to(ENSEMBLE, "ids", [0, 1, 1, 3]), ENSEMBLE, "ids must differ"),
+    "a primvar of too few": (primvar, ENSEMBLE, "primvar heat must have one value for each of 4 instances, got 2"),
+    "a quaternion that is not of unit length": (
+        set_to(BALL, "xformOp:orient", Gf.Quatd(1, 1, 0, 0), 3.0),
+        BALL,
+        "xformOp:orient at time 3 must be of unit length, got 1.41421",
+    ),
+    "a negative mass": (
+        set_to(BALL, "physics:mass", -1.0),
+        BALL,
+        "mass must be greater than 0 and finite, got -1.0",
+    ),
+    "a mass that is not finite": (set_to(BALL, "physics:mass", float("nan")), BALL, "mass must be greater than 0"),
+    "no mass": (set_to(BALL, "physics:mass", 0.0), BALL, "mass must be greater than 0 and finite, got 0.0"),
+    "a moment that no body has": (
+        set_to(BALL, "physics:diagonalInertia", Gf.Vec3f(1, 1, 3)),
+        BALL,
+        "no moment may exceed the sum of the others, got [1.0, 1.0, 3.0]",
+    ),
+    "a negative moment": (
+        set_to(BALL, "physics:diagonalInertia", Gf.Vec3f(1, -1, 1)),
+        BALL,
+        "diagonalInertia must be greater than 0 and finite",
+    ),
+    "a rigid body in a rigid body": (nest, f"{BALL}/inner", f"in the rigid body {BALL}"),
+    "a negative friction": (
+        set_to("/World/PhysicsMaterials/touch", "physics:dynamicFriction", -0.1),
+        "/World/PhysicsMaterials/touch",
+        "dynamicFriction must be from 0 on, got -0.1",
+    ),
+    "a restitution above 1": (
+        set_to("/World/PhysicsMaterials/touch", "physics:restitution", 1.5),
+        "/World/PhysicsMaterials/touch",
+        "restitution must be from 0 to 1, got 1.5",
+    ),
+    "no default prim": (no_up_axis, "/", "defaultPrim"),
+}
+
+
+def test_a_sound_stage_has_no_findings(sound):
+    assert wc.check_usd(sound) == []
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_every_defect_is_found_and_named(sound, tmp_path, defect, suffix):
+    spoil, prim, message = DEFECTS[defect]
+    stage = Usd.Stage.Open(str(sound))
+    copy = Sdf.Layer.CreateAnonymous(suffix)
+    copy.TransferContent(stage.GetRootLayer())
+    edited = Usd.Stage.Open(copy)
+    spoil(edited)
+    path = tmp_path / f"bad{suffix}"
+    copy.Export(str(path))
+    found = wc.check_usd(path)
+    assert any(one.startswith(f"{prim}: ") and message in one for one in found), found
+
+
+def test_a_time_that_is_none_is_found(sound, tmp_path):
+    """Layers keep times sorted, whatever order a file has them in; they may hold any number, though."""
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(Sdf.Layer.FindOrOpen(str(sound)))
+    layer.SetTimeSample(f"{BALL}.physics:mass", 3.0, 1.0)
+    layer.SetTimeSample(f"{BALL}.physics:mass", 1.0, 1.0)
+    assert layer.ListTimeSamplesForPath(f"{BALL}.physics:mass") == [1.0, 3.0]
+    layer.SetTimeSample(f"{BALL}.physics:mass", float("inf"), 1.0)
+    layer.Export(str(tmp_path / "bad.usdc"))
+    (found,) = wc.check_usd(tmp_path / "bad.usdc")
+    assert found.startswith("/: time samples must be at finite times, got inf in bad.usdc")
+
+
+def test_what_is_no_stage_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"missing\.usda is no file"):
+        wc.check_usd(tmp_path / "missing.usda")
+    (tmp_path / "broken.usdc").write_bytes(b"PXR-USDC" + bytes(80))
+    with pytest.raises(OSError, match=r"cannot read .*broken\.usdc"):
+        wc.check_usd(tmp_path / "broken.usdc")

@@ -1,0 +1,77 @@
+"""``warpcontact export DIR --usd FILE``: environments, clips and colours of a run in a folder."""
+
+import numpy as np
+import pytest
+from pxr import Usd
+from runs import STUDY
+from usd_stages import value
+
+import warpcontact as wc
+from warpcontact.cli import main
+
+
+@pytest.fixture(scope="module")
+def folder(device, tmp_path_factory):
+    path = tmp_path_factory.mktemp("run")
+    (path / "study.toml").write_text(STUDY)
+    wc.Experiment.from_toml(path / "study.toml").run(path / "out", device=device)
+    return path / "out"
+
+
+def test_environments_and_colours(folder, tmp_path, capsys):
+    path = tmp_path / "a.usdc"
+    assert main(["export", str(folder), "--usd", str(path), "--envs", "1", "3", "--color-by", "end_time"]) == 0
+    assert capsys.readouterr().out.strip() == str(path)
+    assert wc.check_usd(path) == []
+    stage = Usd.Stage.Open(str(path))
+    names = {prim.GetName() for prim in stage.GetPrimAtPath("/World").GetChildren()}
+    assert {name for name in names if name.startswith("env_")} == {"env_1", "env_3"}
+    run = wc.open_run(folder)
+    found = value(stage, "/World/Ensemble/ball", "primvars:warpcontact:endTime")
+    np.testing.assert_array_equal(found, run.outcome["end_time"].values)
+    notes = stage.GetRootLayer().customLayerData["warpcontact"]
+    assert (notes["seed"], notes["fingerprint"]) == (3, run.summary["fingerprint"])
+    main(["export", str(folder), "--usd", str(path), "--color-by", "ball.mass", "--envs", "0"])
+    stage = Usd.Stage.Open(str(path))
+    found = value(stage, "/World/Ensemble/ball", "primvars:warpcontact:ball:mass")
+    np.testing.assert_array_equal(found, run.params["ball.mass"].values)
+
+
+def test_clips_show_what_a_single_file_shows(folder, tmp_path):
+    for path, clips in (("one.usda", []), ("run.usda", ["--clips", "30"])):
+        assert main(["export", str(folder), "--usd", str(tmp_path / path), "--envs", "2", *clips]) == 0
+    assert len(list((tmp_path / "run.clips").glob("clip_*"))) == 7
+    assert wc.check_usd(tmp_path / "run.usda") == []
+    one, several = (Usd.Stage.Open(str(tmp_path / name)) for name in ("one.usda", "run.usda"))
+    for path, name in (
+        ("/World/env_2/ball", "xformOp:translate"),
+        ("/World/env_2/contacts/touch", "warpcontact:gap"),
+        ("/World/Ensemble/ball", "positions"),
+    ):
+        for code in range(201):
+            np.testing.assert_array_equal(value(one, path, name, code), value(several, path, name, code))
+
+
+def test_spacing(folder, tmp_path):
+    options = ["--spacing", "2", "0", "--envs", "0", "1"]
+    assert main(["export", str(folder), "--usd", str(tmp_path / "a.usda"), *options]) == 0
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    np.testing.assert_array_equal(value(stage, "/World/env_1", "xformOp:translate"), [2, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--csv", "a.csv", "--clips", "3"], "--clips is of --usd"),
+        (["--csv", "a.csv", "--color-by", "x"], "--color-by is of --usd"),
+        (["--usd", "a.usdc", "--clips", "0"], "clip_frames must be a whole number of records, at least 1, got 0"),
+        (["--usd", "a.usdc", "--color-by", "stop"], "color_by must be something that was recorded, got 'stop'"),
+        (["--usd", "a.obj"], "must end in .usd, .usda, .usdc, .usdz"),
+        (["--usd", "a.usdc", "--envs", "77"], "environment 77 is not in the recording"),
+    ],
+)
+def test_what_cannot_be_exported_is_named(folder, tmp_path, monkeypatch, capsys, options, message):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", str(folder), *options]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,185 @@
+"""All environments as instances: where they are, what colours them, and that nothing is drawn twice."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import scenes
+import xarray as xr
+from pxr import UsdGeom, UsdPhysics
+from scipy.spatial.transform import Rotation
+from usd_stages import RADII, export, simulate, value
+
+import warpcontact as wc
+
+
+@pytest.fixture(scope="module")
+def recording(device):
+    return simulate(device)
+
+
+@pytest.fixture(scope="module")
+def stage(recording, tmp_path_factory):
+    energies = "scene.kinetic_energy"
+    return export(recording, tmp_path_factory.mktemp("usd"), ".usdc", envs=[1, 3], color_by=energies)
+
+
+def instances(stage, name, code):
+    """Matrices (n, 4, 4) of all instances, masked or not, acting on row vectors."""
+    instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath(f"/World/Ensemble/{name}"))
+    ignored, own = UsdGeom.PointInstancer.IgnoreMask, UsdGeom.PointInstancer.ExcludeProtoXform
+    return np.array(instancer.ComputeInstanceTransformsAtTime(code, code, own, ignored))
+
+
+@pytest.mark.parametrize("body", ["ball", "cube"])
+def test_instances_are_where_the_bodies_of_all_environments_are(recording, stage, body):
+    for frame in (0, 17, 30):
+        found = instances(stage, body, frame)
+        at = recording.isel(time=frame)
+        np.testing.assert_allclose(found[:, 3, :3], at[f"{body}.position"].values, rtol=1e-6, atol=1e-6)
+        turns = Rotation.from_quat(at[f"{body}.orientation"].values).as_matrix()
+        scales = np.linalg.norm(found[:, 0, :3], axis=1)[:, None, None]
+        np.testing.assert_allclose(found[:, :3, :3] / scales, turns.transpose(0, 2, 1), atol=1e-6)
+
+
+def test_ids_are_environments_and_chosen_ones_are_masked(stage):
+    for body in ("ball", "cube"):
+        np.testing.assert_array_equal(value(stage, f"/World/Ensemble/{body}", "ids"), [0, 1, 2, 3])
+        np.testing.assert_array_equal(value(stage, f"/World/Ensemble/{body}", "invisibleIds"), [1, 3])
+    assert list(stage.GetPrimAtPath("/World/Ensemble").GetCustomDataByKey("warpcontact:environments")) == [
+        0,
+        1,
+        2,
+        3,
+    ]
+
+
+def test_spheres_have_the_size_that_they_have_in_each_environment(recording, tmp_path):
+    """One radius of one body: multiples of one sphere. A cube beside it that does not grow: as many looks."""
+    stage = export(recording, tmp_path, envs=0, ensemble=True)
+    first = UsdGeom.Sphere(stage.GetPrimAtPath("/World/Ensemble/ball/look_0/touch_0")).GetRadiusAttr().Get()
+    if stage.GetPrimAtPath("/World/Ensemble/ball/look_1"):
+        numbers = value(stage, "/World/Ensemble/ball", "protoIndices")
+        paths = [f"/World/Ensemble/ball/look_{n}/touch_0" for n in numbers]
+        found = [value(stage, path, "radius") for path in paths]
+    else:
+        found = first * value(stage, "/World/Ensemble/ball", "scales")[:, 0]
+    np.testing.assert_allclose(found, RADII, rtol=1e-6)
+    assert not stage.GetPrimAtPath("/World/Ensemble/cube/look_1")
+    hull = UsdGeom.Mesh(stage.GetPrimAtPath("/World/Ensemble/cube/look_0/hull"))
+    np.testing.assert_allclose(hull.GetPointsAttr().Get(), recording.scene.surfaces[2].mesh.vertices, rtol=1e-6)
+
+
+def test_sizes_that_grow_with_everything_else_are_scales(device, tmp_path):
+    scene = wc.Scene()
+    ground = scene.add_surface(scenes.square(5.0), name="ground")
+    body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 2), name="ball")
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, scenes.oracle_law(), radius=0.1, name="touch")
+    model = scene.build(envs=3, device=device)
+    model["touch.radius"] = [0.1, 0.2, 0.05]
+    stage = export(wc.Simulation(model, 1e-3).run(2e-3), tmp_path, envs=0)
+    assert not stage.GetPrimAtPath("/World/Ensemble/ball/look_1")
+    np.testing.assert_allclose(value(stage, "/World/Ensemble/ball", "scales")[:, 0], [1.0, 2.0, 0.5], rtol=1e-6)
+
+
+def test_colours_follow_a_reading_over_time(recording, stage):
+    energies = recording["scene.kinetic_energy"].values.astype(np.float64)
+    low, high = energies.min(), energies.max()
+    root = stage.GetPrimAtPath("/World/Ensemble")
+    told = {key: root.GetCustomDataByKey(f"warpcontact:{key}") for key in ("colorBy", "unit", "low", "high")}
+    assert told == {"colorBy": "scene.kinetic_energy", "unit": "J", "low": low, "high": high}
+    for frame in (0, 9, 30):
+        np.testing.assert_array_equal(
+            value(stage, "/World/Ensemble/ball", "primvars:warpcontact:scene:kineticEnergy", frame),
+            energies[frame],
+        )
+        expected = mpl.colormaps["viridis"]((energies[frame] - low) / (high - low))[:, :3]
+        found = value(stage, "/World/Ensemble/cube", "primvars:displayColor", frame)
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+    primvar = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/World/Ensemble/ball")).GetPrimvar("displayColor")
+    assert primvar.GetInterpolation() == "vertex"
+    # What has a colour of its own would not show that of the instance.
+    for prim in stage.GetPrimAtPath("/World/Ensemble/cube/look_0").GetChildren():
+        assert not prim.GetAttribute("primvars:displayColor").HasAuthoredValue()
+
+
+def test_an_outcome_colours_the_environments_that_have_one(recording, tmp_path):
+    outcome = xr.DataArray([5.0, 1.0, np.nan], dims="env", coords={"env": [2, 0, 3]}, name="stop_distance")
+    stage = export(recording, tmp_path, envs=1, color_by=outcome)
+    values = value(stage, "/World/Ensemble/ball", "primvars:warpcontact:stopDistance")
+    np.testing.assert_array_equal(values, [1.0, np.nan, 5.0, np.nan])
+    colors = value(stage, "/World/Ensemble/ball", "primvars:displayColor")
+    np.testing.assert_allclose(colors[[0, 2]], mpl.colormaps["viridis"]([0.0, 1.0])[:, :3], atol=1e-6)
+    np.testing.assert_allclose(colors[[1, 3]], 0.5)
+
+
+def test_without_an_outcome_bodies_have_their_own_colours(recording, tmp_path):
+    stage = export(recording, tmp_path, envs=1)
+    ball = value(stage, "/World/Ensemble/ball/look_0/touch_0", "primvars:displayColor")
+    np.testing.assert_array_equal(ball, [[1, 0, 0]])
+    assert not stage.GetPrimAtPath("/World/Ensemble/ball").GetAttribute("primvars:displayColor")
+
+
+def test_nothing_of_it_collides(stage):
+    for prim in stage.GetPrimAtPath("/World/Ensemble").GetAllChildren():
+        for one in (prim, *prim.GetAllChildren()):
+            apis = (UsdPhysics.RigidBodyAPI, UsdPhysics.CollisionAPI, UsdPhysics.MassAPI)
+            assert not any(one.HasAPI(api) for api in apis), one.GetPath()
+
+
+def test_it_is_there_where_environments_are_left(recording, tmp_path):
+    assert not export(recording, tmp_path).GetPrimAtPath("/World/Ensemble")
+    assert not export(recording, tmp_path, envs=0, ensemble=False).GetPrimAtPath("/World/Ensemble")
+    assert not export(recording, tmp_path, envs=0, spacing=(1, 1)).GetPrimAtPath("/World/Ensemble")
+    assert export(recording, tmp_path, ensemble=True).GetPrimAtPath("/World/Ensemble")
+
+
+def test_an_environment_without_poses_is_left_out(recording, tmp_path):
+    bad = recording.copy(deep=True)
+    bad["cube.position"].values[7:, 2] = np.nan
+    stage = export(bad, tmp_path, scene=recording.scene, envs=0)
+    np.testing.assert_array_equal(value(stage, "/World/Ensemble/ball", "ids"), [0, 1, 3])
+    assert list(stage.GetPrimAtPath("/World/Ensemble").GetCustomDataByKey("warpcontact:leftOut")) == [2]
+    assert wc.check_usd(tmp_path / "stage.usda") == []
+
+
+def test_bodies_of_a_set_have_ids_of_their_own(device, tmp_path):
+    scene = wc.Scene()
+    places = [(x, 0.0, 1.0) for x in range(3)]
+    grains = scene.add_bodies(places, mass=1.0, inertia=(1, 1, 1), name="grains")
+    scene.add_shape(grains, [wc.shapes.Sphere(r) for r in (0.1, 0.2, 0.3)], name="sizes")
+    recording = wc.Simulation(scene.build(4, device), 1e-3).run(2e-3)
+    stage = export(recording, tmp_path, envs=2)
+    ids = value(stage, "/World/Ensemble/grains", "ids")
+    np.testing.assert_array_equal(ids, np.arange(12))
+    np.testing.assert_array_equal(value(stage, "/World/Ensemble/grains", "invisibleIds"), [6, 7, 8])
+    envs = value(stage, "/World/Ensemble/grains", "primvars:warpcontact:environment")
+    np.testing.assert_array_equal(envs, np.repeat(np.arange(4), 3))
+    np.testing.assert_allclose(instances(stage, "grains", 0)[:, 3, :3], places * 4, atol=1e-6)
+    scales = value(stage, "/World/Ensemble/grains", "scales")[:, 0]
+    first = value(stage, "/World/Ensemble/grains/look_0/sizes", "radius")
+    np.testing.assert_allclose(first * scales, [0.1, 0.2, 0.3] * 4, rtol=1e-6)
+    assert wc.check_usd(tmp_path / "stage.usda") == []
+
+
+def test_of_very_many_environments_some_that_are_evenly_spread(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr("warpcontact.replay.ensemble.MOST_POSES", 2 * 31 * 2)
+    stage = export(recording, tmp_path, envs=1)
+    np.testing.assert_array_equal(value(stage, "/World/Ensemble/ball", "ids"), [0, 3])
+    np.testing.assert_array_equal(
+        value(export(recording, tmp_path, envs=1, ensemble=True), "/World/Ensemble/ball", "ids"), [0, 1, 2, 3]
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"ensemble": "all"}, ValueError, "ensemble must be True, False or 'auto', got 'all'"),
+        ({"ensemble": True, "spacing": (1, 0)}, ValueError, "in place: leave spacing 0"),
+        ({"color_by": "touch.gab"}, ValueError, "recorded, got 'touch.gab'; there are: .*touch.gap"),
+        ({"color_by": "ball.position"}, ValueError, "one number for each environment, got 'ball.position' of"),
+        ({"color_by": 3}, TypeError, "name or an xarray.DataArray, got int"),
+    ],
+)
+def test_what_cannot_be_shown_is_named(recording, tmp_path, options, error, message):
+    with pytest.raises(error, match=message):
+        wc.export_usd(recording, tmp_path / "a.usda", **options)
