@@ -172,11 +172,10 @@ def test_the_view_turns_and_fits_again(file, opened):
 def test_the_canvas_follows_the_size_of_the_window(file, opened):
     with opened(file) as page:
         page.call("Emulation.setDeviceMetricsOverride", width=700, height=600, deviceScaleFactor=3, mobile=False)
-        page.wait_for("window.warpcontact.state().canvas[0] < 700")
-        width, shown = page.evaluate(
-            "[document.getElementById('replay-canvas').width, window.warpcontact.state().canvas]"
-        )
-        assert width == 2 * shown[0]  # no more pixels than two for one
+        canvas = "document.getElementById('replay-canvas')"
+        # Two pixels for one, and no more.
+        page.wait_for(f"{canvas}.clientWidth < 700 && {canvas}.width === 2 * {canvas}.clientWidth")
+        assert state(page)["canvas"] == page.evaluate(f"[{canvas}.clientWidth, {canvas}.clientHeight]")
 
 
 def test_rows_are_sorted_filtered_and_replayed(crate, file, opened):

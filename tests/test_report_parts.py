@@ -1,6 +1,8 @@
 """Parts of a report: what is packed comes out again, charts are right, texts are safe, and a million fit."""
 
 import base64
+import dataclasses
+import re
 import tracemalloc
 import zlib
 
@@ -8,14 +10,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from warpcontact.contact_coupling_report import CouplingReport
 from warpcontact.health import Health
 from warpcontact.replay.drawing import Shape
 from warpcontact.replay.triangles import ball
-from warpcontact.run_report import chart, environments, markup, meshes, outcomes, words
+from warpcontact.run_report import chart, couplings, ended, environments, markup, meshes, outcomes, words
 from warpcontact.run_report.choice import choose
 from warpcontact.run_report.columns import columns_of
 from warpcontact.run_report.packing import Pack
-from warpcontact.status import EnvironmentStatus
+from warpcontact.status import Cause, EnvironmentStatus
 
 
 def unpacked(pack):
@@ -181,6 +184,43 @@ def test_texts_are_escaped_wherever_they_are_put():
     assert inner.isascii()
     assert "NaN" not in inner
     assert "Infinity" not in inner
+
+
+def cells(content):
+    """The texts of the cells of tables, row by row."""
+    return [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", content)]
+
+
+def test_contact_couplings_are_told():
+    report = CouplingReport(
+        name="<b>fender",
+        effective_area=np.array([0.0, 0.2, 0.3]),
+        minimum_distance=np.array([np.nan, 0.01, -0.002]),
+        effective_range=np.full(3, 0.02),
+        impact=None,
+        first_env=0,
+    )
+    content = couplings.section([report])
+    expected = ["<bdi>&lt;b&gt;fender</bdi>", "2 of 3", "−0.002 to 0.01", "0.2 to 0.3", "1", "–"]
+    assert cells(content)[1] == expected
+    none = dataclasses.replace(report, minimum_distance=np.full(3, np.nan))
+    assert cells(couplings.section([none]))[1][1:4] == ["0 of 3", "–", "–"]
+    assert couplings.section([]) is None
+
+
+def test_failed_stopped_and_repeated_environments_are_told():
+    status = np.array([EnvironmentStatus.ACTIVE, EnvironmentStatus.FROZEN, EnvironmentStatus.STOPPED], int)
+    health = Health.of(status, np.array([Cause.NONE, Cause.TOO_FAR, Cause.NONE], int), np.array([1.0, 0.25, 0.5]))
+    stops = {"flag_values": [0, 1], "flag_meanings": "landed <tipped>"}
+    outcome = xr.Dataset({"stopped_by": ("env", [-1, -1, 1], stops), "resets": ("env", [0, 0, 3])})
+    content = ended.section(health, outcome)
+    rows = cells(content)
+    assert rows[1][1:] == ["0.25\u202fs", "a body went beyond scene.max_distance"]
+    assert 'data-replay="1"' in rows[1][0]
+    assert rows[-1] == ["<bdi>&lt;tipped&gt;</bdi>", "1"]
+    assert "1 environment failed and began anew, 3 times in all." in content
+    good = Health.of(np.zeros(2, int) + EnvironmentStatus.ACTIVE, np.zeros(2, int), np.ones(2))
+    assert "No environment failed." in ended.section(good, outcome[["resets"]] * 0)
 
 
 # A million environments

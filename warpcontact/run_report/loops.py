@@ -13,8 +13,8 @@ from warpcontact.run_report.words import quantity, several
 CHARTS = 6
 # Records of one environment, from the first in contact on.
 RECORDS = 2000
-# Of more items the one with the largest force is looked for among these.
-ITEMS = 4096
+# Numbers of one environment that are read at once: of more items the largest force is looked for among the first.
+NUMBERS = 8_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def _loops(series: xr.Dataset, depth: str, force: str) -> list[Loop]:
         # One environment at a time: sets may have many items.
         own = series[[depth, force]].sel(env=env)
         items = [dim for dim in own[force].dims if dim != "time"]
-        own = own.isel({dim: slice(0, ITEMS) for dim in items})
+        own = own.isel({dim: slice(0, max(1, NUMBERS // own.sizes["time"])) for dim in items})
         forces = own[force].values.astype(np.float64).reshape(own.sizes["time"], -1)
         depths = own[depth].values.astype(np.float64).reshape(forces.shape)
         finite = np.isfinite(forces) & np.isfinite(depths)

@@ -102,11 +102,12 @@ def curves_of(outcome: xr.Dataset, series: xr.Dataset, chosen: list[int]) -> tup
     return found, len(every) - len(found)
 
 
-def section(curves: list[Curves], more: int, envs: int, records: int) -> Markup:
-    """Returns the section of the page."""
+def section(curves: list[Curves], more: int, envs: int, records: int, halted: int) -> Markup:
+    """Returns the section of the page; of ``envs`` environments ``halted`` are frozen, and in no quantile."""
     if not curves:
         return element("p", "No reading that is one number was recorded over time.", class_="note")
-    told = [f"{several(records, 'record')} of {several(envs, 'environment')}."]
+    left_out = f", without {several(halted, 'frozen one')}" if halted else ""
+    told = [f"{several(records, 'record')} of {several(envs, 'environment')}{left_out}."]
     if envs > 1:
         told.append("Bands: 5 % to 95 % and 25 % to 75 % of the environments; line: median.")
         told.append("Orange: the environment that the replay shows.")
@@ -142,6 +143,7 @@ def _curves(
     per_env = whole.dtype.itemsize * max(1, whole.size // whole.sizes["env"])
     most = int(np.clip(SAMPLED_BYTES // per_env, 1, SAMPLE))
     sample, word = _of_items(whole.isel(env=thinned(whole.sizes["env"], most)).load(), reading)
+    chosen = chosen[: max(1, SAMPLED_BYTES // per_env)]
     own, _ = _of_items(whole.sel(env=chosen).load(), reading)
     sampled = Sampled(outcome, sample.to_dataset(name=reading))
     fan = quantile_fan(sampled, reading, LEVELS, missing="drop").values

@@ -97,7 +97,11 @@ def _page(run: Run, asked: Iterable[int] | None) -> Page:
     if shown is not None and finished:
         curves, more_readings = series.curves_of(outcome, shown, choice.envs)
         page.data["series"] = series.data(curves)
-        add("series", "Over time", series.section(curves, more_readings, finished, shown.sizes["time"]))
+        add(
+            "series",
+            "Over time",
+            series.section(curves, more_readings, finished, shown.sizes["time"], len(health.frozen)),
+        )
         add("loops", "Force over penetration", loops.section(shown, choice.envs))
     add("couplings", "Contact couplings", couplings.section(reports))
     add("failed", "Quarantine", ended.section(health, outcome))
