@@ -127,9 +127,10 @@ class Samples:
                     layer, path, attribute.GetTypeName(), isCustom=attribute.IsCustom()
                 )
         if self.layer is not None:
-            # The layer takes samples three times as fast as the stage.
-            for code, value in zip(self.codes, values, strict=True):
-                self.layer.SetTimeSample(path, code, value)
+            # The layer takes samples three times as fast as the stage, and faster where nobody is told of each.
+            with Sdf.ChangeBlock():
+                for code, value in zip(self.codes, values, strict=True):
+                    self.layer.SetTimeSample(path, code, value)
 
 
 def vectors(rows: NDArray[Any]) -> Any:

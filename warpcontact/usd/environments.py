@@ -75,16 +75,18 @@ class Environments:
         )
         prototype.write()
         physics.define_gravity(self.stage, scene_path, self.gravity[0])
-        space = self._space(content, survey)
+        space, masses = self._space(content, survey), physics.Masses(content.replay)
         for row in range(len(layout.envs)):
-            self._define_environment(prototype, content, row)
+            self._define_environment(prototype, content, masses, row)
             write_box(self.stage.GetPrimAtPath(layout.env(row)), *space[row])
         paths = [layout.env(row) for row in range(len(layout.envs))]
         if len(paths) > 1:
             shared = None if layout.apart else layout.surfaces
             physics.define_collision_groups(self.stage, f"{WORLD}/CollisionGroups", paths, shared)
 
-    def _define_environment(self, prototype: Prototype, content: Content, row: int) -> None:
+    def _define_environment(
+        self, prototype: Prototype, content: Content, masses: physics.Masses, row: int
+    ) -> None:
         from pxr import Gf, Kind, Usd, UsdGeom
 
         stage, layout, replay = self.stage, self.layout, content.replay
@@ -100,7 +102,7 @@ class Environments:
             physics.define_gravity(stage, f"{path}/PhysicsScene", self.gravity[row])
         for body in replay.scene.bodies:
             if body.single:
-                physics.write_mass(stage.GetPrimAtPath(layout.body(path, body)), replay, body, row)
+                masses.write(stage.GetPrimAtPath(layout.body(path, body)), body, row)
             if is_joint(body):
                 pose = tuple(values[0, row] for values in content.poses[body.name])
                 joint = stage.GetPrimAtPath(layout.joint(path, body))

@@ -39,25 +39,38 @@ def apply_rigid_body(prim: Any, body: Body, scene: str | None) -> None:
     UsdPhysics.MassAPI.Apply(prim).CreateCenterOfMassAttr(Gf.Vec3f(0.0))
 
 
-def write_mass(prim: Any, replay: Replay, body: Body, row: int) -> None:
-    """Writes the mass and inertia of a body in environment number ``row`` of the export, if they are known.
+class Masses:
+    """Masses and inertias of the bodies in all environments, as far as they are known.
 
     They are where they were recorded, or where the recording says that they are those of the scene. Elsewhere
     these would be wrong wherever a study varied them, and nothing in a stage would tell.
     """
-    from pxr import Gf, UsdPhysics
 
-    api = UsdPhysics.MassAPI(prim)
-    mass = replay.known(f"{body.name}.mass", body.mass)
-    if mass is not None:
-        api.CreateMassAttr(float(mass[row]))
-    inertia = replay.known(f"{body.name}.inertia", body.inertia)
-    if inertia is not None:
-        moments, axes = principal(inertia[row])
-        api.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
-        # Gf multiplies row vectors from the left: its rotation matrix is the transpose of ours.
-        turn = Gf.Matrix3d(*axes.T.reshape(-1).tolist()).ExtractRotation().GetQuat()
-        api.CreatePrincipalAxesAttr(Gf.Quatf(turn))
+    def __init__(self, replay: Replay) -> None:
+        self._of = {
+            body.name: (replay.known(f"{body.name}.mass", body.mass), self._principal(replay, body))
+            for body in replay.scene.bodies
+            if body.single
+        }
+
+    @staticmethod
+    def _principal(replay: Replay, body: Body) -> list[tuple[Array, Array]] | None:
+        inertia = replay.known(f"{body.name}.inertia", body.inertia)
+        return None if inertia is None else [principal(tensor) for tensor in inertia]
+
+    def write(self, prim: Any, body: Body, row: int) -> None:
+        """Writes those of a body in environment number ``row`` of the export."""
+        from pxr import Gf, UsdPhysics
+
+        api, (mass, inertia) = UsdPhysics.MassAPI(prim), self._of[body.name]
+        if mass is not None:
+            api.CreateMassAttr(float(mass[row]))
+        if inertia is not None:
+            moments, axes = inertia[row]
+            api.CreateDiagonalInertiaAttr(Gf.Vec3f(*moments.tolist()))
+            # Gf multiplies row vectors from the left: its rotation matrix is the transpose of ours.
+            turn = Gf.Matrix3d(*axes.T.reshape(-1).tolist()).ExtractRotation().GetQuat()
+            api.CreatePrincipalAxesAttr(Gf.Quatf(turn))
 
 
 def principal(inertia: Array) -> tuple[Array, Array]:

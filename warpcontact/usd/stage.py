@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact._version import __version__
-from warpcontact.checks import limits
+from warpcontact.checks import Array, limits
 from warpcontact.replay.content import Content
 from warpcontact.replay.ensemble import Ensemble
 from warpcontact.replay.replay import Replay
@@ -112,8 +112,8 @@ class Export:
         self._environments.define(content, survey)
         if self.ensemble is not None:
             define_ensemble(stage, self.ensemble, layout, self.coloring)
-        self._say_space(stage, world, low, high)
         write_description(stage, self.replay.scene, layout.names)
+        self._say_space(world, low, high)
 
     def animate(
         self, stage: Any, content: Content, samples: Samples, records: tuple[int, int], tell: Tell
@@ -133,18 +133,17 @@ class Export:
         if self.ensemble is not None:
             write_ensemble(stage, self.ensemble, self._layout, self.coloring, samples, records)
 
-    def _say_space(self, stage: Any, world: Any, low: Any, high: Any) -> None:
-        """Says what space the whole takes, as far as the ensemble does not take more."""
-        if self.ensemble is not None:
-            return
-        boxes = [np.array([low, high])]
+    def _say_space(self, world: Any, low: Array, high: Array) -> None:
+        """Says what space all takes at all times; of an ensemble nobody knows it before all records are read."""
         from pxr import Usd, UsdGeom
 
+        if self.ensemble is not None:
+            return
+        corners = np.array([low, high])
         cache = UsdGeom.BBoxCache(Usd.TimeCode.Default(), [UsdGeom.Tokens.default_], useExtentsHint=True)
         bound = cache.ComputeWorldBound(world).ComputeAlignedRange()
         if not bound.IsEmpty():
-            boxes.append(np.array([bound.GetMin(), bound.GetMax()]))
-        corners = np.concatenate(boxes)
+            corners = np.array([*corners, bound.GetMin(), bound.GetMax()])
         write_box(world, corners.min(axis=0), corners.max(axis=0))
 
     def _metadata(self, stage: Any, layout: Layout) -> None:
