@@ -140,3 +140,16 @@ def test_shapes_of_several_sizes_are_each_drawn_once(device):
     assert np.ptp(long.shape.vertices) == pytest.approx(0.8, rel=1e-3)
     np.testing.assert_array_equal(short.there, [[True, False, True]] * 2)
     np.testing.assert_array_equal(long.there, ~short.there)
+
+
+def test_a_body_that_carries_nothing_is_seen_and_a_set_with_shapes_only_once(device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    scene.add_body(mass=1.0, inertia=(1, 1, 1), position=(1, 2, 3), linear_velocity=(1, 0, 0), name="bare")
+    grains = scene.add_bodies(np.array([[0, 0, 1], [1, 0, 1.0]]), 1.0, (1, 1, 1), name="grains")
+    scene.add_shape(grains, wc.shapes.Sphere(0.2), name="hulls")
+    scene.add_bodies(np.array([[0, 0, 2], [1, 0, 2.0]]), 1.0, (1, 1, 1), name="dust")
+    drawing = Drawing.of(wc.Simulation(scene.build(device=device), dt=1e-3).run(0.002, poses=True))
+    assert [figure.name for figure in drawing.figures] == ["centres", "bare", "hulls"]
+    (bare,) = figures(drawing, "bare")
+    np.testing.assert_allclose(bare.positions[2, 0, 0], [1.002, 2, 3])
+    assert 0.0 < bare.scales.max() < drawing.size

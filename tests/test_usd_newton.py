@@ -77,7 +77,6 @@ def test_gravity_is_that_of_the_scene(loaded):
     assert np.linalg.norm(np.asarray(builder.gravity)) == pytest.approx(3.7)
 
 
-@pytest.mark.xfail(reason="export_usd writes no physics materials")
 def test_friction_and_restitution_are_those_of_the_template(loaded):
     builder, numbers = bodies(loaded)
     for number in numbers:

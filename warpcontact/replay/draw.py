@@ -22,6 +22,8 @@ from warpcontact.scene import Body, Scene
 
 # What is round is scaled from one sphere.
 _ROUND = (shapes.Sphere, shapes.Ellipsoid)
+# Radius of what shows a body that carries nothing, in sizes of the largest body.
+MARK = 0.1
 _UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -64,7 +66,9 @@ def _figures(content: Content) -> Iterator[Figure]:
         if not group.contacts[0].points.spread and any(contact.visible for contact in group.contacts):
             yield _of_spheres(content, group)
     for swarm in content.swarms:
-        yield _of_swarm(content, swarm)
+        if _is_seen(content, swarm):
+            yield _of_swarm(content, swarm)
+    yield from _marks(content)
     for form in content.forms:
         if form.shape.visible:
             yield from _of_form(content, form)
@@ -111,6 +115,27 @@ def _of_spheres(content: Content, group: Spheres) -> Figure:
 def _of_swarm(content: Content, swarm: Swarm) -> Figure:
     _, orientations = content.poses[swarm.body.name]
     return _round(content, swarm.name, body_color(swarm.body), (swarm.places, orientations), swarm.radii, 0.0)
+
+
+def _is_seen(content: Content, swarm: Swarm) -> bool:
+    """Whether a swarm shows something: not hidden contacts, nor the centres of what has shapes of its own."""
+    if swarm.contacts:
+        return any(contact.visible for contact in content.replay.scene.contacts if contact.name in swarm.contacts)
+    return all(moving.placement.shape.body is not swarm.body for moving in content.form_swarms)
+
+
+def _marks(content: Content) -> Iterator[Figure]:
+    """Yields a ball for each single body that carries nothing, or it would move unseen."""
+    carriers = {placement.surface.body for placement in content.placements.values()}
+    carriers |= {group.body for group in content.spheres} | {form.shape.body for form in content.forms}
+    for body in content.replay.scene.bodies:
+        if body.single and body not in carriers:
+            positions, orientations = (values[:, :, None] for values in content.poses[body.name])
+            radii = np.full((len(content.replay.envs), 1), MARK * content.size)
+            scales = np.repeat(radii[..., None], 3, axis=2)
+            yield Figure(
+                body.name, "point", ball(), body_color(body), positions, orientations, scales, radii > 0.0
+            )
 
 
 def _round(
