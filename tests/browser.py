@@ -43,18 +43,22 @@ def executable():
 
 @contextlib.contextmanager
 def browser(folder):
-    """Starts Chromium with its profile in ``folder``; yields what opens pages: ``page(url, size, dark)``."""
+    """Starts Chromium with its profile in ``folder``; yields what opens pages.
+
+    ``page(url, size, dark, still, script)``: ``still`` for who wants no motion, ``script``: whether any runs.
+    """
     profile = Path(folder) / "profile"
+    port_file = profile / "DevToolsActivePort"
+    port_file.unlink(missing_ok=True)  # of a browser that had the folder before
     command = [executable(), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        port_file = profile / "DevToolsActivePort"
         _wait(lambda: port_file.is_file() and "\n" in port_file.read_text(), 60.0, "Chromium to start")
         port = int(port_file.read_text().split("\n")[0])
 
         @contextlib.contextmanager
-        def page(url, size=DESKTOP, dark=False):
-            with contextlib.closing(Page(port, size, dark)) as opened:
+        def page(url, size=DESKTOP, dark=False, still=False, script=True):
+            with contextlib.closing(Page(port, size, dark, still, script)) as opened:
                 opened.go(url)
                 yield opened
 
@@ -76,7 +80,7 @@ class Page:
         errors: What they logged as errors, and exceptions that nobody caught.
     """
 
-    def __init__(self, port, size, dark):
+    def __init__(self, port, size, dark, still, script):
         from websockets.sync.client import connect
 
         request = urllib.request.Request(f"http://127.0.0.1:{port}/json/new?about:blank", method="PUT")
@@ -97,7 +101,11 @@ class Page:
             mobile=width < height,
         )
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        self.call("Emulation.setEmulatedMedia", features=[scheme])
+        motion = {"name": "prefers-reduced-motion", "value": "reduce" if still else "no-preference"}
+        self.call("Emulation.setEmulatedMedia", features=[scheme, motion])
+        self.call("Emulation.setTouchEmulationEnabled", enabled=width < height)
+        if not script:
+            self.call("Emulation.setScriptExecutionDisabled", value=True)
 
     def _listen(self, session):
         # Workers wait until their requests are listened to as well.
@@ -188,7 +196,8 @@ class Page:
     def place(self, expression):
         """The middle of the element that an expression gives, scrolled into view [px]."""
         box = (
-            f"(e => {{ e.scrollIntoView({{block: 'center'}}); const r = e.getBoundingClientRect(); "
+            "(e => { e.scrollIntoView({block: 'center', behavior: 'instant'}); "
+            "const r = e.getBoundingClientRect(); "
             f"return [r.x + r.width / 2, r.y + r.height / 2]; }})({expression})"
         )
         return self.evaluate(box)

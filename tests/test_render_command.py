@@ -55,6 +55,14 @@ def test_a_still_is_written_as_it_is_returned(run, tmp_path):
     assert (wc.render(run, time=0.0, **SMALL) != picture).any()
 
 
+def test_stills_at_different_times_are_taken_from_the_same_place(run):
+    looks = {**SMALL, "samples": 4, "forces": False}
+    early, late = (wc.render(run, time=time, **looks).astype(int) for time in (0.0, 0.13))
+    same = (early == late).all(axis=-1)
+    # But for the ball and its shadow.
+    assert 0.3 < same.mean() < 0.999
+
+
 def test_a_recording_without_its_scene_needs_it(run):
     part = run.recording.isel(time=slice(0, 3))
     with pytest.raises(ValueError, match="does not know its scene"):

@@ -108,6 +108,7 @@ def test_arrows_shine_through_what_is_before_them(device):
     body = balls(np.array([0.1, 0.2, 0.9]), [[0.0, 0.0, 0.0]], 1.0)
     touch = Touch("touch", RED, np.array([[[[0.0, 0.0, -0.5]]]]), np.array([[[[0.0, 0.0, 1.0]]]]), None)
     look = {"size": (64, 64), "samples": 4, "device": device, "labels": False}
+    look |= {"look_at": (0.0, 0.0, 0.0), "distance": 6.0, "force_scale": 1.0}
     pictures = [
         Show(drawing([body], touches=[touch], size=2.0), Look(**look, forces=forces)).picture(0).astype(int)
         for forces in (True, False)
@@ -168,6 +169,7 @@ def test_labels_are_written_where_they_are_asked_for():
         ({"view_from": (math.nan, 0.0)}, "view_from.* must be finite"),
         ({"look_at": (0.0, 0.0)}, "look_at must be 3 numbers"),
         ({"distance": 0.0}, "distance must be greater than 0"),
+        ({"force_scale": -1.0}, "force_scale must be greater than 0"),
         ({"fov": 180.0}, "fov must be at least 1"),
         ({"samples": 0}, "samples must be at least 1"),
         ({"samples": 2.5}, "samples must be a whole number"),

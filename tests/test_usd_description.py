@@ -146,7 +146,7 @@ ELEMENTS = "/World/Description/Elements"
         ("touching", "Elements/ball.warpcontact:mass", None, "Elements/ball: mass is missing"),
         ("touching", "Elements/ball.warpcontact:name", "a b", "name of a body must be letters"),
         ("touching", "Elements/ball.warpcontact:kind", "build", "kind must be one of body, bodies"),
-        ("touching", "Elements/touch_1.warpcontact:search", "all", "touch-1.search must be one of"),
+        ("touching", "Elements/touch_1.warpcontact:entry", "all", "touch-1.entry must be one of"),
         ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/ball"], "must come from add_point"),
         ("touching", "Elements/touch_1.warpcontact:points", [f"{ELEMENTS}/nobody"], "that come before"),
         ("touching", "Elements/touch_1.warpcontact:points", [], "points must have one target, got 0"),
@@ -178,3 +178,19 @@ def test_an_orientation_that_was_scaled_to_length_one_does_not_change_again():
     given /= np.linalg.norm(given, axis=1, keepdims=True) * 1.0001
     once = unit_quaternions("q", given)
     np.testing.assert_array_equal(unit_quaternions("q", once), once)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_what_was_exported_is_read_and_goes_on_as_it_was_simulated(suffix, device, tmp_path):
+    def fall(scene):
+        sim = wc.Simulation(scene.build(envs=2, device=device), dt=5e-4)
+        return sim.run(duration=0.2, record=["ball.position", "contact.normal_force"], every=0.01)
+
+    scene = scenes.own()
+    first = fall(scene)
+    found = wc.Scene.from_usd(wc.export_usd(first, tmp_path / f"recorded{suffix}"), own=[scenes.Cubic])
+    assert said(found) == said(scene)
+    second = fall(found)
+    for name in first.data_vars:
+        np.testing.assert_array_equal(second[name], first[name])
+    assert (first["contact.normal_force"] > 0).any()

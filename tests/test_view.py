@@ -103,6 +103,7 @@ def test_playing_goes_on_to_the_end_and_begins_anew(run):
         assert show.problem == "the speed must be from 0.001 to 1000, got 1e+09"
 
 
+@pytest.mark.slow
 def test_a_running_run_is_followed(tmp_path):
     path = runs.study(tmp_path)
     folder = tmp_path / "run"
@@ -131,6 +132,7 @@ def test_a_running_run_is_followed(tmp_path):
         assert show.problem == ""
 
 
+@pytest.mark.slow
 def test_a_run_of_which_nothing_is_committed_is_waited_for(tmp_path):
     folder = tmp_path / "run"
     path = runs.study(tmp_path)
@@ -403,6 +405,7 @@ def test_a_run_without_series_says_so(tmp_path, capsys):
     assert "the run recorded nothing over time: [record] series = false" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("live", [False, True])
 def test_ctrl_c_ends_the_command_cleanly(run, live, tmp_path):
     target = runs.study(tmp_path) if live else run

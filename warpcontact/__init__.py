@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from warpcontact.quarantine import QuarantineError
     from warpcontact.recorder import Recording
     from warpcontact.rendering import film, render
+    from warpcontact.run_report import report
     from warpcontact.scene import Scene
     from warpcontact.simulation import Simulation
     from warpcontact.smooth.elements import Shape, SmoothContact
@@ -112,6 +113,7 @@ _HOME = {
     "parameter": "warpcontact.kernels.formula",
     "quantile_fan": "warpcontact.analysis",
     "render": "warpcontact.rendering",
+    "report": "warpcontact.run_report",
     "sample_surface": "warpcontact.meshes",
     "sensitivity": "warpcontact.analysis",
     "shapes": "warpcontact.kernels.smooth.shapes",
@@ -188,6 +190,7 @@ __all__ = [
     "parameter",
     "quantile_fan",
     "render",
+    "report",
     "sample_surface",
     "sensitivity",
     "shapes",

@@ -54,6 +54,15 @@ class Bodies:
 
         Raises:
             ValueError: If a value is out of range; the message names it.
+
+        Example:
+            A quarter turn about z takes the x axis of the body to the y axis of the world:
+
+            >>> from scipy.spatial.transform import Rotation
+            >>> quarter = np.sqrt(0.5)
+            >>> arm = wc.Scene().add_body(1.0, (1.0, 1.0, 1.0), orientation=(0.0, 0.0, quarter, quarter))
+            >>> Rotation.from_quat(arm.orientation).apply((1.0, 0.0, 0.0)).round(9).tolist()
+            [0.0, 1.0, 0.0]
         """
         name = checks.new_name("body", name, self._elements)
         tensor = np.array(inertia, dtype=np.float64) if np.ndim(inertia) else np.zeros(())

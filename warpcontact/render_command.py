@@ -10,6 +10,8 @@ STILLS = (".png",)
 FILMS = (".gif", ".mp4")
 # Options of films alone, with what they are where they are left out.
 OF_FILMS = {"fps": 25.0, "speed": 1.0}
+# More environments than these are counted, not named.
+NAMED = 16
 
 
 def add_to(commands: Any) -> None:
@@ -83,6 +85,9 @@ def add_to(commands: Any) -> None:
         help="contact forces as arrows (default: where they were recorded)",
     )
     render.add_argument(
+        "--force-scale", metavar="M/N", type=float, help="length of arrows (default: the largest force fits)"
+    )
+    render.add_argument(
         "--color-by", metavar="NAME", help="colour what moves by a parameter or an outcome, such as ball.mass"
     )
     render.add_argument(
@@ -149,7 +154,9 @@ def _draw(arguments: argparse.Namespace, file: Path, found: Any) -> None:
             '([record] readings = ["<contact>.normal_force", "<contact>.normal", "<contact>.point"])',
             file=sys.stderr,
         )
-    print(f"environment{'s' if len(envs) > 1 else ''} {', '.join(map(str, envs))} at {shown}: {file}")
+    numbers = ", ".join(map(str, envs))
+    named = f"environment {numbers}" if len(envs) == 1 else f"environments {numbers}"
+    print(f"{named if len(envs) <= NAMED else f'{len(envs)} environments'} at {shown}: {file}")
 
 
 def _check_words(arguments: argparse.Namespace, file: Path) -> None:
@@ -177,8 +184,9 @@ def _size(text: str) -> tuple[int, int]:
 
 def _in_words_of_options(text: str) -> str:
     """Returns an error about an argument in the words of the command line."""
-    names = {"view_from": "from", "color_by": "color-by", "look_at": "look-at"}
+    names = {"view_from": "from", "color_by": "color-by", "look_at": "look-at", "force_scale": "force-scale"}
     found = re.match(
-        r"(view_from|color_by|look_at|size|time|fps|speed|distance|fov|samples|threads|background|device)\b", text
+        r"(view_from|color_by|look_at|force_scale|size|time|fps|speed|distance|fov|samples|threads|background|device)\b",
+        text,
     )
     return f"--{names.get(found[1], found[1])}{text[found.end() :]}" if found else text

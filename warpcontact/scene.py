@@ -2,7 +2,8 @@
 
 import copy
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +35,8 @@ from warpcontact.smooth.elements import Shape, SmoothContact
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
+    from warpcontact.kernels.formula import Formula
+    from warpcontact.meshes.isolation import Limits
     from warpcontact.model import Model
     from warpcontact.split_model import SplitModel
 
@@ -63,6 +66,9 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         max_speed: A centre of mass that gets faster fails the step, and the environment is put into quarantine
             [m/s].
         max_distance: Likewise one that gets farther from the origin [m].
+
+    Attributes:
+        remarks: What to know of how a USD stage was read, see ``from_usd``.
     """
 
     def __init__(
@@ -85,6 +91,56 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         self.smooth_contacts: list[SmoothContact] = []
         self.mutual_contacts: list[MutualContact] = []
         self._elements: dict[str, Any] = {}
+        self.remarks: tuple[str, ...] = ()
+
+    @classmethod
+    def from_usd(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        own: "Iterable[type[Formula]]" = (),
+        template: Template | None = None,
+        contact_time: float = 0.01,
+        samples: int | str = "vertices",
+        skip_unsupported: bool = False,
+        trusted: bool = False,
+        limits: "Limits | None" = None,
+    ) -> "Scene":
+        """Returns the scene of a USD stage: one that ``export_usd`` wrote, or one of UsdPhysics.
+
+        Of a stage of ours it is the scene that was simulated, to the bit. Of others rigid bodies, masses,
+        colliders, physics materials, gravity and collision groups are read, in SI units with z up;
+        ``docs/usd.md`` says how, and which contacts are made. The file is read in a process of its own, as by
+        ``wc.load_mesh``.
+
+        Args:
+            path: A .usd, .usda, .usdc or .usdz file.
+            own: Laws, frictions, springs, motions and shapes of one's own that a stage of ours was made with.
+            template: Of a stage of others, law and friction of all contacts; ``None``: what its materials say.
+            contact_time: Time that an impact takes there, which the stiffness of contacts follows from [s].
+            samples: How points of meshes that touch meshes are made there, as for ``add_surface_contact``.
+            skip_unsupported: Whether to leave out what there is no counterpart for, such as joints, and list it in
+                ``remarks``; otherwise it is an error.
+            trusted: Whether to read the file in this process, and files out of its folder that it refers to.
+            limits: Memory, time and size of its meshes.
+
+        Raises:
+            StageError: If it cannot be read, something in it makes no sense, or there is no counterpart for it.
+                Everything that is in the way is listed, with the path of its prim.
+            ValueError: If another argument is out of range; the message names it.
+        """
+        from warpcontact.usd.importing.reading import scene_from_usd
+
+        return scene_from_usd(
+            path,
+            own=own,
+            template=template,
+            contact_time=contact_time,
+            samples=samples,
+            skip_unsupported=skip_unsupported,
+            trusted=trusted,
+            limits=limits,
+        )
 
     def add_surface(
         self,

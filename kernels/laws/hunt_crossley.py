@@ -57,6 +57,14 @@ class HuntCrossley(Law):
     this contact, never below ``speed_floor``: below that speed an impact loses less than asked, and a body laid
     down at rest is not overdamped without bound. With ``damping`` the factor 1 + χ δ̇ has the constant χ [s/m],
     as in Simbody (1.5 c) and Drake (d): restitution then falls with speed.
+
+    Example:
+        >>> wc.laws.HuntCrossley(stiffness=1e5, restitution=0.7).exponent
+        1.5
+        >>> wc.laws.HuntCrossley(stiffness=-1e5, restitution=0.7)
+        Traceback (most recent call last):
+            ...
+        ValueError: HuntCrossley.stiffness must be greater than 0, got -100000 N/mⁿ
     """
 
     formula = "N = K δⁿ (1 + d δ̇/v₀),  d(1+e) = ln[(1+d)/(1−de)]"

@@ -45,5 +45,9 @@ def recommended_dt(
     """Time step [s] with ``steps`` per contact time; 20 keep a restitution to 1e-3, arguments as before.
 
     Take the smallest mass, the largest stiffness and the highest speed that will occur.
+
+    Example:
+        >>> float(wc.laws.recommended_dt(stiffness=1e5, exponent=1.0, mass=0.1, speed=1.0).round(6))
+        0.000157
     """
     return np.asarray(contact_time(stiffness, exponent, mass, speed) / steps)

@@ -14,15 +14,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from warpcontact.experiment.bars import are_counts, edges_of_bars
 from warpcontact.outcomes.watch import RESERVED
 from warpcontact.status import EnvironmentStatus
 
 # More would be too small to read.
 MOST = 6
 COLUMNS = 3
-BINS = 60
-# Whole numbers that span no more than this have a bar each.
-WHOLE_BARS = 40
 QUANTILES = (0.05, 0.5, 0.95)
 
 
@@ -72,8 +70,8 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64]) -> None:
     """Draws values of environments; those that are not finite are told in words."""
     finite = values[np.isfinite(values)]
     if len(finite):
-        axes.hist(finite, bins=_bins(finite).tolist(), color="C0", alpha=0.75)
-        axes.xaxis.set_major_locator(MaxNLocator(5, integer=_counts(finite)))
+        axes.hist(finite, bins=edges_of_bars(finite).tolist(), color="C0", alpha=0.75)
+        axes.xaxis.set_major_locator(MaxNLocator(5, integer=are_counts(finite)))
         marks = np.quantile(finite, QUANTILES)
         for q, mark, line in zip(QUANTILES, marks, (":", "-", ":"), strict=True):
             axes.axvline(mark, color="C1", linestyle=line, label=f"{100 * q:g} %: {mark:.4g}")
@@ -85,23 +83,3 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64]) -> None:
         axes.text(0.02, 0.98, text, transform=axes.transAxes, va="top", fontsize="small", color="C3")
     axes.set_axisbelow(True)
     axes.grid(alpha=0.3)
-
-
-def _counts(values: NDArray[np.float64]) -> bool:
-    """Whether values are whole numbers, few enough for a bar each."""
-    # Beyond 2⁵¹ there are no numbers half between them.
-    small = np.abs(values).max() < 2.0**51
-    return bool(small and (values == np.round(values)).all() and np.ptp(values) <= WHOLE_BARS)
-
-
-def _bins(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns the edges of bars."""
-    low, high = float(values.min()), float(values.max())
-    if _counts(values):
-        return np.arange(low, high + 2.0) - 0.5
-    count = int(np.clip(np.sqrt(len(values)), 10, BINS))
-    # Values that differ by rounding alone are one bar, not what rounding looks like.
-    room = 1.0e-6 * max(abs(low), abs(high))
-    if high - low <= room:
-        low, high, count = low - room, high + room, 1
-    return np.linspace(low, high, count + 1)

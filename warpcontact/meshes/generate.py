@@ -73,6 +73,13 @@ def box(size: tuple[float, float, float] = (1.0, 1.0, 1.0), name: str = "box") -
 
     Raises:
         ValueError: If a length is not positive and finite.
+
+    Example:
+        >>> box = wc.meshes.box((1.0, 2.0, 3.0))
+        >>> box
+        Mesh('box', 8 vertices, 12 faces, closed)
+        >>> round(box.report.volume, 9)
+        6.0
     """
     lengths = _lengths(size, 3)
     # Vertex 4·i + 2·j + k is the corner at (i, j, k).

@@ -116,12 +116,13 @@ def shoot(
     moments = _moments(source, time, speed / fps)
     shown = source.nearest(moments)
     envs = environment_numbers(env)
-    records = source.around(sorted(set(shown.tolist())), envs)
+    overview = source.overview(envs)
+    records = sorted({*overview, *shown.tolist()})
     drawing = source.drawing(records, envs)
     coloring = None
     if look.color_by is not None:
         coloring = coloring_of(look.color_by, source.numbers(look.color_by, drawing.envs))
-    show = Show(drawing, look, coloring)
+    show = Show(drawing, look, coloring, [records.index(number) for number in overview])
     order = np.searchsorted(records, shown)
 
     def pictures() -> Iterator[Picture]:

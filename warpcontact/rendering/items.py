@@ -75,7 +75,15 @@ def turned_axes(rotations: Array) -> Array:
     return placed(axes, np.zeros((count, 3)), rotations)
 
 
-def of_figure(figure: Figure, record: int, row: int, *, color: Array | None = None, ruled: bool = False) -> Items:
+def of_figure(
+    figure: Figure,
+    record: int,
+    row: int,
+    *,
+    color: Array | None = None,
+    ruled: bool = False,
+    least: float = 0.0,
+) -> Items:
     """Returns the copies of a figure in an environment, those that are there and can be placed.
 
     Args:
@@ -84,10 +92,13 @@ def of_figure(figure: Figure, record: int, row: int, *, color: Array | None = No
         row: Number of the environment, in the order of the drawing.
         color: RGB instead of its own.
         ruled: Whether it has lines of a grid.
+        least: Radius of points at least [m].
     """
     time = record if len(figure.positions) > 1 else 0
     positions, scales = figure.positions[time, row], figure.scales[row]
     rotations = figure.orientations[record if len(figure.orientations) > 1 else 0, row]
+    if figure.kind == "point":
+        scales = np.maximum(scales, least)
     kind, shape = (SPHERE, None) if figure.shape is ball() else (MESH, figure.shape)
     finite = np.isfinite(np.concatenate([positions, rotations, scales], axis=1)).all(axis=1)
     good = np.broadcast_to(figure.there[row], finite.shape) & finite & (scales > 0.0).all(axis=1)

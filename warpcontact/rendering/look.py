@@ -34,6 +34,7 @@ class LookOptions(TypedDict, total=False):
     distance: float | None
     fov: float
     forces: bool
+    force_scale: float | None
     together: bool
     color_by: str | None
     labels: bool
@@ -55,6 +56,8 @@ class Look:
         distance: From there to the eye [m]; ``None``: so that all that moves is in the picture.
         fov: Angle of view, from top to bottom [degrees].
         forces: Whether to show contact forces as arrows, where force, normal and point of a contact were recorded.
+        force_scale: Length of arrows [m/N]; ``None``: the largest force is 1.5 sizes of the largest body long, if
+            there is room for that.
         together: Whether to show several environments in one picture, in place of one beside the other.
         color_by: A parameter or an outcome with one number for each environment, to colour what moves by.
         labels: Whether to write numbers of several environments, the time of a film and the scale of ``color_by``.
@@ -73,6 +76,7 @@ class Look:
     distance: float | None = None
     fov: float = 30.0
     forces: bool = True
+    force_scale: float | None = None
     together: bool = False
     color_by: str | None = None
     labels: bool = True
@@ -90,6 +94,8 @@ class Look:
             checks.numbers("look_at", self.look_at, (3,))
         if self.distance is not None:
             checks.numbers("distance", self.distance, (), limits("m", above=0.0))
+        if self.force_scale is not None:
+            checks.numbers("force_scale", self.force_scale, (), limits("m/N", above=0.0))
         checks.numbers("fov", self.fov, (), limits("degrees", at_least=1.0, at_most=120.0))
         for name, least, most in (("samples", *SAMPLES), ("threads", 1, 4096)):
             value = getattr(self, name)

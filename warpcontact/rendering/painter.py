@@ -19,7 +19,7 @@ from warpcontact.rendering.stage import Stage, linear
 Picture = NDArray[np.uint8]
 
 # The sun, from the left of the eye and above [rad], and the radius of its disc at distance 1.
-_ASIDE, _HEIGHT, _SPREAD = math.radians(55.0), math.radians(50.0), 0.035
+_ASIDE, _HEIGHT, _SPREAD = math.radians(45.0), math.radians(50.0), 0.035
 # Distances from the target at which things begin to fade into the background, and have, in halves of the view.
 _FADE = (3.0, 12.0)
 # Lines of the grid in half of the view from top to bottom, about.
@@ -124,8 +124,8 @@ def light_of(camera: Camera) -> Light:
         wp.vec3(*axis.tolist()) for axis in (sun, across, np.cross(sun, across))
     )
     light.spread = _SPREAD
-    light.sun_color = wp.vec3(0.80, 0.77, 0.72)
+    light.sun_color = wp.vec3(0.76, 0.73, 0.68)
     light.sky_color = wp.vec3(0.40, 0.42, 0.46)
     light.ground_color = wp.vec3(0.24, 0.23, 0.22)
-    light.lamp, light.gloss, light.reach = 0.16, 0.12, 0.5
+    light.lamp, light.gloss, light.reach = 0.24, 0.12, 0.5
     return light

@@ -12,9 +12,9 @@ from warpcontact.experiment.run import Run
 from warpcontact.replay.drawing import Drawing
 from warpcontact.scene import Scene
 
-# To choose a place from which all can be seen, as many records are looked at as make so many poses, within limits.
-_POSES = 100_000
-_MOST, _FEWEST = 48, 2
+# As many records give an overview as make so many poses, within limits.
+_POSES = 500_000
+_FEWEST, _MOST = 2, 48
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +78,11 @@ class Source:
             envs = [int(self.recording["env"].values[0])]
         return Drawing.of(self.recording.isel(time=list(records)), self.scene, envs)
 
-    def around(self, records: Sequence[int], envs: list[int] | None) -> list[int]:
-        """Returns these records and, evenly between all, some to choose a place by from which all can be seen."""
-        bodies = sum(body.count for body in self.scene.bodies) * (1 if envs is None else len(envs))
-        count = int(np.clip(_POSES // max(bodies, 1), _FEWEST, _MOST))
-        spread = np.linspace(0, len(self.times) - 1, count).round().astype(int)
-        return sorted({*spread.tolist(), *records})
+    def overview(self, envs: list[int] | None) -> list[int]:
+        """Returns some records, evenly over all, that tell where things are and how large forces are."""
+        poses = sum(body.count for body in self.scene.bodies) * (1 if envs is None else len(envs))
+        count = int(np.clip(_POSES // max(poses, 1), _FEWEST, _MOST))
+        return sorted(set(np.linspace(0, len(self.times) - 1, count).round().astype(int).tolist()))
 
     def numbers(self, name: str, envs: Sequence[int]) -> Array:
         """Returns a parameter or an outcome of environments, (env,); NaN of one that is not finished.

@@ -1,6 +1,7 @@
 """Pictures of a drawing, one record after the other, all from the same place and in the same light."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,9 +44,17 @@ class Show:
         drawing: The drawing.
         look: How pictures look.
         coloring: Colours of what moves, by environment; ``None``: its own.
+        overview: Numbers of the records, in the order of the drawing, by which the place of the eye and the length
+            of arrows are chosen; ``None``: all.
     """
 
-    def __init__(self, drawing: Drawing, look: Look, coloring: Coloring | None = None) -> None:
+    def __init__(
+        self,
+        drawing: Drawing,
+        look: Look,
+        coloring: Coloring | None = None,
+        overview: Sequence[int] | None = None,
+    ) -> None:
         self.drawing = drawing
         self._look = look
         self._coloring = coloring
@@ -58,13 +67,15 @@ class Show:
         width, height = look.size
         self._places = sheet.places(len(self._panels), width, height)
         left, top, right, bottom = self._places[0]
-        self.camera = self._camera((right - left) / (bottom - top))
+        overview = range(len(drawing.times)) if overview is None else overview
+        self._force_scale = (
+            _force_scale(drawing, overview) if look.force_scale is None else float(look.force_scale)
+        )
+        self.camera = self._camera(overview, (right - left) / (bottom - top))
         reach = self.camera.reach
         self._width = min(max(WIDTH * drawing.size, THINNEST * reach), THICKEST * reach)
-        largest = max((np.linalg.norm(t.forces, axis=-1).max(initial=0.0) for t in drawing.touches), default=0.0)
-        self._force_scale = drawing.force_scale
-        if largest > 0.0:
-            self._force_scale = min(drawing.force_scale, LONGEST * reach / largest)
+        if look.force_scale is None and (largest := _largest(drawing, range(len(drawing.times)))) > 0.0:
+            self._force_scale = min(self._force_scale, LONGEST * reach / largest)
 
     def picture(self, record: int, time: float | None = None, samples: int | None = None) -> Picture:
         """Returns a picture, (height, width, 3) sRGB.
@@ -101,7 +112,7 @@ class Show:
         for figure, moves in zip(self.drawing.figures, self._moves, strict=True):
             for row in rows if moves else rows[:1]:
                 color = self._coloring.colors[row] if self._coloring is not None and moves else None
-                found.append((of_figure(figure, record, row, color=color, ruled=not moves), moves))
+                found.append((of_figure(figure, record, row, color=color, ruled=not moves, least=width), moves))
         for curve in self.drawing.curves:
             for row in rows:
                 found += [(group, True) for group in of_curve(curve, record, row, width)]
@@ -115,18 +126,26 @@ class Show:
             for group in of_touch(touch, record, row, self._force_scale, self._width)
         ]
 
-    def _camera(self, aspect: float) -> Camera:
+    def _camera(self, overview: Sequence[int], aspect: float) -> Camera:
         azimuth, elevation, angle = self._look.angles
         rows = list(range(len(self.drawing.envs)))
         items = [
             (group, moves)
-            for record in range(len(self.drawing.times))
+            for record in overview
             for group, moves in self._items(record, rows, WIDTH * self.drawing.size)
-            if moves or record == 0
+            if moves or record == overview[0]
         ]
-        points, radii = spheres_to_see(self.drawing, items)
+        centres, radii = spheres_to_see(self.drawing, items)
+        if self._look.forces:
+            tips = [
+                (points + self._force_scale * forces)[(forces != 0.0).any(axis=-1)]
+                for touch in self.drawing.touches
+                for points, forces in [(touch.points[list(overview)], touch.forces[list(overview)])]
+            ]
+            centres = np.concatenate([centres, *tips])
+            radii = np.concatenate([radii, np.zeros(len(centres) - len(radii))])
         return framed(
-            points,
+            centres,
             radii,
             direction(azimuth, elevation),
             angle,
@@ -135,6 +154,18 @@ class Show:
             distance=None if self._look.distance is None else float(self._look.distance),
             least=LEAST * self.drawing.size,
         )
+
+
+def _largest(drawing: Drawing, records: Sequence[int]) -> float:
+    """Returns the largest force in some records [N]."""
+    forces = (np.linalg.norm(touch.forces[list(records)], axis=-1) for touch in drawing.touches)
+    return max((float(sizes.max(initial=0.0)) for sizes in forces), default=0.0)
+
+
+def _force_scale(drawing: Drawing, records: Sequence[int]) -> float:
+    """Returns the metres per newton that make the largest force in some records as long as the drawing has it."""
+    largest, of_all = (_largest(drawing, some) for some in (records, range(len(drawing.times))))
+    return drawing.force_scale * of_all / largest if largest > 0.0 else drawing.force_scale
 
 
 def coloring_of(name: str, values: Array) -> Coloring:

@@ -81,12 +81,14 @@ def still(
     wanted = source.times[-1] if time is None else checks.numbers("time", time, ())
     record = int(source.nearest(wanted))
     envs = environment_numbers(env)
-    records = source.around([record], envs)
+    overview = source.overview(envs)
+    records = sorted({*overview, record})
     drawing = source.drawing(records, envs)
     coloring = None
     if look.color_by is not None:
         coloring = coloring_of(look.color_by, source.numbers(look.color_by, drawing.envs))
-    picture = Show(drawing, look, coloring).picture(records.index(record))
+    show = Show(drawing, look, coloring, [records.index(number) for number in overview])
+    picture = show.picture(records.index(record))
     if file is not None:
         Image.fromarray(picture).save(file, format="png")
     return Still(picture, drawing.envs, float(drawing.times[records.index(record)]), bool(drawing.touches))

@@ -59,7 +59,8 @@ class ForceLines:
                 parts[key] = values.astype(np.float64).reshape(*shape, *length)
             elif key != "friction_force":
                 return None
-        force = parts["normal_force"][..., None] * parts["normal"] + parts.get("friction_force", 0.0)
+        with np.errstate(invalid="ignore"):  # ∞ × 0
+            force = parts["normal_force"][..., None] * parts["normal"] + parts.get("friction_force", 0.0)
         return cls(contact, parts["point"], force)
 
     def peak(self) -> float:

@@ -58,6 +58,13 @@ def solve(
 
     Raises:
         ValueError: If an argument does not fit, the method cannot take the problem, or K is singular.
+
+    Example:
+        A spring of 1000 N/m is loaded with 30 N and meets a wall after 20 mm, which carries the rest:
+
+        >>> solution = wc.unilateral.solve([[1000.0]], [30.0], [[1.0]], [0.02])
+        >>> solution.u.round(9), solution.lam.round(9), solution.converged
+        (array([0.02]), array([10.]), True)
     """
     problem = Problem(K, f, G, d, mu, previous, dim)
     return solve_problem(problem, method, tolerance, iterations, initial, parameter, device)

@@ -21,11 +21,12 @@ LIBRARY: Mapping[type[Formula], tuple[type[Any], ...]] = {
     Motion: motions.CATALOGUE,
     Shape: shapes.CATALOGUE,
 }
+_ALL = frozenset(kind for kinds in LIBRARY.values() for kind in kinds)
 
 
 def is_own(kind: type[Formula]) -> bool:
     """Whether a class is none of the library."""
-    return not any(kind in classes for classes in LIBRARY.values())
+    return kind not in _ALL
 
 
 class Catalogue:

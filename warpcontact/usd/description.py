@@ -23,7 +23,7 @@ from warpcontact.usd.author import identifiers
 from warpcontact.usd.catalogue import is_own
 from warpcontact.usd.words import Form, Words, words_of
 
-#: Number of the way in which scenes are written.
+#: Number of the way in which scenes are written; another one where a default of an argument changes.
 SCHEMA = 1
 #: Where exports have the description.
 ROOT = "/World/Description"
@@ -189,9 +189,8 @@ class _Description:
         from pxr import Sdf
 
         kind, written = _written(value, rows)
-        place = f"{path}.warpcontact:{name}"
-        Sdf.JustCreatePrimAttributeInLayer(self.layer, place, kind, Sdf.VariabilityUniform, True)
-        spec = self.layer.GetAttributeAtPath(place)
+        owner = self.layer.GetPrimAtPath(path)
+        spec = Sdf.AttributeSpec(owner, f"warpcontact:{name}", kind, Sdf.VariabilityUniform, True)
         spec.default = written
         if note:
             spec.documentation = note

@@ -4,6 +4,7 @@ An element keeps what it was given, checked. Its words are the arguments of its 
 in which elements were added: called again they make the same scene, to the bit.
 """
 
+import functools
 import inspect
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from warpcontact.checks import Array
 from warpcontact.contact_coupling import ContactCoupling
 from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
 from warpcontact.elements import Body, Contact, Points, Surface
+from warpcontact.kernels.motions import Free, Motion
 from warpcontact.piles.elements import MutualContact
 from warpcontact.scene import Scene
 from warpcontact.smooth.elements import Shape, SmoothContact
@@ -47,7 +49,7 @@ class Words:
     Attributes:
         kind: One of ``ADDERS``.
         name: Name of the element.
-        arguments: By name, those that are ``None`` left out. Numbers are Python's, or arrays.
+        arguments: By name, those that have their default left out. Numbers are Python's, or arrays.
         rows: Names of those that have one entry for each of a set.
     """
 
@@ -70,6 +72,7 @@ class Form:
     sizes: dict[str, Array]
 
 
+@functools.cache
 def arguments_of(kind: str) -> tuple[str, ...]:
     """Returns the names of the arguments that elements of a kind have; points may have ``normals``, too."""
     names = tuple(inspect.signature(getattr(Scene, ADDERS[kind])).parameters)[1:]
@@ -77,6 +80,7 @@ def arguments_of(kind: str) -> tuple[str, ...]:
     return (*left, "normals") if kind == "points" else left
 
 
+@functools.cache
 def required_of(kind: str) -> tuple[str, ...]:
     """Returns the names of the arguments that elements of a kind cannot be made without."""
     parameters = inspect.signature(getattr(Scene, ADDERS[kind])).parameters.values()
@@ -98,8 +102,27 @@ def _words(element: Any) -> Words:
     for name in arguments_of(kind):
         value = own[name] if name in own else getattr(element, name)
         if value is not None:
-            arguments[name] = _plain(name, value)
+            plain = _plain(name, value)
+            if not _is(plain, _defaults(kind).get(name)):
+                arguments[name] = plain
     return Words(kind, element.name, arguments, frozenset(rows) & arguments.keys())
+
+
+@functools.cache
+def _defaults(kind: str) -> dict[str, Any]:
+    parameters = inspect.signature(getattr(Scene, ADDERS[kind])).parameters.values()
+    return {one.name: one.default for one in parameters if one.default is not inspect.Parameter.empty}
+
+
+def _is(value: Any, default: Any) -> bool:
+    """Whether a value is the default of its argument, to the bit."""
+    if isinstance(value, np.ndarray):
+        return isinstance(default, tuple) and value.tobytes() == np.array(default, dtype=np.float64).tobytes()
+    return (
+        isinstance(value, bool | int | float | str)
+        and type(value) is type(default)
+        and repr(value) == repr(default)
+    )
 
 
 def _plain(name: str, value: Any) -> Any:
@@ -112,7 +135,7 @@ def _own(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
     """Returns the kind of an element, the arguments that are not attributes of their name, and those in rows."""
     match element:
         case Body(single=True):
-            return "body", {}, ()
+            return "body", {"motion": _motion(element)}, ()
         case Body():
             words = {
                 "positions": element.position,
@@ -122,7 +145,7 @@ def _own(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
                 "external_forces": element.external_force,
                 "external_torques": element.external_torque,
             }
-            return "bodies", words, (*words, "mass", "inertia")
+            return "bodies", words | {"motion": _motion(element)}, (*words, "mass", "inertia")
         case Surface():
             several = len(element.meshes) > 1
             chosen = [None if mask.all() else mask for mask in element.active]
@@ -135,7 +158,7 @@ def _own(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
                 return "point", {"body": carrier, "position": element.positions[0]}, ()
             return "points", {"body": carrier}, ("positions", "areas", "normals")
         case Contact():
-            return "contact", {}, ("radius",) if element.radius.ndim else ()
+            return "contact", _depth(element), ("radius",) if element.radius.ndim else ()
         case ContactCoupling():
             return "contact_coupling", _of_coupling(element), ()
         case SpringDamper():
@@ -160,12 +183,22 @@ def _own(element: Any) -> tuple[str, dict[str, Any], tuple[str, ...]]:
             own = {"position": element.positions, "orientation": element.orientations}
             return "shape", own | {"form": form}, ("position", "orientation")
         case SmoothContact():
-            return "smooth_contact", {}, ()
+            return "smooth_contact", _depth(element), ()
         case MutualContact():
             # By numbers: a relationship has each of its targets once.
             pairs = [[element.shapes.index(shape) for shape in pair] for pair in element.excluded]
-            return "mutual_contact", {"exclude": np.array(pairs, dtype=np.int32) if pairs else None}, ("exclude",)
+            excluded = np.array(pairs, dtype=np.int32) if pairs else None
+            return "mutual_contact", {"exclude": excluded, **_depth(element)}, ("exclude",)
     raise TypeError(f"{element.name!r} is a {type(element).__name__}, which has no words")
+
+
+def _motion(body: Body) -> Motion | None:
+    return None if type(body.motion) is Free else body.motion
+
+
+def _depth(contact: Contact | SmoothContact | MutualContact) -> dict[str, Any]:
+    """Returns the greatest depth; ``None``: any."""
+    return {"max_depth": contact.max_depth if np.isfinite(contact.max_depth) else None}
 
 
 def _of_coupling(coupling: ContactCoupling) -> dict[str, Any]:

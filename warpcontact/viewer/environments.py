@@ -54,7 +54,8 @@ class Picker:
     def describe(self, text: str) -> None:
         """Writes what is known of the chosen one."""
         failed = f"{len(self.marked)} frozen" if len(self.marked) else "none frozen"
-        self.show.write(self._text, f"{len(self.numbers)} environments, {failed}\n{text}".strip())
+        count = len(self.numbers)
+        self.show.write(self._text, f"{count} environment{'' if count == 1 else 's'}, {failed}\n{text}".strip())
 
     def _go(self, where: str) -> None:
         among = self.marked if where == "Next frozen" else self.numbers

@@ -73,8 +73,10 @@ class Replay(Show):
     def _write_facts(self, env: int) -> None:
         facts = self.source.facts(env)
         for name, handle in self._facts.items():
-            rows = facts.get(name, [])
-            self.write_table(handle, rows or [("", "not known yet")])
+            if facts.get(name):
+                self.write_table(handle, facts[name])
+            else:
+                self.write(handle, "not known yet" if name in facts else "none")
         self.picker.describe(self.source.frozen.get(env, ""))
 
     def _fit(self, end: float | None) -> None:

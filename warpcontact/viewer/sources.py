@@ -54,7 +54,7 @@ class Source(ABC):
 
     @abstractmethod
     def facts(self, env: int) -> Facts:
-        """Returns parameters and outcomes of an environment, by what they are."""
+        """Returns parameters and outcomes of an environment, by what they are; empty: they are not known yet."""
 
     def drawing(self, env: int) -> Drawing | None:
         """Returns what is seen of an environment over time; ``None``: there is no record of it yet.
@@ -88,7 +88,7 @@ class RecordingSource(Source):
             raise ValueError(
                 "the recording does not know its scene (xarray operations drop it): view the whole one"
             )
-        self.name = str(recording.attrs.get("source", "recording"))
+        self.name = "recording"
         self.recording = recording
         self.scene = scene
 
@@ -172,7 +172,7 @@ class RunSource(Source):
 
     def facts(self, env: int) -> Facts:
         """Returns outcomes and parameters of an environment."""
-        found: Facts = {}
+        found: Facts = {"Outcomes": [], "Parameters": []}
         parameters = [str(name) for name in self.run.params.data_vars]
         if env in self._table["env"].values:
             own = self._table.sel(env=env)

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from warpcontact.checks import Array
 from warpcontact.replay.drawing import Curve, Drawing, Figure, Shape, Touch
 
-# Lights: of all around, and from one side.
-AMBIENT = 0.4
-SUN = 2.0
+# Lights: of all around, grey from below, and from one side.
+SKY = 1.8
+GROUND = (150, 150, 150)
+SUN = 1.8
 SUN_FROM = (-4.0, -6.0, 10.0)
 
 # Widths in sizes of the largest body.
@@ -106,8 +107,9 @@ class Stage:
         self._names: list[list[str]] = []
         self._centre: Array | None = None
         # Those of viser outshine colours.
-        server.scene.configure_environment_map("studio", environment_intensity=AMBIENT)
+        server.scene.configure_environment_map(None)
         server.scene.configure_default_lights(False)
+        server.scene.add_light_hemisphere("/lights/sky", ground_color=GROUND, intensity=SKY)
         server.scene.add_light_directional(
             "/lights/sun", intensity=SUN, cast_shadow=True, position=tuple(SUN_FROM)
         )

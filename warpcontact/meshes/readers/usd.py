@@ -41,9 +41,9 @@ def read_usd(path: Path, prim: str | None, most_faces: int, *, confined: bool) -
             others[kind] = others.get(kind, 0) + 1
             continue
         mesh = UsdGeom.Mesh(found)
-        vertices, counts, corners = _polygons(mesh, time)
+        vertices, counts, corners = polygons(mesh, time)
         faces, owner = triangulate(vertices, counts, corners)
-        kept = _without_holes(mesh, time, len(counts))[owner]
+        kept = without_holes(mesh, time, len(counts))[owner]
         faces, owner = faces[kept], owner[kept]
         split[0] += len(np.unique(owner))
         split[1] += len(faces)
@@ -96,8 +96,8 @@ def _gprims(root: Any, time: Any) -> Iterator[Any]:
                 yield prim
 
 
-def _polygons(mesh: Any, time: Any) -> tuple[npt.NDArray[np.float64], Integers, Integers]:
-    """Vertices, and numbers of corners and corners of the polygons of a mesh."""
+def polygons(mesh: Any, time: Any) -> tuple[npt.NDArray[np.float64], Integers, Integers]:
+    """Returns vertices (V, 3), and numbers of corners (n,) and corners of the polygons of a ``UsdGeom.Mesh``."""
     path = mesh.GetPath()
     points, counts, corners = (
         attribute.Get(time)
@@ -116,7 +116,8 @@ def _polygons(mesh: Any, time: Any) -> tuple[npt.NDArray[np.float64], Integers, 
     return vertices, sizes, indices
 
 
-def _without_holes(mesh: Any, time: Any, count: int) -> npt.NDArray[np.bool]:
+def without_holes(mesh: Any, time: Any, count: int) -> npt.NDArray[np.bool]:
+    """Returns which of the ``count`` polygons of a ``UsdGeom.Mesh`` are no holes."""
     holes = mesh.GetHoleIndicesAttr().Get(time)
     kept = np.ones(count, dtype=bool)
     if holes:

@@ -38,29 +38,33 @@ _ELEMENTS = ("body", "points", "surface", "surface_a", "surface_b", "point_a", "
 _SURE_TO_BE_GIVEN = {"point": ("body",), "points": ("body",), "shape": ("body",)}
 
 
-def restored(records: Record, own: Iterable[type[Formula]] = ()) -> Scene:
+def restored(
+    records: Record, own: Iterable[type[Formula]] = (), subject: str = "the description of the scene"
+) -> Scene:
     """Returns the scene of a description.
 
     Args:
         records: The description.
         own: Classes of one's own that it may name.
+        subject: What to call it in messages.
 
     Raises:
         StageError: If it cannot be made; every prim that is in the way is named.
     """
-    return _Restoration(records, Catalogue(own)).scene()
+    return _Restoration(records, Catalogue(own), subject).scene()
 
 
 class _Restoration:
-    def __init__(self, root: Record, catalogue: Catalogue) -> None:
+    def __init__(self, root: Record, catalogue: Catalogue, subject: str) -> None:
         self.root = root
+        self.subject = subject
         self.catalogue = catalogue
         self.problems: list[str] = []
         self.made: dict[str, Any] = {}  # elements, templates and meshes by path
 
     def scene(self) -> Scene:
         values = self.root["values"]
-        if values["schema"] not in _SCHEMAS:
+        if not isinstance(values["schema"], int) or values["schema"] not in _SCHEMAS:
             version = shortened(values.get("version", "an unknown version"))
             raise self._error([f"{self.root['path']} was written by warpcontact {version}, which is newer"])
         given = {name: values[name] for name in ("gravity", "max_speed", "max_distance") if name in values}
@@ -86,7 +90,7 @@ class _Restoration:
         return scene
 
     def _error(self, problems: list[str]) -> StageError:
-        return StageError("the description of the scene", problems)
+        return StageError(self.subject, problems)
 
     def _tried(self, record: Record, make: Callable[[], Any]) -> Any:
         try:

@@ -1,0 +1,186 @@
+"""Pages of the examples: the story that each tells of itself, how to run it, what comes out, and its code.
+
+Whatever lies in ``examples/`` has a page; ``gallery/gallery.toml`` says in which part of the gallery, and how its
+picture is made.
+"""
+
+import ast
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+DOCS = Path(__file__).resolve().parent
+EXAMPLES = DOCS.parent / "examples"
+FOLDER = DOCS / "gallery"
+#: Commands in a story, which the page has below it.
+COMMANDS = re.compile(r"^ {4}(?:python|warpcontact) .*\n|\s*Run it with\s+``[^`]*``\.", re.MULTILINE)
+INTRODUCTION = """\
+# Examples
+
+Each of them is one file, or an experiment and what looks at its results, and ends with a number that tests check.
+"""
+
+
+@dataclass(frozen=True)
+class Example:
+    """Files of one name in ``examples/``.
+
+    Args:
+        name: Theirs, without suffix.
+        part: Of the gallery.
+        recipe: How its picture is made, as ``gallery.toml`` says.
+    """
+
+    name: str
+    part: str
+    recipe: dict[str, Any]
+
+    @property
+    def title(self) -> str:
+        """Its name in words."""
+        return self.name.replace("_", " ").capitalize()
+
+    @property
+    def files(self) -> list[Path]:
+        """Its files, the script first."""
+        return sorted(EXAMPLES.glob(f"{self.name}.*"))
+
+    @property
+    def picture(self) -> Path:
+        """Where its picture is: a plot, or what was rendered."""
+        rendered = not {"render", "recording"}.isdisjoint(self.recipe)
+        return FOLDER / f"{self.name}{'.jpg' if rendered else '.png'}"
+
+    @property
+    def printed(self) -> Path:
+        """Where it is noted what it prints."""
+        return FOLDER / f"{self.name}.txt"
+
+    @property
+    def summary(self) -> str:
+        """The first sentence of its story."""
+        first = story(self.files[0]).partition("\n\n")[0].replace("\n", " ")
+        return re.split(r"(?<=\.) ", first)[0].rstrip(":.") + "."
+
+    def command(self, file: Path, picture: str) -> str:
+        """Returns the command that runs one of its files, and draws to ``picture`` if it draws."""
+        if file.suffix == ".toml":
+            return f"warpcontact run examples/{file.name} --out results/{self.name}"
+        return f"python examples/{file.name} {self.recipe.get('options', '')}".rstrip().format(picture=picture)
+
+    def render(self, picture: str) -> str:
+        """Returns the command that draws what was run."""
+        return f"warpcontact render results/{self.name} {self.recipe['render']} -o {picture}"
+
+
+def examples() -> list[Example]:
+    """Returns all examples, in the order of the gallery.
+
+    Raises:
+        ValueError: If one is without a place in the gallery, a picture or a note of what it prints, or has a
+            place and does not exist.
+    """
+    parts = tomllib.loads((FOLDER / "gallery.toml").read_text(encoding="utf-8"))
+    found = [Example(name, part, recipe) for part, entries in parts.items() for name, recipe in entries.items()]
+    there = {file.stem for file in EXAMPLES.iterdir() if file.suffix in (".py", ".toml")}
+    for name in sorted(there.symmetric_difference(example.name for example in found)):
+        what = "has no place in" if name in there else "does not exist, but is in"
+        raise ValueError(f"examples/{name} {what} docs/gallery/gallery.toml")
+    return found
+
+
+def story(file: Path) -> str:
+    """Returns what an example says of itself: its docstring, or the comment that it begins with."""
+    text = file.read_text(encoding="utf-8")
+    if file.suffix == ".py":
+        told = ast.get_docstring(ast.parse(text)) or ""
+    else:
+        told = uncommented(re.match(r"(?:#.*\n)*", text)[0])
+    return COMMANDS.sub("", told).replace("::\n", ":\n").strip()
+
+
+def expected(file: Path) -> str:
+    """Returns what an experiment file ends with: the comment that says what is to be expected."""
+    end = re.search(r"^# (Expected(?:.*\n)(?:#.*\n)*)\Z", file.read_text(encoding="utf-8"), re.MULTILINE)
+    return uncommented("# " + end[1]).strip() if end else ""
+
+
+def uncommented(comment: str) -> str:
+    """Returns the text of a comment."""
+    return re.sub(r"^# ?", "", comment, flags=re.MULTILINE)
+
+
+def page(example: Example) -> str:
+    """Returns the page of an example as Markdown."""
+    told = [story(file) for file in example.files]
+    picture = f"{example.name}.png"
+    commands = [example.command(file, picture) for file in example.files]
+    if "render" in example.recipe:
+        commands.append(example.render(picture))
+    promised = [expected(file) for file in example.files]
+    parts = [
+        f"# {example.title}",
+        *told,
+        f"![{example.summary}]({example.picture.name})",
+        "## Run it",
+        "```bash\n" + "\n".join(commands) + "\n```",
+        "It prints",
+        f"```text\n{example.printed.read_text(encoding='utf-8').rstrip()}\n```",
+        *filter(None, promised),
+    ]
+    for file in example.files:
+        language = {".py": "python", ".toml": "toml"}[file.suffix]
+        parts += [
+            f"## {file.name}",
+            f"```{{literalinclude}} ../../examples/{file.name}\n:language: {language}\n```",
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def overview(every: list[Example]) -> str:
+    """Returns the page with all examples as Markdown."""
+    parts = [INTRODUCTION]
+    for part in dict.fromkeys(example.part for example in every):
+        own = [example for example in every if example.part == part]
+        cards = "\n".join(card(example) for example in own)
+        pages = "\n".join(example.name for example in own)
+        parts += [
+            f"## {part}",
+            f"`````{{container}} cards\n{cards}`````",
+            f"```{{toctree}}\n:hidden:\n\n{pages}\n```",
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def card(example: Example) -> str:
+    """Returns the card of an example: picture, title, first sentence."""
+    link = f"({example.name}.md)"
+    return (
+        f"````{{container}} card\n[![{example.title}]({example.picture.name})]{link}\n\n"
+        f"[{example.title}]{link}: {example.summary}\n````\n"
+    )
+
+
+def write_pages(app: "Sphinx") -> None:
+    """Makes the pages."""
+    from outside import write
+    from sphinx.errors import ExtensionError
+
+    try:
+        every = examples()
+        for example in every:
+            write(FOLDER / f"{example.name}.md", page(example))
+    except (ValueError, FileNotFoundError) as error:
+        raise ExtensionError(f"gallery: {error}; python docs/pictures.py NAME makes a picture") from None
+    write(FOLDER / "index.md", overview(every))
+
+
+def setup(app: "Sphinx") -> dict[str, Any]:
+    """Registers it with Sphinx."""
+    app.connect("builder-inited", write_pages)
+    return {"parallel_read_safe": True}

@@ -1,0 +1,122 @@
+"""What the reference takes from the code beside docstrings.
+
+``.. catalogue:: warpcontact.laws`` documents all that is public there. Laws, frictions, springs, motions and
+shapes are described by what their classes declare: formula, source, range, parameters with units and limits.
+"""
+
+import dataclasses
+import importlib
+import inspect
+import math
+import re
+from typing import Any, ClassVar
+
+from docutils import nodes
+from docutils.parsers.rst import directives
+from numpy.typing import ArrayLike
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+from sphinx.util.typing import stringify_annotation
+from warpcontact.kernels.formula import Formula
+
+import warpcontact
+from warpcontact.listing import PROVENANCE
+
+
+def declared(formula: type[Formula]) -> list[str]:
+    """Returns what a formula declares, as lines of reStructuredText."""
+    lines = [""]
+    if formula.formula:
+        lines += [f"| {plain(formula.formula)}", ""]
+    fields = dataclasses.fields(formula)
+    if formula.exactly_one_of:
+        names = " and ".join(f"``{name}``" for name in formula.exactly_one_of)
+        lines += [f"Exactly one of {names} is given.", ""]
+    lines += [f":param {field.name}: {described(field)}" for field in fields]
+    if fields:
+        lines.append("")
+    if formula.reference:
+        known = "; ".join(PROVENANCE[letter] for letter in formula.provenance if letter in PROVENANCE)
+        lines += [f"*Source*: {formula.reference}" + (f" ({known})." if known else "."), ""]
+    if formula.validity:
+        lines += [f"*Holds for*: {formula.validity}.", ""]
+    return lines
+
+
+def described(field: "dataclasses.Field[Any]") -> str:
+    """Returns meaning, unit and limits of a parameter."""
+    limits = field.metadata
+    unit = "" if limits["unit"] == "-" else f" [{limits['unit']}]"
+    bounds = [
+        f"{sign} {limits[key]:g}"
+        for key, sign in (("above", ">"), ("at_least", "≥"), ("at_most", "≤"))
+        if math.isfinite(limits[key])
+    ]
+    return ", ".join((f"{plain(limits['meaning'])}{unit}", *bounds))
+
+
+def plain(text: str) -> str:
+    """Returns text of a docstring with |x| for absolute values, which reStructuredText would replace."""
+    return re.sub(r"(``.*?``)|\|", lambda found: found[1] or r"\|", text)
+
+
+def describe(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Adds what a formula declares to its docstring."""
+    lines[:] = map(plain, lines)
+    if inspect.isclass(obj) and issubclass(obj, Formula) and dataclasses.fields(obj):
+        lines += declared(obj)
+
+
+def shorten(
+    app: Sphinx, what: str, name: str, obj: Any, options: Any, signature: str | None, returned: str | None
+) -> tuple[str | None, str | None]:
+    """Returns a signature in which arrays are called what they are in the source, and not all that they may be."""
+    long = stringify_annotation(ArrayLike, "smart")
+    return (signature and signature.replace(long, "ArrayLike")), returned
+
+
+class Catalogue(SphinxDirective):
+    """Documents every class and function that a module exports, in the order of its catalogue.
+
+    With the option ``members`` it documents members of classes, too.
+    """
+
+    required_arguments = 1
+    option_spec: ClassVar = {"members": directives.flag}
+
+    def run(self) -> list[nodes.Node]:
+        """Returns the nodes of all entries."""
+        path = self.arguments[0]
+        module = getattr(warpcontact, path.rpartition(".")[2])
+        source = importlib.import_module(module.__name__)
+        self.env.note_dependency(inspect.getfile(source))
+        members = ["   :members:"] if "members" in self.options else []
+        lines: list[str] = []
+        for name in ordered(module):
+            entry = getattr(module, name)
+            if inspect.isclass(entry):
+                lines += [f".. autoclass:: {path}.{name}", *members, ""]
+            elif callable(entry):
+                lines += [f".. autofunction:: {path}.{name}", ""]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+def ordered(module: Any) -> list[str]:
+    """Returns the public names of a module that the package does not export itself: a catalogue in its order."""
+    names = [name for name in module.__all__ if name not in warpcontact.__all__]
+    listed = [
+        entry.__name__
+        for value in (getattr(module, name) for name in names)
+        if isinstance(value, tuple)
+        for entry in value
+        if inspect.isclass(entry)
+    ]
+    return [*dict.fromkeys((*(name for name in listed if name in names), *names))]
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Registers it with Sphinx."""
+    app.add_directive("catalogue", Catalogue)
+    app.connect("autodoc-process-docstring", describe, priority=600)
+    app.connect("autodoc-process-signature", shorten)
+    return {"parallel_read_safe": True}

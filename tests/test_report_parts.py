@@ -1,0 +1,293 @@
+"""Parts of a report: what is packed comes out again, charts are right, texts are safe, and a million fit."""
+
+import base64
+import dataclasses
+import re
+import tracemalloc
+import zlib
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from warpcontact.contact_coupling_report import CouplingReport
+from warpcontact.health import Health
+from warpcontact.replay.drawing import Shape
+from warpcontact.replay.triangles import ball
+from warpcontact.run_report import chart, couplings, ended, environments, markup, meshes, outcomes, words
+from warpcontact.run_report.choice import choose
+from warpcontact.run_report.columns import columns_of
+from warpcontact.run_report.packing import Pack
+from warpcontact.status import Cause, EnvironmentStatus
+
+
+def unpacked(pack):
+    """What ``web/src/unpack.js`` makes of a pack."""
+    content = pack.content()
+    data = zlib.decompress(base64.b64decode(content["data"]))
+    place, found = 0, []
+    for about in content["arrays"]:
+        if about["type"] == "same":
+            found.append(found[about["of"]])
+            continue
+        shape = tuple(about["shape"])
+        size = int(np.prod(shape))
+        if about["type"] == "float":
+            found.append(np.frombuffer(data, "<f4", size, place).reshape(shape))
+            place += 4 * size
+            continue
+        width = {"short": 2, "index": 4}[about["type"]]
+        planes = np.frombuffer(data, np.uint8, width * size, place).reshape(width, size).astype(np.uint64)
+        differences = sum(plane << np.uint64(8 * i) for i, plane in enumerate(planes))
+        place += width * size
+        if about["type"] == "index":
+            found.append((np.cumsum(differences) % 2**32).reshape(shape))
+            continue
+        rows = differences.reshape(-1, shape[0])
+        whole = (np.cumsum(rows, axis=1) % 2**16).T.reshape(shape).astype(np.float64)
+        values = np.array(about["low"]) + np.array(about["step"]) * whole
+        found.append(np.where(whole == 65535, np.nan, values))
+    assert place == len(data)
+    return found
+
+
+def test_series_come_out_within_half_a_step():
+    random = np.random.default_rng(1)
+    values = np.cumsum(random.normal(size=(50, 7, 3)), axis=0) * [1.0, 1e-3, 1e3]
+    values[3, 2] = np.nan
+    values[:, :, 2] = np.where(np.isfinite(values[:, :, 2]), 5.0, np.nan)  # no extent along one axis
+    pack = Pack()
+    pack.series(values)
+    (found,) = unpacked(pack)
+    step = np.nanmax(values, axis=(0, 1)) - np.nanmin(values, axis=(0, 1))
+    # Half a step of 65534, and rounding.
+    assert (np.nan_to_num(np.abs(found - values)) < 0.51 * step / 65534 + 1e-12).all()
+    assert (np.isnan(found) == np.isnan(values)).all()
+
+
+def test_what_16_bits_are_too_coarse_for_stays_exact():
+    values = np.array([[[0.0, 0.0, 0.0]], [[1e6, 0.25, 1.0]]])
+    pack = Pack()
+    pack.series(values, finest=1e-3)
+    np.testing.assert_array_equal(unpacked(pack)[0], values)
+
+
+def test_rotations_come_out_as_the_same_rotations():
+    random = np.random.default_rng(2)
+    turns = random.normal(size=(40, 5, 4))
+    turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
+    pack = Pack()
+    pack.rotations(turns)
+    (found,) = unpacked(pack)
+    length = np.linalg.norm(found, axis=-1, keepdims=True)
+    # cos(half the angle between them): each of four components is off by up to half a step of 2/65534.
+    assert np.abs(np.sum(found / length * turns, axis=-1)).min() > 1.0 - 1e-8
+    assert (np.sum(found[1:] * found[:-1], axis=-1) > -1e-4).all()  # neighbours on one side, to be interpolated
+
+
+def test_indices_come_out_and_equal_arrays_are_stored_once():
+    faces = np.random.default_rng(3).integers(0, 100_000, (500, 3)).astype(np.int32)
+    pack = Pack()
+    pack.indices(faces)
+    pack.exact(np.arange(6.0).reshape(2, 3))
+    size = pack.raw
+    pack.indices(faces)
+    assert pack.raw == size
+    first, _, again = unpacked(pack)
+    np.testing.assert_array_equal(first, faces)
+    np.testing.assert_array_equal(again, faces)
+
+
+def test_large_meshes_get_fewer_triangles_in_the_same_place():
+    n = 400
+    x, y = np.meshgrid(np.linspace(0, 4, n), np.linspace(0, 4, n))
+    vertices = np.stack([x, y, np.sin(x)], axis=-1).reshape(-1, 3)
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1)
+    faces = np.concatenate([corner[:, None] + [0, 1, n], corner[:, None] + [1, n + 1, n]]).astype(np.int32)
+    colors = np.zeros((len(faces), 3))
+    drawn = meshes.drawable(Shape(vertices, faces, colors), 1)
+    assert len(drawn.colors) == len(drawn.faces) <= meshes.TRIANGLES < len(faces)
+    a, b, c = (drawn.vertices[drawn.faces[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    fine = [vertices[faces[:, i]] for i in range(3)]
+    expected = np.linalg.norm(np.cross(fine[1] - fine[0], fine[2] - fine[0]), axis=1).sum() / 2
+    assert area == pytest.approx(expected, rel=0.02)  # points move by up to a cell of some 300 along a side
+    assert len(meshes.drawable(ball(), 1).faces) > len(meshes.drawable(ball(), 1000).faces)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (1234.5678, "1235"),
+        (-0.00012345678, "−0.0001235"),
+        (1.5e-7, "1.5×10⁻⁷"),
+        (-2.0e12, "−2×10¹²"),
+        (float("nan"), "–"),
+        (float("-inf"), "−∞"),
+    ],
+)
+def test_numbers_are_written_as_one_reads_them(value, text):
+    assert words.number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("unit", "largest", "expected"),
+    [
+        ("m", 0.02, (1e3, "mm")),
+        ("N", 3e4, (1e-3, "kN")),
+        ("N/m", 3e7, (1e-6, "MN/m")),
+        ("m²", 2e-5, (1e6, "10⁻⁶ m²")),
+        ("s", 2e4, (1e-3, "10³ s")),
+        ("kg", 2e4, (1e-3, "10³ kg")),
+        ("-", 0.002, (1e3, "10⁻³")),
+        ("m", 5.0, (1.0, "m")),
+        ("m", 0.0, (1.0, "m")),
+        ("m", float("inf"), (1.0, "m")),
+    ],
+)
+def test_units_fit_what_is_measured_in_them(unit, largest, expected):
+    factor, text = words.scaled(unit, largest)
+    assert factor == pytest.approx(expected[0])
+    assert text == expected[1]
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(0.0, 1.0), (-3.7, 12.1), (1e-9, 3e-9), (1e6, 1e6 + 1.0), (5.0, 5.0), (0.0, 0.0), (-1e30, 1e30)],
+)
+def test_axes_have_a_few_marks_in_their_places(low, high):
+    axis = chart.horizontal(low, high, "m")
+    marks = axis.marks()
+    assert 2 <= len(marks) <= 8
+    places = [place for place, _ in marks]
+    assert min(places) >= chart.LEFT - 0.1
+    assert max(places) <= chart.WIDTH - chart.RIGHT + 0.1
+    assert len({text for _, text in marks}) == len(marks)  # each tells something else
+
+
+def test_curves_have_gaps_where_nothing_is_known():
+    x = np.arange(6.0)
+    drawn = chart.polyline(x, np.array([0.0, 1.0, np.nan, 2.0, np.inf, 3.0]), "curve")
+    assert drawn.count("M") == 3
+    assert "nan" not in drawn
+    assert "inf" not in drawn
+
+
+def test_texts_are_escaped_wherever_they_are_put():
+    evil = "\"'><script>&\u2028\x00"
+    drawn = markup.element("p", evil, title=evil)
+    assert drawn == '<p title="{0}">{0}</p>'.format("&quot;&#x27;&gt;&lt;script&gt;&amp;\u2028\ufffd")
+    block = markup.data_block("x", {"a": evil, evil: float("nan"), "b": [float("inf"), 1.5]})
+    inner = block.partition(">")[2].rpartition("<")[0]
+    assert not set(inner) & set("<>&\u2028\x00")
+    assert inner.isascii()
+    assert "NaN" not in inner
+    assert "Infinity" not in inner
+
+
+def cells(content):
+    """The texts of the cells of tables, row by row."""
+    return [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", content)]
+
+
+def test_contact_couplings_are_told():
+    report = CouplingReport(
+        name="<b>fender",
+        effective_area=np.array([0.0, 0.2, 0.3]),
+        minimum_distance=np.array([np.nan, 0.01, -0.002]),
+        effective_range=np.full(3, 0.02),
+        impact=None,
+        first_env=0,
+    )
+    content = couplings.section([report])
+    expected = ["<bdi>&lt;b&gt;fender</bdi>", "2 of 3", "−0.002 to 0.01", "0.2 to 0.3", "1", "–"]
+    assert cells(content)[1] == expected
+    none = dataclasses.replace(report, minimum_distance=np.full(3, np.nan))
+    assert cells(couplings.section([none]))[1][1:4] == ["0 of 3", "–", "–"]
+    assert couplings.section([]) is None
+
+
+def test_failed_stopped_and_repeated_environments_are_told():
+    status = np.array([EnvironmentStatus.ACTIVE, EnvironmentStatus.FROZEN, EnvironmentStatus.STOPPED], int)
+    health = Health.of(status, np.array([Cause.NONE, Cause.TOO_FAR, Cause.NONE], int), np.array([1.0, 0.25, 0.5]))
+    stops = {"flag_values": [0, 1], "flag_meanings": "landed <tipped>"}
+    outcome = xr.Dataset({"stopped_by": ("env", [-1, -1, 1], stops), "resets": ("env", [0, 0, 3])})
+    content = ended.section(health, outcome)
+    rows = cells(content)
+    assert rows[1][1:] == ["0.25\u202fs", "a body went beyond scene.max_distance"]
+    assert 'data-replay="1"' in rows[1][0]
+    assert rows[-1] == ["<bdi>&lt;tipped&gt;</bdi>", "1"]
+    assert "1 environment failed and began anew, 3 times in all." in content
+    good = Health.of(np.zeros(2, int) + EnvironmentStatus.ACTIVE, np.zeros(2, int), np.ones(2))
+    assert "No environment failed." in ended.section(good, outcome[["resets"]] * 0)
+
+
+# A million environments
+
+
+@pytest.fixture(scope="module")
+def million():
+    envs = 1_000_000
+    random = np.random.default_rng(4)
+    status = np.zeros(envs, np.int8)
+    status[::1000] = EnvironmentStatus.FROZEN
+    flags = {"flag_values": list(map(int, EnvironmentStatus))}
+    flags["flag_meanings"] = " ".join(one.name for one in EnvironmentStatus)
+    return xr.Dataset(
+        {
+            "peak": ("env", random.normal(size=envs), {"units": "N", "long_name": "peak"}),
+            "place": (("env", "axis"), random.normal(size=(envs, 3)), {"units": "m"}),
+            "status": ("env", status, flags),
+        },
+        coords={"env": np.arange(envs), "axis": ["x", "y", "z"]},
+    )
+
+
+def test_a_million_environments_are_summed_up_and_the_table_is_capped(million):
+    tracemalloc.start()
+    spreads, more = outcomes.spreads_of(million)
+    health = Health.of(million["status"].values, np.ones(10**6, int), np.zeros(10**6), million["env"].values)
+    choice = choose(None, million["env"].values, health, spreads)
+    params = million[["place"]].rename(place="start")
+    content, data = environments.section(params, million, [*choice.envs, *map(int, health.frozen)])
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert more == 0
+    good = million["peak"].values[million["status"].values == 0]
+    assert f"{np.median(good):.4g}".replace("-", "−") in spreads[0].row
+    assert len(data["env"]) == environments.ROWS
+    assert set(choice.envs) <= set(data["env"])
+    assert "2\u202f000 of 1\u202f000\u202f000 environments" in content
+    assert "warpcontact export" in content
+    # Some copies of one outcome of 8 MB, not of all there are for each environment.
+    assert peak < 40 * 8 * 10**6
+
+
+def test_choice_takes_first_failed_and_extreme_environments(million):
+    small = million.isel(env=slice(500, 2500))
+    spreads, _ = outcomes.spreads_of(small)
+    health = Health.of(small["status"].values, np.ones(2000, int), np.zeros(2000), small["env"].values)
+    choice = choose(None, small["env"].values, health, spreads)
+    assert choice.envs[0] == 500
+    assert {1000, 2000, *range(500, 516)} <= set(choice.envs)
+    good = small["peak"].where(small["status"] == 0)
+    assert int(good["env"][int(good.argmax("env"))]) in choice.envs
+    with pytest.raises(ValueError, match="environment 3 has no results to report; there are: 500 to 2499"):
+        choose([500, 3], small["env"].values, health, spreads)
+    with pytest.raises(ValueError, match="envs must name at least one"):
+        choose([], small["env"].values, health, spreads)
+    with pytest.raises(ValueError, match="envs must be numbers of environments, got 'a'"):
+        choose(["a"], small["env"].values, health, spreads)
+
+
+def test_items_that_are_alike_are_one_column_and_sets_none():
+    data = xr.Dataset(
+        {
+            "mu": (("env", "item"), np.repeat([[0.1], [0.2]], 500, axis=1)),
+            "gaps": (("env", "item"), np.arange(1000.0).reshape(2, 500)),
+            "few": (("env", "item_2"), np.arange(4.0).reshape(2, 2)),
+        },
+        coords={"env": [0, 1]},
+    )
+    assert [column.name for column in columns_of(data)] == ["mu", "few.0", "few.1"]

@@ -1,0 +1,227 @@
+"""A scene of what UsdPhysics says: rigid bodies with their mass, and colliders that touch."""
+
+import re
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from warpcontact.checks import Array
+from warpcontact.elements import Body, Template
+from warpcontact.kernels.motions import Fixed, Prescribed
+from warpcontact.scene import Scene
+from warpcontact.usd.importing.errors import StageError, shortened
+from warpcontact.usd.importing.findings import Unsupported, Wrong
+from warpcontact.usd.importing.forms import Part, part_of
+from warpcontact.usd.importing.solids import Weight
+from warpcontact.usd.importing.touching import NO_MATERIAL, Collider, Touching, pairs_of
+
+#: Density where nothing says one [kg/m³].
+DENSITY = 1000.0
+# Names are cut to this length.
+_LONGEST = 60
+
+
+def assembled(
+    physics: dict[str, Any],
+    subject: str,
+    *,
+    template: Template | None,
+    contact_time: float,
+    samples: int | str,
+    skip_unsupported: bool,
+) -> Scene:
+    """Returns the scene of a stage.
+
+    Args:
+        physics: What ``read_physics`` found.
+        subject: What to call the stage in messages.
+        template: Law and friction of all contacts; ``None``: as materials say.
+        contact_time: Time that an impact takes [s].
+        samples: How points of surfaces are made, of ``add_surface_contact``.
+        skip_unsupported: Whether to leave out what there is no counterpart for.
+
+    Raises:
+        StageError: If something makes no sense, or has no counterpart; all of it is listed.
+    """
+    return _Assembly(physics).scene(subject, template, contact_time, samples, skip_unsupported)
+
+
+class _Assembly:
+    def __init__(self, physics: dict[str, Any]) -> None:
+        self.physics = physics
+        findings = physics["findings"]
+        self.wrong, self.unsupported, self.remarks = (
+            list(findings[key]) for key in ("wrong", "unsupported", "remarks")
+        )
+        paths = [one["path"] for one in (*physics["bodies"], *physics["colliders"])]
+        names = names_of(paths)
+        self.body_names, self.collider_names = names[: len(physics["bodies"])], names[len(physics["bodies"]) :]
+
+    def scene(
+        self, subject: str, template: Template | None, contact_time: float, samples: int | str, skip: bool
+    ) -> Scene:
+        found = [self._tried(one, partial(self._part, one, name)) for one, name in self._named_colliders()]
+        scene = Scene(self.physics["gravity"])
+        bodies: list[Body | None] = []
+        centres = []
+        for number, (record, name) in enumerate(zip(self.physics["bodies"], self.body_names, strict=True)):
+            own = [
+                (collider, one)
+                for collider, one in zip(self.physics["colliders"], found, strict=True)
+                if collider["body"] == number and one is not None
+            ]
+            made = self._tried(record, partial(self._body, scene, record, name, own))
+            bodies.append(made)
+            centres.append(np.zeros(3) if made is None else _local(record, made.position))
+        self._refuse(subject, skip)
+        colliders: list[Collider] = []
+        numbers: dict[int, int] = {}
+        for i, ((record, name), one) in enumerate(zip(self._named_colliders(), found, strict=True)):
+            if one is None:
+                continue
+            carrier = bodies[record["body"]] if record["body"] >= 0 else None
+            shift = centres[record["body"]] if record["body"] >= 0 else np.zeros(3)
+            numbers[i] = len(colliders)
+            colliders.append(self._collider(record, name, carrier, one, shift))
+        for one in colliders:
+            self._tried({"path": one.path}, partial(one.add, scene))
+        touching = Touching(scene, template, contact_time, samples)
+        apart = [(numbers[i], numbers[j]) for i, j in pairs_of(self.physics["apart"]) if {i, j} <= numbers.keys()]
+        self._tried({"path": "/"}, partial(touching.add, colliders, apart))
+        self._refuse(subject, skip)
+        bare = sum(record["material"] is None for record in self.physics["colliders"])
+        if bare and template is None:
+            self.remarks.append(
+                f"{bare} colliders have no physics material: friction {NO_MATERIAL['static']}, restitution 0"
+            )
+        scene.remarks = (*self.remarks, *touching.remarks, *(f"left out: {one}" for one in self.unsupported))
+        return scene
+
+    def _named_colliders(self) -> list[tuple[dict[str, Any], str]]:
+        return list(zip(self.physics["colliders"], self.collider_names, strict=True))
+
+    def _tried(self, record: dict[str, Any], make: Callable[[], Any]) -> Any:
+        try:
+            return make()
+        except Unsupported as error:
+            self.unsupported.append(f"{shortened(record['path'])}: {error}")
+        except (ValueError, TypeError) as error:
+            self.wrong.append(f"{shortened(record['path'])}: {error}")
+        return None
+
+    def _refuse(self, subject: str, skip: bool) -> None:
+        problems = self.wrong + ([] if skip else [f"{one} (not supported)" for one in self.unsupported])
+        if problems:
+            raise StageError(subject, problems)
+
+    def _part(self, record: dict[str, Any], name: str) -> Part:
+        """Returns a collider in the frame of its body, the origin of which is that of the prim."""
+        shape, placement = record["shape"], record["placement"]
+        if record["body"] < 0:
+            return part_of(shape, placement[:3, :3], placement[:3, 3], name, filled=False)
+        carrier = self.physics["bodies"][record["body"]]
+        linear, place = carrier["turn"].T @ placement[:3, :3], _local(carrier, placement[:3, 3])
+        return part_of(shape, linear, place, name, filled=True)
+
+    def _body(
+        self, scene: Scene, record: dict[str, Any], name: str, colliders: list[tuple[dict[str, Any], Part]]
+    ) -> Body:
+        turn = record["turn"]
+        weight = self._weight(record, colliders)
+        still = not (record["velocity"].any() or record["angular_velocity"].any())
+        motion = None if not record["kinematic"] else Fixed() if still else Prescribed()
+        return scene.add_body(
+            mass=weight.mass,
+            inertia=weight.inertia,
+            position=record["placement"][:3, 3] + turn @ weight.centre,
+            orientation=Rotation.from_matrix(turn).as_quat(),
+            linear_velocity=record["velocity"],
+            angular_velocity=record["angular_velocity"],
+            motion=motion,
+            name=name,
+        )
+
+    def _weight(self, record: dict[str, Any], colliders: list[tuple[dict[str, Any], Part]]) -> Weight:
+        """Returns mass, centre and inertia of a body in its frame.
+
+        What MassAPI says of the body comes before what it says of its colliders, and that before what follows
+        from their volumes and densities.
+        """
+        parts = [_weight_of(record, one, own) for one, own in colliders]
+        weights = [part for part in parts if part is not None]
+        weight = Weight.total(weights) if weights else None
+        centre = None if record["centre"] is None else _local(record, record["centre"])
+        mass, moments = record["mass"], record["moments"]
+        if weight is None:
+            complete = mass > 0.0 and moments is not None
+            if not complete and not record["kinematic"]:
+                lacking = "physics:mass" if mass == 0.0 else "physics:diagonalInertia"
+                raise Wrong(f"it has neither {lacking} nor colliders with a volume to take it from")
+            origin = np.zeros(3) if centre is None else centre
+            weight = Weight(mass or 1.0, origin, np.eye(3))
+        if mass > 0.0:
+            weight = weight.scaled(mass)
+        if centre is not None:
+            weight = weight.about(centre)
+        if moments is not None:
+            weight = Weight(weight.mass, weight.centre, _tensor(moments, record["axes"]))
+        return weight
+
+    def _collider(self, record: dict[str, Any], name: str, body: Body | None, own: Part, shift: Array) -> Collider:
+        self.remarks += [f"{shortened(record['path'])}: {remark}" for remark in own.remarks]
+        placed = Part(own.form, own.mesh, own.position - shift, own.orientation, own.solid)
+        moves = record["body"] >= 0 and not self.physics["bodies"][record["body"]]["kinematic"]
+        material = NO_MATERIAL if record["material"] is None else record["material"]
+        return Collider(record["path"], name, body, moves, placed, material, bool(record["visible"]))
+
+
+def _local(body: dict[str, Any], place: Array) -> Array:
+    """Returns a place of the world in the frame of a body, the origin of which is that of its prim [m]."""
+    local: Array = body["turn"].T @ (place - body["placement"][:3, 3])
+    return local
+
+
+def _weight_of(body: dict[str, Any], record: dict[str, Any], own: Part) -> Weight | None:
+    """Returns the weight of a collider in the frame of its body; ``None`` if it has none."""
+    density = record["density"] or (record["material"] or {}).get("density") or body["density"] or DENSITY
+    if own.solid is None or not own.solid.volume > 0.0:
+        return None
+    weight = Weight.of(own.solid, record["mass"] or density * own.solid.volume)
+    if record["centre"] is not None:
+        weight = weight.about(_local(body, record["centre"]))
+    if record["moments"] is not None:
+        axes = body["turn"].T @ _rotation(record["placement"][:3, :3])
+        weight = Weight(weight.mass, weight.centre, axes @ _tensor(record["moments"], record["axes"]) @ axes.T)
+    return weight
+
+
+def _rotation(linear: Array) -> Array:
+    """Returns the rotation nearest to a transformation."""
+    left, _, right = np.linalg.svd(linear)
+    turn: Array = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return turn
+
+
+def _tensor(moments: Array, axes: Array | None) -> Array:
+    """Returns the inertia with these principal moments, about principal axes (quaternion to the body)."""
+    turn = np.eye(3) if axes is None else Rotation.from_quat(axes).as_matrix()
+    return turn @ np.diag(moments) @ turn.T
+
+
+def names_of(paths: list[str]) -> list[str]:
+    """Returns a name for each path of a prim: that of the prim, made valid and told apart by a number."""
+    taken = {"scene"}
+    names = []
+    for path in paths:
+        text = re.sub(r"[^A-Za-z0-9_-]", "_", path.rpartition("/")[2])[:_LONGEST]
+        name = base = text if re.match(r"[A-Za-z_]", text) else f"_{text}"
+        number = 1
+        while name in taken:
+            number += 1
+            name = f"{base}_{number}"
+        taken.add(name)
+        names.append(name)
+    return names

@@ -1,0 +1,132 @@
+"""Which prims of a stage are of physics, and of which kind."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+from warpcontact.usd.importing.findings import Findings
+
+# Parts of names of applied schemas of other libraries that say what moves how, not how well it is computed.
+_ESSENTIAL = {
+    "Deformable": "a deformable body",
+    "SoftBody": "a deformable body",
+    "Cloth": "cloth",
+    "Particle": "particles",
+    "Tendon": "a tendon",
+    "Vehicle": "a vehicle",
+    "ForceAPI": "a force",
+    "SurfaceVelocity": "a surface that conveys",
+    "CharacterController": "a character",
+    "Mimic": "a joint that follows another",
+    "Actuator": "an actuator",
+    "Trigger": "a trigger",
+    "Buoyancy": "buoyancy",
+}
+# Of typed prims, which a stage has for what it describes: nothing of another library can be left out unsaid.
+_FOREIGN = ("Physx", "Newton", "Mjc", "OmniPhysics", "Isaac")
+# Applied schemas of UsdPhysics that are read, or are about joints, which are not.
+_READ = (
+    "PhysicsRigidBodyAPI",
+    "PhysicsMassAPI",
+    "PhysicsCollisionAPI",
+    "PhysicsMeshCollisionAPI",
+    "PhysicsMaterialAPI",
+    "PhysicsFilteredPairsAPI",
+)
+
+
+@dataclass
+class Prims:
+    """Prims of physics, in the order of the stage."""
+
+    scenes: list[Any] = field(default_factory=list)
+    bodies: list[Any] = field(default_factory=list)
+    colliders: list[Any] = field(default_factory=list)
+
+
+def sorted_out(stage: Any, findings: Findings) -> Prims:
+    """Returns the prims of physics of a stage, instances as well; notes those that there is no counterpart for."""
+    from pxr import UsdGeom, UsdPhysics
+
+    prims, tuning, looks = Prims(), Counter[str](), 0
+    instanced = _prototypes(stage)
+    walk = iter(_below(stage.GetPseudoRoot()))
+    for prim in walk:
+        if prim.GetPath() in instanced or prim.IsA(UsdGeom.PointInstancer):
+            physical = next((one for one in _below(prim) if _is_physical(one)), None)
+            if physical is not None:
+                findings.pass_over(physical, "physics of a PointInstancer")
+            walk.PruneChildren()
+            continue
+        kind = str(prim.GetTypeName())
+        schemas = [str(name).partition(":")[0] for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
+        for reason in _reasons(prim, kind, schemas):
+            findings.pass_over(prim, reason)
+        tuning.update(name for name in schemas if name.startswith(_FOREIGN) and _essence(name) is None)
+        if prim.IsA(UsdPhysics.Scene):
+            prims.scenes.append(prim)
+        if prim.HasAPI(UsdPhysics.RigidBodyAPI):
+            if UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
+                prims.bodies.append(prim)
+            else:
+                findings.remark(prim, "its rigid body is not enabled: it is part of what carries it")
+        if prim.HasAPI(UsdPhysics.CollisionAPI):
+            if not UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get():
+                findings.remark(prim, "its collision is not enabled: it touches nothing and has no mass")
+            elif prim.IsA(UsdGeom.Gprim):
+                prims.colliders.append(prim)
+            elif any(one.HasAPI(UsdPhysics.CollisionAPI) for one in list(_below(prim))[1:]):
+                findings.remark(prim, "it has no shape to collide with; those below it that collide are read")
+            else:
+                kind = prim.GetTypeName() or "no type"
+                findings.pass_over(prim, f"a collider of type {kind}, which has no shape of its own")
+        elif prim.IsA(UsdGeom.Gprim):
+            looks += 1
+    if looks and (prims.bodies or prims.colliders):
+        findings.remarks.append(f"{looks} shapes without CollisionAPI are for looks and were left out")
+    if tuning:
+        listed = ", ".join(f"{count} {name}" for name, count in sorted(tuning.items()))
+        findings.remarks.append(f"settings of other programs were not looked at: {listed}")
+    return prims
+
+
+def _prototypes(stage: Any) -> set[Any]:
+    """Returns the paths of the prototypes of all PointInstancers, which are not where they are."""
+    from pxr import UsdGeom
+
+    instancers = [UsdGeom.PointInstancer(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.PointInstancer)]
+    return {path for one in instancers for path in one.GetPrototypesRel().GetForwardedTargets()}
+
+
+def _below(prim: Any) -> Any:
+    """Returns a range of a prim and all below, those of instances as well."""
+    from pxr import Usd
+
+    return Usd.PrimRange(prim, Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate))
+
+
+def _is_physical(prim: Any) -> bool:
+    from pxr import UsdPhysics
+
+    return prim.HasAPI(UsdPhysics.RigidBodyAPI) or prim.HasAPI(UsdPhysics.CollisionAPI)
+
+
+def _reasons(prim: Any, kind: str, schemas: list[str]) -> list[str]:
+    """Returns why there is no counterpart for a prim, in words, if there is none."""
+    from pxr import UsdPhysics
+
+    if prim.IsA(UsdPhysics.Joint):
+        return [f"a joint, {kind}"]
+    reasons = [f"{kind}, of another program"] if kind.startswith(_FOREIGN) else []
+    for name in schemas:
+        if name == "PhysicsArticulationRootAPI":
+            reasons.append("an articulation")
+        elif name.startswith("Physics") and name not in _READ:
+            reasons.append(f"{name}")
+        elif (essence := _essence(name)) is not None:
+            reasons.append(f"{essence}, {name}")
+    return reasons
+
+
+def _essence(schema: str) -> str | None:
+    return next((words for part, words in _ESSENTIAL.items() if part in schema), None)

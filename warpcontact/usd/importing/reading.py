@@ -1,0 +1,69 @@
+"""``Scene.from_usd``: the file, read apart from this process, and the scene of what is in it."""
+
+import os
+from collections.abc import Iterable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from warpcontact import checks
+from warpcontact.checks import limits as allowed
+from warpcontact.elements import Template
+from warpcontact.kernels.formula import Formula
+from warpcontact.meshes.isolation import Limits, read_apart
+from warpcontact.meshes.readers import USD_SUFFIXES, Unreadable
+from warpcontact.scene import Scene
+from warpcontact.surface_contact import check_amount
+from warpcontact.usd.importing.assemble import assembled
+from warpcontact.usd.importing.errors import StageError, shortened
+from warpcontact.usd.importing.packing import unpack
+from warpcontact.usd.importing.restore import restored
+from warpcontact.usd.importing.stage import read_stage
+
+
+def scene_from_usd(
+    path: str | os.PathLike[str],
+    *,
+    own: Iterable[type[Formula]],
+    template: Template | None,
+    contact_time: float,
+    samples: int | str,
+    skip_unsupported: bool,
+    trusted: bool,
+    limits: Limits | None,
+) -> Scene:
+    """Returns what ``Scene.from_usd`` promises."""
+    if template is not None and not isinstance(template, Template):
+        raise TypeError(f"template must be a wc.Template or None, got {template!r}")
+    if limits is not None and not isinstance(limits, Limits):
+        raise TypeError(f"limits must be a Limits or None, got {limits!r}")
+    duration = float(checks.numbers("contact_time", contact_time, (), allowed("s", above=0.0)))
+    amount = check_amount("samples", samples)
+    skip = checks.switch("skip_unsupported", skip_unsupported)
+    subject = f"stage {shortened(path)!r}"
+    found = _read(Path(path), subject, checks.switch("trusted", trusted), Limits() if limits is None else limits)
+    if "description" in found:
+        return restored(found["description"], own, subject)
+    return assembled(
+        found["physics"],
+        subject,
+        template=template,
+        contact_time=duration,
+        samples=amount,
+        skip_unsupported=skip,
+    )
+
+
+def _read(path: Path, subject: str, trusted: bool, limits: Limits) -> Any:
+    try:
+        if path.suffix.lower() not in USD_SUFFIXES:
+            raise Unreadable(f"the extension {path.suffix!r} is not one of {', '.join(USD_SUFFIXES)}")
+        if not path.is_file():  # a directory, or a pipe, which would be waited for
+            raise Unreadable("it is not a regular file" if path.exists() else "it does not exist")
+        file = os.path.abspath(path)
+        if trusted:
+            return read_stage(file, limits.faces, confined=False)
+        task = {"file": file, "most_faces": limits.faces}
+        return read_apart("warpcontact.usd.importing.stage", task, limits, partial(unpack, limits=limits))
+    except (Unreadable, OSError) as error:
+        raise StageError(subject, [str(error)]) from error

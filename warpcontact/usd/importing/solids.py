@@ -1,0 +1,124 @@
+"""Volume, centre and second moments of solids; and mass, centre and inertia of what is made of them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.meshes import Mesh
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A solid of density 1.
+
+    Attributes:
+        volume: Its volume [m³].
+        centre: Its centre (3,) [m].
+        moments: ∫ y yᵀ dV about the centre, (3, 3) [m⁵].
+    """
+
+    volume: float
+    centre: Array
+    moments: Array
+
+    def placed(self, linear: Array, place: Array) -> "Solid":
+        """Returns the solid of the points ``linear`` y + ``place``."""
+        size = abs(float(np.linalg.det(linear)))
+        return Solid(size * self.volume, linear @ self.centre + place, size * linear @ self.moments @ linear.T)
+
+
+@dataclass(frozen=True)
+class Weight:
+    """How heavy something is.
+
+    Attributes:
+        mass: Its mass [kg].
+        centre: Its centre of mass (3,) [m].
+        inertia: About that, (3, 3) [kg·m²].
+    """
+
+    mass: float
+    centre: Array
+    inertia: Array
+
+    @classmethod
+    def of(cls, solid: Solid, mass: float) -> "Weight":
+        """Returns the weight of a homogeneous solid of a mass."""
+        second = solid.moments * (mass / solid.volume)
+        return cls(mass, solid.centre, np.trace(second) * np.eye(3) - second)
+
+    @classmethod
+    def total(cls, parts: Iterable["Weight"]) -> "Weight":
+        """Returns the weight of several parts that are fixed to each other; they weigh something."""
+        each = list(parts)
+        mass = sum(part.mass for part in each)
+        centre = sum((part.mass * part.centre for part in each), np.zeros(3)) / mass
+        inertia = sum((part.inertia + part.mass * apart(part.centre - centre) for part in each), np.zeros((3, 3)))
+        return cls(mass, centre, inertia)
+
+    def scaled(self, mass: float) -> "Weight":
+        """Returns the same distribution with another mass."""
+        return Weight(mass, self.centre, self.inertia * (mass / self.mass))
+
+    def about(self, centre: Array) -> "Weight":
+        """Returns the same with another centre of mass, and the inertia about that."""
+        return Weight(self.mass, centre, self.inertia + self.mass * apart(centre - self.centre))
+
+
+def apart(arm: Array) -> Array:
+    """Returns the inertia of a unit mass at ``arm`` (3,) from where it is taken about."""
+    return np.dot(arm, arm) * np.eye(3) - np.outer(arm, arm)
+
+
+def ball(radius: float) -> Solid:
+    """Returns a ball about the origin."""
+    volume = 4.0 / 3.0 * pi * radius**3
+    return Solid(volume, np.zeros(3), volume * radius**2 / 5.0 * np.eye(3))
+
+
+def cuboid(half: Array) -> Solid:
+    """Returns a box about the origin, of half extents (3,)."""
+    volume = 8.0 * float(np.prod(half))
+    return Solid(volume, np.zeros(3), volume / 3.0 * np.diag(half**2))
+
+
+def rod(radius: float, half: float) -> Solid:
+    """Returns a cylinder about the z axis, of half a length."""
+    volume = 2.0 * pi * radius**2 * half
+    return Solid(volume, np.zeros(3), volume * np.diag([radius**2 / 4.0, radius**2 / 4.0, half**2 / 3.0]))
+
+
+def pill(radius: float, half: float) -> Solid:
+    """Returns a capsule about the z axis: a cylinder of half a length with half a ball at each end."""
+    middle, ends = rod(radius, half), ball(radius)
+    # ∫ (l + z)² over a half ball, whose centre is at 3/8 of the radius.
+    along = ends.volume * (radius**2 / 5.0 + half**2 + 0.75 * half * radius)
+    across = ends.moments[0, 0]
+    moments = middle.moments + np.diag([across, across, along])
+    return Solid(middle.volume + ends.volume, np.zeros(3), moments)
+
+
+def cone(radius: float, half: float) -> Solid:
+    """Returns a cone about the z axis, from the base at −half to the tip at half."""
+    height = 2.0 * half
+    volume = pi * radius**2 * height / 3.0
+    across, along = 3.0 / 20.0 * radius**2, 3.0 / 80.0 * height**2
+    return Solid(volume, np.array([0.0, 0.0, -half / 2.0]), volume * np.diag([across, across, along]))
+
+
+def enclosed(mesh: Mesh) -> Solid | None:
+    """Returns what a closed mesh encloses; ``None`` if it encloses nothing."""
+    if not mesh.report.volume:
+        return None
+    middle = mesh.bounds.mean(axis=0)
+    corners = (mesh.vertices - middle)[mesh.faces]
+    six = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    six *= np.sign(mesh.report.volume)
+    volume = float(six.sum()) / 6.0
+    top = corners.sum(axis=1)
+    centre = six @ top / 24.0 / volume
+    second = np.einsum("f,fki,fkj->ij", six, corners, corners) + np.einsum("f,fi,fj->ij", six, top, top)
+    return Solid(volume, middle + centre, second / 120.0 - volume * np.outer(centre, centre))

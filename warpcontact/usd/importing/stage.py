@@ -1,0 +1,48 @@
+"""A USD file, read: the description of a scene of ours, or what others say in the words of UsdPhysics."""
+
+from pathlib import Path
+from typing import Any
+
+from warpcontact.meshes.readers.unreadable import Unreadable
+from warpcontact.meshes.readers.usd_layers import check_layers, reason
+from warpcontact.usd.importing.physics import read_physics
+from warpcontact.usd.importing.records import read_records
+
+
+def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[Any]]:
+    """Returns what the process that reads answers; ``task`` holds the arguments of ``read_stage``."""
+    from warpcontact.usd.importing.packing import pack
+
+    try:
+        return pack(read_stage(**task, confined=True))
+    except Unreadable as error:
+        return {"error": str(error)}, []
+
+
+def read_stage(file: str, most_faces: int, *, confined: bool) -> dict[str, Any]:
+    """Returns ``description``, the records of a scene of ours, or ``physics``, what UsdPhysics says.
+
+    Args:
+        file: Path of the file.
+        most_faces: Number of triangles that a mesh may have.
+        confined: Whether all files that the stage is made of have to lie in the folder of the file or below.
+
+    Raises:
+        Unreadable: If the file is damaged, or made of files that it may not be made of.
+    """
+    from pxr import Tf, Usd
+
+    path = Path(file).resolve()
+    check_layers(path, confined=confined)
+    try:
+        stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
+        records = read_records(stage)
+        if records is not None:
+            return {"description": records}
+        return {"physics": read_physics(stage, most_faces)}
+    except Tf.ErrorException as error:
+        raise Unreadable(f"not valid USD: {reason(error)}") from error
+    except Unreadable:
+        raise
+    except ValueError as error:
+        raise Unreadable(str(error)) from error

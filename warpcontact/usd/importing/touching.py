@@ -1,0 +1,223 @@
+"""Which colliders touch, and by which contacts; ``docs/usd.md`` says the rules."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from math import pi, sqrt
+from typing import Any
+
+import numpy as np
+
+from warpcontact.elements import Body, Points, Surface, Template
+from warpcontact.kernels.frictions import CundallStrack, Frictionless
+from warpcontact.kernels.laws import KelvinVoigt
+from warpcontact.kernels.smooth import shapes
+from warpcontact.meshes import sample_surface
+from warpcontact.scene import Scene
+from warpcontact.smooth.elements import Shape
+from warpcontact.usd.importing.findings import Wrong
+from warpcontact.usd.importing.forms import Part
+from warpcontact.usd.importing.together import share_of
+
+#: Friction and restitution where no physics material is bound.
+NO_MATERIAL = {"static": 0.5, "dynamic": 0.5, "restitution": 0.0}
+#: Least restitution of the law: at 0 its dashpot would be infinite.
+LEAST_RESTITUTION = 0.01
+#: So many spheres and capsules of one material are a pile, in which partners are looked for.
+PILE = 32
+#: Most contacts of one scene, but for piles.
+MOST_CONTACTS = 10_000
+#: Most points of what is at rest that look for what moves.
+MOST_POINTS = 2000
+# A spring along the tangent that is this part of the one along the normal has half a period of the same length
+# for a solid sphere; the dashpot beside it damps half as much as would let it creep back.
+_ASIDE = 2.0 / 7.0
+
+
+@dataclass(eq=False)
+class Collider:
+    """A collider of a scene, and what was made of it.
+
+    Attributes:
+        path: Path of its prim.
+        name: Its name.
+        body: Body that carries it; ``None``: the world.
+        moves: Whether forces move that.
+        own: What it is.
+        material: ``static``, ``dynamic`` and ``restitution``.
+        visible: Whether it is drawn.
+    """
+
+    path: str
+    name: str
+    body: Body | None
+    moves: bool
+    own: Part
+    material: dict[str, float]
+    visible: bool
+    shape: Shape | None = None
+    outside: Surface | None = None
+    centre: Points | None = None
+    points: Points | None = None
+
+    @property
+    def mass(self) -> float:
+        """Mass that an impact feels [kg]; infinite if it does not move."""
+        return float(self.body.mass) if self.moves and self.body is not None else float("inf")
+
+    def is_a(self, *kinds: type) -> bool:
+        """Whether its form is one of these."""
+        return isinstance(self.own.form, kinds)
+
+    def add(self, scene: Scene) -> None:
+        """Adds its shape, or its surface if it is a mesh."""
+        if self.own.form is None:
+            self.surface(scene)
+            return
+        place, turn = self.own.position, self.own.orientation
+        self.shape = scene.add_shape(self.body, self.own.form, place, turn, name=self.name, visible=self.visible)
+
+    def surface(self, scene: Scene) -> Surface:
+        """Returns its surface, which is added when it is first asked for."""
+        if self.outside is None:
+            mesh, is_mesh = self.own.surface(self.name), self.own.form is None
+            name = self.name if is_mesh else scene.new_name(f"{self.name}_surface", None)
+            place, turn, seen = self.own.position, self.own.orientation, is_mesh and self.visible
+            self.outside = scene.add_surface(mesh, self.body, place, turn, name=name, visible=seen)
+        return self.outside
+
+    def middle(self, scene: Scene) -> Points:
+        """Returns the centre of a sphere as a point."""
+        if self.centre is None:
+            name = scene.new_name(f"{self.name}_centre", None)
+            self.centre = scene.add_point(self.body, self.own.position, name=name)
+        return self.centre
+
+    def sampled(self, scene: Scene, samples: int | str) -> Points:
+        """Returns points of its surface."""
+        if self.points is None:
+            outside = self.surface(scene)
+            method = {"method": samples} if isinstance(samples, str) else {"count": samples}
+            name = scene.new_name(f"{self.name}_points", None)
+            self.points = scene.add_points(outside, sample_surface(outside.mesh, **method), name=name)
+        return self.points
+
+
+class Touching:
+    """Adds the contacts of colliders to a scene.
+
+    Args:
+        scene: The scene.
+        template: Law and friction of all contacts; ``None``: as materials say.
+        contact_time: Time that an impact takes, which stiffness follows from [s].
+        samples: Of ``add_surface_contact``.
+    """
+
+    def __init__(self, scene: Scene, template: Template | None, contact_time: float, samples: int | str) -> None:
+        self.scene = scene
+        self.given = template
+        self.contact_time = contact_time
+        self.samples = samples
+        self.templates: dict[tuple[float, ...], Template] = {}
+        self.remarks: list[str] = []
+
+    def add(self, colliders: list[Collider], apart: Iterable[tuple[int, int]]) -> None:
+        """Adds all contacts of colliders but for pairs, by number, that are kept apart."""
+        never = set(apart)
+        for pile in self._piles(colliders):
+            within = set(combinations(pile, 2))
+            self._add_pile([colliders[i] for i in pile], sorted(within & never), colliders)
+            never |= within
+        pairs = [
+            (one, other)
+            for (i, one), (j, other) in combinations(enumerate(colliders), 2)
+            if (one.moves or other.moves) and one.body is not other.body and (i, j) not in never
+        ]
+        if len(pairs) > MOST_CONTACTS:
+            raise Wrong(
+                f"{len(pairs)} pairs of colliders may touch; allowed: {MOST_CONTACTS}. Keep apart what does not "
+                "touch, with collision groups or filtered pairs"
+            )
+        for one, other in pairs:
+            # What moves, and no half-space, is the first: normals point towards it.
+            swap = (one.is_a(shapes.Plane), not one.moves) > (other.is_a(shapes.Plane), not other.moves)
+            self._add_pair(*((other, one) if swap else (one, other)))
+
+    def _piles(self, colliders: list[Collider]) -> Iterator[list[int]]:
+        """Returns the numbers of spheres and capsules of one material, where they are many."""
+        alike: dict[tuple[float, ...], list[int]] = {}
+        for i, one in enumerate(colliders):
+            if one.moves and one.is_a(shapes.Sphere, shapes.Capsule):
+                alike.setdefault(tuple(one.material.values()), []).append(i)
+        return (numbers for numbers in alike.values() if len(numbers) > PILE)
+
+    def _add_pile(self, members: list[Collider], apart: list[tuple[int, int]], colliders: list[Collider]) -> None:
+        heaviest = max(members, key=lambda one: one.mass)
+        template = self._template(heaviest, heaviest)
+        exclude = [(_shape(colliders[i]), _shape(colliders[j])) for i, j in apart]
+        self.scene.add_mutual_contact([_shape(one) for one in members], template, exclude=exclude)
+
+    def _add_pair(self, one: Collider, other: Collider) -> None:
+        scene, template = self.scene, self._template(one, other)
+        name = scene.new_name(f"{one.name}_{other.name}", None)
+        if one.own.form is not None and other.own.form is not None:
+            scene.add_smooth_contact(_shape(one), _shape(other), template, name=name)
+        elif one.is_a(shapes.Sphere) or other.is_a(shapes.Sphere):
+            ball, around = (one, other) if one.is_a(shapes.Sphere) else (other, one)
+            radius = ball.own.form.radius  # type: ignore[union-attr]
+            scene.add_contact(ball.middle(scene), around.surface(scene), template, radius=radius, name=name)
+        elif other.is_a(shapes.Plane):
+            self._add_points(one, other, template, name, 1.0)
+        else:
+            self._add_surfaces(one, other, template, name)
+
+    def _add_surfaces(self, one: Collider, other: Collider, template: Template, name: str) -> None:
+        """Lets points of two surfaces touch the other one; of one at rest only if they are not too many."""
+        both = other.moves or len(other.surface(self.scene).mesh.vertices) <= MOST_POINTS
+        self._add_points(one, other, template, name, 0.5 if both else 1.0)
+        if both:
+            self._add_points(other, one, template, self.scene.new_name(f"{other.name}_{one.name}", None), 0.5)
+        else:
+            self.remarks.append(
+                f"{other.path}: it has more than {MOST_POINTS} vertices and does not move: points of "
+                f"{one.path} touch it, and not the reverse"
+            )
+
+    def _add_points(self, one: Collider, other: Collider, template: Template, name: str, part: float) -> None:
+        """Lets points of one surface touch the other; ``part``: of the force of the pair."""
+        points, outside = one.sampled(self.scene, self.samples), other.surface(self.scene)
+        reach = 0.5 * float(np.linalg.norm(np.ptp(outside.mesh.bounds, axis=0)))
+        share = part * share_of(points.positions, reach, convex=one.moves)
+        self.scene.add_contact(points, outside, template, share=share, name=name)
+
+    def _template(self, one: Collider, other: Collider) -> Template:
+        """Returns law and friction of a pair: means of what materials say, and a spring of the contact time."""
+        if self.given is not None:
+            return self.given
+        mass = 1.0 / (1.0 / one.mass + 1.0 / other.mass)
+        mean = {key: 0.5 * (one.material[key] + other.material[key]) for key in NO_MATERIAL}
+        key = (mass, *mean.values())
+        if key not in self.templates:
+            stiffness = mass * (pi / self.contact_time) ** 2
+            aside = _ASIDE * stiffness
+            friction = CundallStrack(
+                mu_static=mean["static"],
+                mu_dynamic=mean["dynamic"],
+                stiffness=aside,
+                damping=sqrt(_ASIDE * mass * aside),
+            )
+            self.templates[key] = Template(
+                law=KelvinVoigt(stiffness=stiffness, restitution=max(mean["restitution"], LEAST_RESTITUTION)),
+                friction=friction if mean["static"] or mean["dynamic"] else Frictionless(),
+            )
+        return self.templates[key]
+
+
+def _shape(one: Collider) -> Shape:
+    assert one.shape is not None
+    return one.shape
+
+
+def pairs_of(numbers: Any) -> list[tuple[int, int]]:
+    """Returns pairs (n, 2) of numbers as tuples."""
+    return [(int(i), int(j)) for i, j in np.asarray(numbers)]
