@@ -112,8 +112,8 @@ class Export:
         self._environments.define(content, survey)
         if self.ensemble is not None:
             define_ensemble(stage, self.ensemble, layout, self.coloring)
-        write_description(stage, self.replay.scene, layout.names)
         self._say_space(world, low, high)
+        write_description(stage, self.replay.scene, layout.names)
 
     def animate(
         self, stage: Any, content: Content, samples: Samples, records: tuple[int, int], tell: Tell
