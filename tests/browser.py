@@ -53,7 +53,12 @@ def browser(folder):
     command = [executable(), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        _wait(lambda: port_file.is_file() and "\n" in port_file.read_text(), 60.0, "Chromium to start")
+        ended = lambda: process.poll() is not None  # noqa: E731
+        started = lambda: port_file.is_file() and "\n" in port_file.read_text()  # noqa: E731
+        _wait(lambda: started() or ended(), 120.0, "Chromium to start")
+        if ended():
+            # Of some systems the program only tells how to install it.
+            pytest.skip(f"{command[0]} does not start: exit code {process.returncode}")
         port = int(port_file.read_text().split("\n")[0])
 
         @contextlib.contextmanager

@@ -202,7 +202,7 @@ def drawn(folder, monkeypatch, body=(), **changes):
 
     figures = []
     save = Figure.savefig
-    monkeypatch.setattr(Figure, "savefig", lambda self, *given: (figures.append(self), save(self, *given)))
+    monkeypatch.setattr(Figure, "savefig", lambda self, *to, **how: (figures.append(self), save(self, *to, **how)))
     ball = content()["body"][0] | dict(body)
     run = wc.Experiment(content(body=[ball], **changes)).run(folder, device="cpu")
     return run.recording, figures[0]

@@ -38,7 +38,9 @@ def drawn(monkeypatch, tmp_path):
         figures = []
         save = outcome_picture.Figure.savefig
         monkeypatch.setattr(
-            outcome_picture.Figure, "savefig", lambda self, path: (figures.append(self), save(self, path))
+            outcome_picture.Figure,
+            "savefig",
+            lambda self, *to, **how: (figures.append(self), save(self, *to, **how)),
         )
         path = tmp_path / "picture.png"
         assert outcome_picture.write_outcome_picture(path, outcome, "study")

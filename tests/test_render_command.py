@@ -219,6 +219,11 @@ def test_odd_sizes_of_mp4_are_refused(run, tmp_path, capsys):
     assert "--size must be even for an .mp4 file, got 63 × 48 pixels" in capsys.readouterr().err
 
 
+def test_a_film_that_would_take_days_is_refused(run, tmp_path, capsys):
+    assert command(run, "-o", tmp_path / "a.gif", "--speed", 1e-9) == 2
+    assert re.search(r"at most 100000 pictures, got \d+ of 0 to 0.2 s; lower fps", capsys.readouterr().err)
+
+
 def test_sizes_are_two_numbers(run, capsys):
     with pytest.raises(SystemExit):
         main(["render", str(run.folder), "-o", "a.png", "--size", "wide"])

@@ -14,7 +14,8 @@ from warpcontact.kernels.rendering.world import CONE, CYLINDER, SPHERE, World
 from warpcontact.meshes import icosphere
 from warpcontact.rendering.items import Items, of_figure
 from warpcontact.rendering.painter import Painter, light_of
-from warpcontact.rendering.stage import Stage, linear
+from warpcontact.rendering.stage import Stage
+from warpcontact.replay.colors import linear
 from warpcontact.replay.drawing import Shape
 from warpcontact.replay.triangles import ball
 

@@ -252,7 +252,8 @@ def test_an_unfinished_run_says_how_far_it_is(crate, tmp_path):
         del summary[key]
     (folder / "run.json").write_text(json.dumps(summary | {"state": "interrupted"}))
     page = report_runs.check_harmless(written(folder, tmp_path / "x.html"))
-    assert "This run is interrupted: 3 of 6 environments are finished, in 1 of 2 shards." in page.text
+    assert "This run was interrupted, and can go on with --resume" in page.text
+    assert "3 of 6 environments are finished, in 1 of 2 shards." in page.text
     assert page.blocks["environments"]["env"] == [0, 1, 2]
     assert [one["env"] for one in page.blocks["replay"]["envs"]] == [0, 1, 2]
     (folder / "commit" / "shard_000000.json").unlink()

@@ -143,6 +143,7 @@ def test_numbers_are_written_as_one_reads_them(value, text):
         ("-", 0.002, (1e3, "10⁻³")),
         ("m", 5.0, (1.0, "m")),
         ("m", 0.0, (1.0, "m")),
+        ("m", 1e-315, (1.0, "m")),
         ("m", float("inf"), (1.0, "m")),
     ],
 )
@@ -154,7 +155,16 @@ def test_units_fit_what_is_measured_in_them(unit, largest, expected):
 
 @pytest.mark.parametrize(
     ("low", "high"),
-    [(0.0, 1.0), (-3.7, 12.1), (1e-9, 3e-9), (1e6, 1e6 + 1.0), (5.0, 5.0), (0.0, 0.0), (-1e30, 1e30)],
+    [
+        (0.0, 1.0),
+        (-3.7, 12.1),
+        (1e-9, 3e-9),
+        (1e6, 1e6 + 1.0),
+        (5.0, 5.0),
+        (0.0, 0.0),
+        (0.0, 5e-324),
+        (-1e30, 1e30),
+    ],
 )
 def test_axes_have_a_few_marks_in_their_places(low, high):
     axis = chart.horizontal(low, high, "m")

@@ -340,6 +340,26 @@ def test_long_names_are_shown_shortened():
         assert max(map(len, show.parameters._names)) < 100
 
 
+def test_a_simulation_goes_on_from_the_state_that_it_is_in():
+    simulation = wc.Simulation(two_on_ground(), dt=1e-3)
+    moved = simulation.state.body_position.numpy()
+    moved[:, 0, 2] = 5.0
+    simulation.state.body_position.assign(moved)
+    with viewing(simulation) as show:
+        assert not show.playing
+        np.testing.assert_array_equal(simulation.state.body_position.numpy(), moved)
+        assert (simulation.steps, simulation.time) == (0, 0.0)
+
+
+def two_on_ground():
+    scene = wc.Scene()
+    ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="ground")
+    ball = scene.add_body(1.0, (4e-3, 4e-3, 4e-3), position=(0, 0, 0.2), name="ball")
+    soft = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0), name="centre"), ground, soft, radius=0.1, name="touch")
+    return scene.build(2, "cpu")
+
+
 def test_the_page_is_on_this_machine_alone(run):
     with viewing(run) as show:
         port = show.server.get_port()
@@ -354,18 +374,31 @@ def test_the_page_is_on_this_machine_alone(run):
 
 
 def test_pages_of_others_may_not_connect(run):
+    import msgspec
     import viser
+    from viser._messages import GuiUpdateMessage
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
 
     protocol = f"viser-v{viser.__version__}"
+    said = {"type": "GuiUpdateMessage", "uuid": "nobody", "updates": {"value": 1.0}}
+    message = msgspec.msgpack.encode(said)
+    heard = []
     with viewing(run) as show:
+        show.server._websock_server.register_handler(GuiUpdateMessage, lambda _, told: heard.append(told))
         address, port = show.server.url.replace("http", "ws"), show.server.get_port()
-        with (
-            connect(address, subprotocols=[protocol], origin="http://example.org", proxy=None) as other,
-            pytest.raises(ConnectionClosed) as caught,
-        ):
-            other.recv(timeout=20)
+
+        def talk():
+            with connect(address, subprotocols=[protocol], origin="http://example.org", proxy=None) as other:
+                # What it says before it is refused is heard by nobody.
+                for _ in range(20):
+                    other.send(message)
+                while True:
+                    other.recv(timeout=20)
+
+        with pytest.raises(ConnectionClosed) as caught:
+            talk()
+        assert not heard
         assert caught.value.rcvd.code == 1008
         with connect(
             address, subprotocols=[protocol], origin=f"http://127.0.0.1:{port}", proxy=None, max_size=None

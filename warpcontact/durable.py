@@ -14,11 +14,17 @@ PARTIAL = ".partial"
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Opens a file beside ``path`` that takes its place, on the disk, when the block ends without an error."""
+    with replaced(path) as partial, partial.open("wb") as file:
+        yield file
+
+
+@contextlib.contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """Yields the name of a file beside ``path``, to be written, that takes its place when the block ends well."""
     partial = path.with_name(f"{path.name}{PARTIAL}")
     try:
-        with partial.open("wb") as file:
-            yield file
-            file.flush()
+        yield partial
+        with partial.open("rb") as file:
             os.fsync(file.fileno())
         partial.replace(path)
     except BaseException:

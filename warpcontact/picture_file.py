@@ -1,5 +1,6 @@
 """Where pictures go: names of files that can be written, and files that depend on nothing but the picture."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,6 +44,13 @@ def save(figure: "Figure", path: Path) -> None:
     """Writes a figure; the same one gives the same file."""
     import matplotlib as mpl
 
+    with warnings.catch_warnings():
+        # Names may have signs that no font here has; they are boxes then, and nobody can do anything about it.
+        warnings.filterwarnings("ignore", r"Glyph .* missing from font", UserWarning)
+        _save(mpl, figure, path)
+
+
+def _save(mpl: Any, figure: "Figure", path: Path) -> None:
     if path.suffix.lower() == ".svg":
         with mpl.rc_context({"svg.hashsalt": "warpcontact"}):
             figure.savefig(path, format="svg", metadata={"Date": None})

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +12,10 @@ try:
     import fcntl
 except ImportError:  # Windows has no locks on folders
     fcntl = None  # type: ignore[assignment]
+
+
+#: How often a lock is asked for.
+LOOKS = 5
 
 
 @contextlib.contextmanager
@@ -23,7 +28,12 @@ def writing(folder: Path) -> Iterator[None]:
         ExperimentError: If another process writes there.
     """
     with _opened(folder) as opened:
-        if not _lock(opened, exclusive=True):
+        # Who only looks whether somebody writes holds it for a moment.
+        for _ in range(LOOKS):
+            if _lock(opened, exclusive=True):
+                break
+            time.sleep(0.05)
+        else:
             raise busy(folder)
         yield
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from warpcontact.experiment.bars import are_counts, edges_of_bars
 from warpcontact.outcomes.watch import RESERVED
+from warpcontact.picture_file import save
 from warpcontact.status import EnvironmentStatus
 
 # More would be too small to read.
@@ -52,7 +53,7 @@ def write_outcome_picture(path: Path, outcome: xr.Dataset, title: str) -> bool:
         axes.set_xlabel(label, fontsize="small")
         if i % columns == 0:
             axes.set_ylabel("environments")
-    figure.savefig(path)
+    save(figure, path)
     return True
 
 

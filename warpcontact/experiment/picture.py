@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from warpcontact.experiment.ground import Ground, draw_from_above, draw_section, grounds_of, legend_entries
 from warpcontact.experiment.store import CHUNK
+from warpcontact.picture_file import save
 from warpcontact.recorder import Recording
 from warpcontact.scene import Body, Scene
 
@@ -80,7 +81,7 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
         first.tick_params(labelbottom=False)
         first.set_xlabel("")
     first.legend(loc="best", fontsize="small")
-    figure.savefig(path)
+    save(figure, path)
 
 
 def _extent(recording: Recording) -> tuple[list[int], NDArray[Any], NDArray[Any]]:

@@ -99,7 +99,7 @@ def status_of(path: str | PathLike[str]) -> RunStatus:
     finished = [shards[number] for number, commit in commits.items() if commit.finished]
     state = summary["state"]
     if state == files_of.UNFINISHED:
-        state = "running" if is_written(folder) or running != steps else "stopped"
+        state = "running" if is_written(folder) else "stopped"
     return RunStatus(
         folder=folder,
         summary=summary,

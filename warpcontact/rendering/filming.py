@@ -19,6 +19,9 @@ from warpcontact.rendering.show import Show, coloring_of
 from warpcontact.rendering.writers import GIF_FASTEST, write_gif, write_mp4
 from warpcontact.scene import Scene
 
+#: More take days, and are a slip of who asks for them.
+MOST_PICTURES = 100_000
+
 FILMS = (".gif", ".mp4")
 # Pictures per second at most.
 FASTEST = 240.0
@@ -155,4 +158,9 @@ def _moments(source: Source, time: tuple[float, float] | None, step: float) -> A
             raise ValueError(f"time must be the first and a later last one [s], got {first:g} and {last:g}")
     # What is missing for the last one may be rounding.
     count = math.floor((last - first) / step + 1.0e-6) + 1
+    if count > MOST_PICTURES:
+        raise ValueError(
+            f"a film must have at most {MOST_PICTURES} pictures, got {count} of {first:g} to {last:g} s; "
+            "lower fps, raise speed, or give a shorter time"
+        )
     return np.minimum(first + step * np.arange(count), last)

@@ -14,7 +14,8 @@ from warpcontact.kernels.rendering.paint import View, paint
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light
 from warpcontact.rendering.camera import Camera, direction
 from warpcontact.rendering.items import Items
-from warpcontact.rendering.stage import Stage, linear
+from warpcontact.rendering.stage import Stage
+from warpcontact.replay.colors import linear
 
 Picture = NDArray[np.uint8]
 
@@ -111,7 +112,6 @@ def _grid(camera: Camera, height: int) -> Grid:
 
 
 def light_of(camera: Camera) -> Light:
-    """Returns the light of a view: the sun stands to the left of the eye, wherever that is."""
     """Returns the light of a view: the sun stands to the left of the eye, wherever that is."""
     light = Light()
     right = camera.axes[0]

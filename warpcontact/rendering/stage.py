@@ -10,6 +10,7 @@ from warpcontact.checks import Array
 from warpcontact.frames import placed
 from warpcontact.kernels.rendering.world import World
 from warpcontact.rendering.items import Items, bounds
+from warpcontact.replay.colors import linear
 from warpcontact.replay.drawing import Drawing, Shape
 from warpcontact.replay.triangles import ball
 
@@ -132,12 +133,6 @@ class PlacedWorld:
         lower, upper = (wp.array(columns[name], dtype=wp.vec3, device=device) for name in ("lower", "upper"))
         self._tree = wp.Bvh(lower, upper)
         self.struct.tree = self._tree.id
-
-
-def linear(colors: Array) -> Array:
-    """Returns colours as displayed (sRGB) as linear ones, components in 0…1."""
-    colors = np.asarray(colors, dtype=np.float64)
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
 
 
 def _check(name: str, shape: Shape) -> None:

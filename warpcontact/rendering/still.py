@@ -8,6 +8,7 @@ from typing import Any, Unpack
 from PIL import Image
 
 from warpcontact import checks
+from warpcontact.durable import replacing
 from warpcontact.picture_file import check_path
 from warpcontact.rendering.look import Look, LookOptions, environment_numbers
 from warpcontact.rendering.painter import Picture
@@ -90,5 +91,6 @@ def still(
     show = Show(drawing, look, coloring, [records.index(number) for number in overview])
     picture = show.picture(records.index(record))
     if file is not None:
-        Image.fromarray(picture).save(file, format="png")
+        with replacing(file) as opened:
+            Image.fromarray(picture).save(opened, format="png")
     return Still(picture, drawing.envs, float(drawing.times[records.index(record)]), bool(drawing.touches))

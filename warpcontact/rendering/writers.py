@@ -3,12 +3,12 @@
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from warpcontact.durable import replaced
 from warpcontact.rendering.painter import Picture
 
 #: Pictures per second that browsers still play as told; they show shorter ones for a tenth of a second.
@@ -35,7 +35,7 @@ def write_gif(path: Path, pictures: Iterable[Picture], count: int, fps: float, t
     # Each picture ends at the tick nearest to its time: rounding does not add up.
     ticks = np.diff([round(number / fps / _TICK) for number in range(count + 1)])
     frames = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
-    with _replaced(path) as part:
+    with replaced(path) as part:
         next(frames).save(
             part,
             format="gif",
@@ -61,7 +61,7 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[i
     program = shutil.which("ffmpeg")
     if program is None:
         raise ValueError(f"{path}: an .mp4 file needs ffmpeg, which is not on the PATH; .gif needs nothing")
-    with _replaced(path) as part, tempfile.TemporaryFile() as said:
+    with replaced(path) as part, tempfile.TemporaryFile() as said:
         command = [
             *(program, "-hide_banner", "-loglevel", "error", "-y"),
             *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:.9g}", "-i", "-"),
@@ -69,7 +69,8 @@ def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[i
             *("-vf", "scale=out_color_matrix=bt709:out_range=tv", "-pix_fmt", "yuv420p"),
             *("-color_primaries", "bt709", "-color_trc", "bt709", "-colorspace", "bt709", "-color_range", "tv"),
             *("-c:v", "libx264", "-preset", "medium", "-crf", "18"),
-            *("-movflags", "+faststart", "-fflags", "+bitexact", "-flags", "+bitexact", "-f", "mp4", str(part)),
+            *("-movflags", "+faststart", "-fflags", "+bitexact", "-flags", "+bitexact", "-f", "mp4"),
+            str(part.resolve()),  # a name that begins with "-" would be an option
         ]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said) as process:
             assert process.stdin is not None
@@ -95,14 +96,3 @@ def _spread(picture: Picture) -> Picture:
     """Returns a picture of the colours of another, frequent ones more seldom: small things keep theirs."""
     colors, counts = np.unique(picture.reshape(-1, 3) & 0xFC, axis=0, return_counts=True)
     return np.repeat(colors, np.ceil(np.sqrt(counts)).astype(int), axis=0)[None]
-
-
-@contextmanager
-def _replaced(path: Path) -> Iterator[Path]:
-    """Gives a file beside ``path`` to write to, which takes its place if all goes well, and is removed if not."""
-    part = path.with_name(f".{path.name}.partial")
-    try:
-        yield part
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)

@@ -22,6 +22,8 @@ from warpcontact.scene import Body, Scene
 
 # What is round is scaled from one sphere.
 _ROUND = (shapes.Sphere, shapes.Ellipsoid)
+# Gaps are shown up to so many sizes of the largest body: what is farther apart has nothing in between to point at.
+NEAR = 0.25
 # Radius of what shows a body that carries nothing, in sizes of the largest body.
 MARK = 0.1
 _UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
@@ -187,5 +189,10 @@ def _touches(content: Content) -> Iterator[Touch]:
         name = lines.contact.name
         if lines.contact.visible:
             gaps = content.replay.series(f"{name}.gap")
-            shape = lines.force.shape[:3]
-            yield Touch(name, lines.color, lines.start, lines.force, None if gaps is None else gaps.reshape(shape))
+            if gaps is not None:
+                gaps = gaps.reshape(lines.force.shape[:3])
+                gaps = np.where(gaps < NEAR * content.size, gaps, np.nan)
+            yield Touch(name, lines.color, lines.start, lines.force, gaps)
+    for lines in content.resultants:
+        if lines.contact.visible:
+            yield Touch(lines.contact.name, lines.color, lines.start, lines.force, None)

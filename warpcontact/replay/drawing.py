@@ -81,7 +81,7 @@ class Touch:
         color: RGB in 0…1, of the arrows.
         points: Where the force acts, (time, env, item, 3), world [m].
         forces: On the body of the points, (time, env, item, 3), world [N]; zero where there is none.
-        gaps: Signed distances, (time, env, item) [m], NaN where unknown; ``None``: not recorded.
+        gaps: Signed distances, (time, env, item) [m], NaN where unknown or far; ``None``: not recorded.
     """
 
     name: str

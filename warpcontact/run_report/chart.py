@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.run_report.markup import Markup, element, joined
-from warpcontact.run_report.words import number, scaled
+from warpcontact.run_report.words import NOTHING, number, scaled
 
 WIDTH, HEIGHT = 360, 200
 LEFT, RIGHT, TOP, BOTTOM = 50, 12, 10, 36
@@ -40,7 +40,7 @@ class Axis:
     label: str = field(init=False)
 
     def __post_init__(self) -> None:
-        if not self.high > self.low:
+        if not self.high - self.low > NOTHING:
             room = abs(self.low) * 0.05 or 0.5
             self.low, self.high = self.low - room, self.high + room
         self.factor, self.label = scaled(self.unit, max(abs(self.low), abs(self.high)))

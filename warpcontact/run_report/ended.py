@@ -62,7 +62,7 @@ def section(health: Health, outcome: xr.Dataset) -> Markup:
 
 def replay_button(env: int) -> Markup:
     """Returns the number of an environment, by which the replay can be asked to show it."""
-    return element("button", count(env), type="button", class_="link", data_replay=env)
+    return element("button", str(env), type="button", class_="link", data_replay=env)
 
 
 def _counts(codes: np.ndarray) -> list[tuple[int, int]]:

@@ -14,6 +14,12 @@ from warpcontact.run_report.words import count, number, quantity, several
 SETTINGS = 100_000
 NOTICES = 50
 NOTICE = 600
+_HOW_IT_IS = {
+    "running": "is at work",
+    "stopped": "was ended from outside, and can go on with --resume",
+    "interrupted": "was interrupted, and can go on with --resume",
+    "failed": "failed",
+}
 
 
 def tiles(summary: Mapping[str, Any], status: RunStatus) -> Markup:
@@ -42,7 +48,7 @@ def notices(summary: Mapping[str, Any], status: RunStatus) -> Markup:
     if status.state != "finished":
         every = several(summary["envs"], "environment")
         told = (
-            f"This run is {status.state}: {count(status.finished_envs)} of {every} "
+            f"This run {_HOW_IT_IS.get(status.state, status.state)}: {count(status.finished_envs)} of {every} "
             f"are finished, in {count(status.finished_shards)} of {several(status.shards, 'shard')}. "
             "The report has what was committed when it was made."
         )

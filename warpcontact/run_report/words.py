@@ -44,9 +44,13 @@ def several(number_of: int, what: str) -> str:
     return f"{count(number_of)} {what}{'' if number_of == 1 else 's'}"
 
 
+#: What is smaller is drawn as nothing: powers of ten of it, and their inverses, are beyond numbers.
+NOTHING = 1.0e-290
+
+
 def scaled(unit: str, largest: float) -> tuple[float, str]:
     """Returns by what to multiply numbers up to ``largest`` so that they are easily read, and their unit then."""
-    if not math.isfinite(largest) or largest <= 0.0 or 0.1 <= largest < 1.0e4:
+    if not math.isfinite(largest) or largest < NOTHING or 0.1 <= largest < 1.0e4:
         return 1.0, "" if unit == "-" else unit
     exponent = 3 * math.floor(math.log10(largest) / 3.0)
     prefix = _PREFIXES.get(exponent, "")

@@ -1,6 +1,5 @@
 """From the folder of a run to its report."""
 
-import os
 from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
@@ -9,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from warpcontact.contact_coupling_report import CouplingReport
-from warpcontact.durable import PARTIAL
+from warpcontact.durable import replacing
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.records import StoreError
 from warpcontact.experiment.run import Run, open_run
@@ -57,12 +56,8 @@ def report(
         raise ValueError(f"path must end in {' or '.join(SUFFIXES)}, got {str(path)!r}")
     asked = [envs] if isinstance(envs, int) else envs
     text = _page(run, asked).html()
-    partial = path.with_name(path.name + PARTIAL)
-    try:
-        partial.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(path) as file:
+        file.write(text.encode())
     return path
 
 

@@ -1,7 +1,9 @@
 """The page of a simulation that steps while it is looked at, and whose parameters can be changed meanwhile."""
 
+import tempfile
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -97,8 +99,12 @@ class Live(Show):
         if simulation.model.at_start:
             self.write(self._notes, "\n".join(f"Note: {sentence}" for sentence in simulation.advice()))
             simulation.advised = True
-            simulation.step()
-            simulation.reset()
+            # Compiles; whoever made the simulation may have put it into another state than that at the start.
+            with tempfile.TemporaryDirectory() as folder:
+                state = Path(folder) / "state.npz"
+                simulation.save(state)
+                simulation.step()
+                simulation.load(state)
         self._offer()
         self.picker.pick(0)
         self._look()

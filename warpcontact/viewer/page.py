@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 
 import rich
 import viser
+from websockets.exceptions import ConnectionClosed
 
 HOST = "127.0.0.1"
 #: Names under which a browser finds it.
@@ -44,6 +45,10 @@ class LocalServer(viser.ViserServer):
             socket = self._websock_server._live_connections[connection.client_id]
             if not is_own(socket.request.headers.get("Host"), socket.request.headers.get("Origin")):
                 await socket.close(_REFUSED, "this page may not look here")
+                # What it had sent already is not to be taken for what our page says.
+                with contextlib.suppress(ConnectionClosed):
+                    while True:
+                        await socket.recv()
 
         self._websock_server.on_client_connect(check)
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
+from warpcontact.replay.colors import linear
 from warpcontact.replay.drawing import Curve, Drawing, Figure, Shape, Touch
 
 # Lights: of all around, grey from below, and from one side.
@@ -207,7 +208,7 @@ class Stage:
             node.visible = bool(there.any())
             if there.any():
                 node.batched_positions, node.batched_wxyzs, node.batched_scales = positions, turns, scales
-                node.batched_colors = _bytes(_linear(color if colors is None else colors[there] / 255.0))
+                node.batched_colors = _bytes(linear(color if colors is None else colors[there] / 255.0))
 
     def _add_figure(self, number: int, figure: Figure, turns: Array, positions: Array, scales: Array) -> _Drawn:
         nodes, colors = [], []
@@ -222,7 +223,7 @@ class Stage:
                     turns,
                     positions,
                     batched_scales=scales,
-                    batched_colors=_bytes(_linear(color)),
+                    batched_colors=_bytes(linear(color)),
                     lod="off" if len(positions) <= FEW else "auto",
                     flat_shading=figure.shape.normals is None,
                     side="double",
@@ -245,7 +246,7 @@ class Stage:
         arrows = self.server.scene.add_arrows(
             f"{name}/force",
             np.zeros((1, 2, 3)),
-            _bytes(_linear(touch.color)),
+            _bytes(linear(touch.color)),
             shaft_radius=ARROW * size,
             head_radius=2.0 * ARROW * size,
             head_length=4.0 * ARROW * size,
@@ -302,11 +303,6 @@ def middle(drawing: Drawing, record: int) -> tuple[Array, float]:
 
 def _bytes(color: Array) -> NDArray[np.uint8]:
     return (255.0 * np.clip(color, 0.0, 1.0)).round().astype(np.uint8)
-
-
-def _linear(color: Array) -> Array:
-    """Returns a colour as viser takes those of copies: not as on a screen, but as light."""
-    return ((np.clip(color, 0.0, 1.0) + 0.055) / 1.055) ** 2.4
 
 
 def _plain(name: str) -> str:
