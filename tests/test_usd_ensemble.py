@@ -161,6 +161,31 @@ def test_bodies_of_a_set_have_ids_of_their_own(device, tmp_path):
     assert wc.check_usd(tmp_path / "stage.usda") == []
 
 
+def test_a_shape_may_have_the_name_that_centres_of_a_set_have(device, tmp_path):
+    scene = wc.Scene()
+    grains = scene.add_bodies([(0, 0, 1), (1, 0, 1)], mass=1.0, inertia=(1, 1, 1), name="grains")
+    scene.add_shape(grains, wc.shapes.Sphere(0.1), name="centres")
+    stage = export(wc.Simulation(scene.build(2, device), 1e-3).run(2e-3), tmp_path, envs=0)
+    grains = stage.GetPrimAtPath("/World/env_0/grains")
+    below = {prim.GetName(): prim.GetTypeName() for prim in grains.GetChildren()}
+    assert below == {"centres": "Points", "centres_1": "PointInstancer"}
+    shape = stage.GetPrimAtPath("/World/env_0/grains/centres_1")
+    assert shape.GetCustomDataByKey("warpcontact:name") == "centres"
+
+
+def test_a_sphere_leaves_elements_their_names(device, tmp_path):
+    scene = wc.Scene()
+    ground = scene.add_surface(scenes.square(5.0), name="ground")
+    body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 2), name="body")
+    scene.add_surface(wc.meshes.box((0.4, 0.3, 0.2)), body=body, name="touch_0")
+    scene.add_shape(body, wc.shapes.Cylinder(0.1, 0.2), name="touch_0_1")
+    scene.add_contact(scene.add_point(body, (0, 0, 0.5)), ground, scenes.oracle_law(), radius=0.1, name="touch")
+    stage = export(wc.Simulation(scene.build(2, device), 1e-3).run(2e-3), tmp_path, envs=0)
+    look = stage.GetPrimAtPath("/World/Ensemble/body/look_0")
+    found = {prim.GetName(): prim.GetTypeName() for prim in look.GetChildren()}
+    assert found == {"touch_0": "Mesh", "touch_0_1": "Cylinder", "touch_0_2": "Sphere"}
+
+
 def test_of_very_many_environments_some_that_are_evenly_spread(recording, tmp_path, monkeypatch):
     monkeypatch.setattr("warpcontact.replay.ensemble.MOST_POSES", 2 * 31 * 2)
     stage = export(recording, tmp_path, envs=1)
