@@ -112,6 +112,27 @@ def test_an_outcome_colours_the_environments_that_have_one(recording, tmp_path):
     np.testing.assert_allclose(colors[[1, 3]], 0.5)
 
 
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("stop_distance", "stopDistance"),
+        ("a.b_c", "a:bC"),
+        ("_", "_"),
+        ("__", "__"),
+        ("_1", "_1"),
+        ("a..b", "a:_:b"),
+        ("π", "__"),
+        ("颜色", "______"),
+    ],
+)
+def test_whatever_colours_has_a_name_that_usd_allows(recording, tmp_path, name, expected):
+    outcome = xr.DataArray([1.0, 2.0], dims="env", coords={"env": [0, 1]}, name=name)
+    stage = export(recording.isel(time=[0, 1]), tmp_path, scene=recording.scene, envs=1, color_by=outcome)
+    values = value(stage, "/World/Ensemble/ball", f"primvars:warpcontact:{expected}")
+    np.testing.assert_array_equal(values[:2], [1.0, 2.0])
+    assert stage.GetPrimAtPath("/World/Ensemble").GetCustomDataByKey("warpcontact:colorBy") == name
+
+
 def test_without_an_outcome_bodies_have_their_own_colours(recording, tmp_path):
     stage = export(recording, tmp_path, envs=1)
     ball = value(stage, "/World/Ensemble/ball/look_0/touch_0", "primvars:displayColor")

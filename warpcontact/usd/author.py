@@ -54,8 +54,11 @@ def attribute_name(quantity: str) -> str:
 
     parts = []
     for part in quantity.split("."):
-        first, *others = Tf.MakeValidIdentifier(part).split("_")
-        parts.append(first + "".join(word.capitalize() for word in others))
+        identifier = Tf.MakeValidIdentifier(part)
+        first, *others = identifier.split("_")
+        word = first + "".join(other.capitalize() for other in others)
+        # Without its underscores nothing, or a number, may be left.
+        parts.append(word if Tf.IsValidIdentifier(word) else identifier)
     return ":".join(["warpcontact", *parts])
 
 
