@@ -50,7 +50,7 @@ def test_an_outcome_of_any_name_colours(device, tmp_path):
 def test_clips_show_what_a_single_file_shows(folder, tmp_path):
     for path, clips in (("one.usda", []), ("run.usda", ["--clips", "30"])):
         assert main(["export", str(folder), "--usd", str(tmp_path / path), "--envs", "2", *clips]) == 0
-    assert len(list((tmp_path / "run.clips").glob("clip_*"))) == 7
+    assert len(list((tmp_path / "run.usda.clips").glob("clip_*"))) == 7
     assert wc.check_usd(tmp_path / "run.usda") == []
     one, several = (Usd.Stage.Open(str(tmp_path / name)) for name in ("one.usda", "run.usda"))
     for path, name in (
