@@ -62,6 +62,20 @@ def curve(stage):
     curves.CreateExtentAttr([(0, 0, 0), (1, 0, 0)])
 
 
+def moving_curve(stage):
+    curve(stage)
+    counts = UsdGeom.BasisCurves(stage.GetPrimAtPath("/World/line")).GetCurveVertexCountsAttr()
+    counts.Set([2])
+    counts.Set([2], 3.0)
+    counts.Set([3], 4.0)
+
+
+def fewer(stage):
+    attribute = stage.GetPrimAtPath(ENSEMBLE).GetAttribute("protoIndices")
+    attribute.Set([0, 0, 0, 0], 0.0)
+    attribute.Set([0, 0, 0], 3.0)
+
+
 def primvar(stage):
     api = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath(ENSEMBLE))
     api.CreatePrimvar("heat", Sdf.ValueTypeNames.FloatArray, "vertex").Set([1.0, 2.0])
@@ -109,12 +123,42 @@ DEFECTS = {
         FLOOR,
         "faceVertexIndices must be from 0 to 3, the last point, got -2",
     ),
+    "a face of a point that is not there at some time": (
+        set_to(FLOOR, "faceVertexIndices", [0, 1, 2, 0, 2, 4], 3.0),
+        FLOOR,
+        "faceVertexIndices at time 3 must be from 0 to 3, the last point, got 4",
+    ),
+    "a face of two points at some time": (
+        set_to(FLOOR, "faceVertexCounts", [2, 4], 3.0),
+        FLOOR,
+        "faceVertexCounts at time 3 must be at least 3, got 2",
+    ),
+    "faces that do not add up at some time": (
+        set_to(FLOOR, "faceVertexCounts", [3], 3.0),
+        FLOOR,
+        "faceVertexCounts at time 3 must add up to the 6 indices, got 3",
+    ),
+    "points that are fewer at some time": (
+        set_to(FLOOR, "points", [(-5, -5, 0), (5, -5, 0), (5, 5, 0)], 3.0),
+        FLOOR,
+        "faceVertexIndices at time 3 must be from 0 to 2, the last point, got 3",
+    ),
+    "a group of a face that is not there at some time": (
+        set_to(f"{FLOOR}/active", "indices", [2], 3.0),
+        FLOOR,
+        "indices of active at time 3 must be from 0 to 1",
+    ),
     "a face of two points": (set_to(FLOOR, "faceVertexCounts", [2, 4]), FLOOR, "at least 3, got 2"),
     "faces that do not add up": (set_to(FLOOR, "faceVertexCounts", [3]), FLOOR, "add up to the 6 indices, got 3"),
     "a group of a face that is not there": (
         set_to(f"{FLOOR}/active", "indices", [2]),
         FLOOR,
         "indices of active must be from 0 to 1",
+    ),
+    "curves that do not add up at some time": (
+        moving_curve,
+        "/World/line",
+        "curveVertexCounts at time 4 must add up to the 2 points, got 3",
     ),
     "curves that do not add up": (curve, "/World/line", "curveVertexCounts must add up to the 2 points, got 3"),
     "a prototype that is not there": (
@@ -128,6 +172,12 @@ DEFECTS = {
         "orientationsf at time 3 must be as many as the 4 protoIndices, got 1",
     ),
     "ids twice": (set_to(ENSEMBLE, "ids", [0, 1, 1, 3]), ENSEMBLE, "ids must differ"),
+    "ids twice at some time": (set_to(ENSEMBLE, "ids", [0, 1, 1, 3], 2.0), ENSEMBLE, "ids at time 2 must differ"),
+    "prototypes that are fewer at some time": (
+        fewer,
+        ENSEMBLE,
+        "positions at time 3 must be as many as the 3 protoIndices, got 4",
+    ),
     "a primvar of too few": (primvar, ENSEMBLE, "primvar heat must have one value for each of 4 instances, got 2"),
     "a quaternion that is not of unit length": (
         set_to(BALL, "xformOp:orient", Gf.Quatd(1, 1, 0, 0), 3.0),
@@ -137,10 +187,9 @@ DEFECTS = {
     "a negative mass": (
         set_to(BALL, "physics:mass", -1.0),
         BALL,
-        "mass must be greater than 0 and finite, got -1.0",
+        "mass must be greater than 0 and finite, or 0: not given, got -1.0",
     ),
     "a mass that is not finite": (set_to(BALL, "physics:mass", float("nan")), BALL, "mass must be greater than 0"),
-    "no mass": (set_to(BALL, "physics:mass", 0.0), BALL, "mass must be greater than 0 and finite, got 0.0"),
     "a moment that no body has": (
         set_to(BALL, "physics:diagonalInertia", Gf.Vec3f(1, 1, 3)),
         BALL,
@@ -183,6 +232,43 @@ def test_every_defect_is_found_and_named(sound, tmp_path, defect, suffix):
     copy.Export(str(path))
     found = wc.check_usd(path)
     assert any(one.startswith(f"{prim}: ") and message in one for one in found), found
+
+
+def test_what_changes_as_a_whole_over_time_is_sound(tmp_path):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "grows.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    world = UsdGeom.Xform.Define(stage, "/World").GetPrim()
+    stage.SetDefaultPrim(world)
+    mesh = UsdGeom.Mesh.Define(stage, "/World/mesh")
+    instancer = UsdGeom.PointInstancer.Define(stage, "/World/many")
+    instancer.CreatePrototypesRel().SetTargets([mesh.GetPath()])
+    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    for code, count in ((1.0, 3), (2.0, 4)):
+        points = corners[:count]
+        mesh.CreatePointsAttr().Set(points, code)
+        mesh.CreateFaceVertexIndicesAttr().Set(list(range(count)), code)
+        mesh.CreateFaceVertexCountsAttr().Set([count], code)
+        mesh.CreateExtentAttr().Set([(0, 0, 0), (1, 1, 0)], code)
+        instancer.CreateProtoIndicesAttr().Set([0] * count, code)
+        instancer.CreatePositionsAttr().Set(points, code)
+        instancer.CreateIdsAttr().Set(list(range(count)), code)
+        instancer.CreateExtentAttr().Set([(0, 0, 0), (2, 2, 0)], code)
+    stage.Save()
+    assert wc.check_usd(tmp_path / "grows.usda") == []
+
+
+def test_zeros_of_a_mass_and_moments_are_not_given(sound, tmp_path):
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    layer.TransferContent(Sdf.Layer.FindOrOpen(str(sound)))
+    stage = Usd.Stage.Open(layer)
+    api = UsdPhysics.MassAPI(stage.GetPrimAtPath(BALL))
+    api.CreateMassAttr(0.0)
+    api.CreateDensityAttr(0.0)
+    api.CreateDiagonalInertiaAttr(Gf.Vec3f(0, 0, 0))
+    api.CreatePrincipalAxesAttr(Gf.Quatf(0, 0, 0, 0))
+    layer.Export(str(tmp_path / "zeros.usda"))
+    assert wc.check_usd(tmp_path / "zeros.usda") == []
 
 
 def test_a_time_that_is_none_is_found(sound, tmp_path):

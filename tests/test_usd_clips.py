@@ -56,10 +56,10 @@ def test_every_attribute_is_that_of_the_single_file_at_every_time(folder):
 
 def test_it_is_sound_and_in_blocks(folder):
     assert wc.check_usd(folder / "run.usdc") == []
-    names = sorted(path.name for path in (folder / "run.clips").iterdir())
+    names = sorted(path.name for path in (folder / "run.usdc.clips").iterdir())
     clips = [f"clip_{number:06d}.usdc" for number in range(5)]
     assert names == [*clips, "clips.json", "manifest.usdc", "topology.usdc"]
-    told = json.loads((folder / "run.clips" / "clips.json").read_text())
+    told = json.loads((folder / "run.usdc.clips" / "clips.json").read_text())
     assert [entry["records"] for entry in told["clips"]] == [[0, 7], [7, 14], [14, 21], [21, 28], [28, 31]]
 
 
@@ -100,12 +100,12 @@ def test_an_interrupted_export_goes_on_and_gives_the_same_bytes(recording, folde
 
 
 def test_clips_that_are_not_of_this_export_are_written_again(recording, folder, tmp_path, monkeypatch):
-    shutil.copytree(folder / "run.clips", tmp_path / "run.clips")
+    shutil.copytree(folder / "run.usdc.clips", tmp_path / "run.usdc.clips")
     with monkeypatch.context() as context:
         assert export_again(tmp_path, recording, context) == []
-    damaged = tmp_path / "run.clips" / "clip_000001.usdc"
+    damaged = tmp_path / "run.usdc.clips" / "clip_000001.usdc"
     damaged.write_bytes(damaged.read_bytes()[:-1] + b"x")
-    (tmp_path / "run.clips" / "clip_000004.usdc").unlink()
+    (tmp_path / "run.usdc.clips" / "clip_000004.usdc").unlink()
     with monkeypatch.context() as context:
         assert export_again(tmp_path, recording, context) == ["clip_000001.usdc", "clip_000004.usdc"]
     other = recording.copy(deep=True)
@@ -114,7 +114,7 @@ def test_clips_that_are_not_of_this_export_are_written_again(recording, folder, 
         assert export_again(tmp_path, other, context, scene=recording.scene) == ["clip_000002.usdc"]
     with monkeypatch.context() as context:
         assert len(export_again(tmp_path, recording, context, force_scale=0.5)) == 5
-    (tmp_path / "run.clips" / "clips.json").write_text("{")
+    (tmp_path / "run.usdc.clips" / "clips.json").write_text("{")
     with monkeypatch.context() as context:
         assert len(export_again(tmp_path, recording, context)) == 5
     assert content(tmp_path)["run.usdc"] == content(folder)["run.usdc"]
@@ -123,8 +123,67 @@ def test_clips_that_are_not_of_this_export_are_written_again(recording, folder, 
 def test_clips_of_a_longer_export_are_removed(recording, tmp_path):
     wc.export_usd(recording, tmp_path / "run.usdc", clip_frames=5, **OPTIONS)
     wc.export_usd(recording, tmp_path / "run.usdc", clip_frames=20, **OPTIONS)
-    assert len(list((tmp_path / "run.clips").glob("clip_*"))) == 2
+    assert len(list((tmp_path / "run.usdc.clips").glob("clip_*"))) == 2
     assert wc.check_usd(tmp_path / "run.usdc") == []
+
+
+def test_stages_of_one_name_and_two_formats_have_clips_of_their_own(recording, tmp_path):
+    wc.export_usd(recording, tmp_path / "run.usda", clip_frames=5, envs=0)
+    before = content(tmp_path)
+    wc.export_usd(recording, tmp_path / "run.usdc", clip_frames=20, envs=2)
+    assert before.items() < content(tmp_path).items()
+    for name in ("run.usda", "run.usdc"):
+        assert wc.check_usd(tmp_path / name) == []
+
+
+def test_clips_of_another_stage_are_refused_and_stay(recording, tmp_path):
+    wc.export_usd(recording, tmp_path / "run.usdc", clip_frames=5, envs=0)
+    (tmp_path / "run.usdc.clips").rename(tmp_path / "other.usdc.clips")
+    before = content(tmp_path)
+    with pytest.raises(
+        OSError, match=r"cannot write .*other\.usdc: .*other\.usdc\.clips holds the clips of 'run\.usdc'"
+    ):
+        wc.export_usd(recording, tmp_path / "other.usdc", clip_frames=5, envs=0)
+    assert content(tmp_path) == before
+
+
+def test_a_stage_is_not_there_while_its_clips_are_replaced(recording, tmp_path, monkeypatch):
+    from warpcontact.usd import clips
+
+    path, save, seen = tmp_path / "run.usdc", clips.save_layer, []
+    wc.export_usd(recording, path, clip_frames=FRAMES, envs=0)
+
+    def stop(layer, file):
+        seen.append(path.exists())
+        if file.name == "clip_000002.usdc":
+            raise KeyboardInterrupt
+        save(layer, file)
+
+    other = recording.copy(deep=True)
+    other["ball.position"].values[:] += 1.0
+    with monkeypatch.context() as context:
+        context.setattr(clips, "save_layer", stop)
+        with pytest.raises(KeyboardInterrupt):
+            wc.export_usd(other, path, clip_frames=FRAMES, envs=0, scene=recording.scene)
+    assert len(seen) > 2
+    assert not any(seen)
+    assert not path.exists()
+    wc.export_usd(other, path, clip_frames=FRAMES, envs=0, scene=recording.scene)
+    wc.export_usd(other, tmp_path / "one.usdc", envs=0, scene=recording.scene)
+    found = [Usd.Stage.Open(str(tmp_path / name)) for name in ("one.usdc", "run.usdc")]
+    for code in range(31):
+        one, clip = (stage.GetAttributeAtPath("/World/env_0/ball.xformOp:translate").Get(code) for stage in found)
+        assert one == clip
+
+
+def test_what_cannot_be_exported_leaves_the_stage(recording, tmp_path):
+    wc.export_usd(recording, tmp_path / "run.usdc", clip_frames=FRAMES, envs=0)
+    before = content(tmp_path)
+    bad = recording.copy(deep=True)
+    bad["ball.position"].values[17, 0] = np.nan
+    with pytest.raises(ValueError, match=r"ball\.position"):
+        wc.export_usd(bad, tmp_path / "run.usdc", clip_frames=FRAMES, envs=0, scene=recording.scene)
+    assert content(tmp_path) == before
 
 
 def test_springs_do_not_jump_from_clip_to_clip(device, tmp_path):

@@ -37,10 +37,20 @@ def test_environments_and_colours(folder, tmp_path, capsys):
     np.testing.assert_array_equal(found, run.params["ball.mass"].values)
 
 
+def test_an_outcome_of_any_name_colours(device, tmp_path):
+    text = STUDY.replace("[record]", '[outcome]\n_ = { type = "Max", of = "touch.gap" }\n[record]')
+    (tmp_path / "study.toml").write_text(text)
+    wc.Experiment.from_toml(tmp_path / "study.toml").run(tmp_path / "out", device=device)
+    path = tmp_path / "a.usda"
+    assert main(["export", str(tmp_path / "out"), "--usd", str(path), "--envs", "1", "--color-by", "_"]) == 0
+    found = value(Usd.Stage.Open(str(path)), "/World/Ensemble/ball", "primvars:warpcontact:_")
+    np.testing.assert_array_equal(found, wc.open_run(tmp_path / "out").outcome["_"].values)
+
+
 def test_clips_show_what_a_single_file_shows(folder, tmp_path):
     for path, clips in (("one.usda", []), ("run.usda", ["--clips", "30"])):
         assert main(["export", str(folder), "--usd", str(tmp_path / path), "--envs", "2", *clips]) == 0
-    assert len(list((tmp_path / "run.clips").glob("clip_*"))) == 7
+    assert len(list((tmp_path / "run.usda.clips").glob("clip_*"))) == 7
     assert wc.check_usd(tmp_path / "run.usda") == []
     one, several = (Usd.Stage.Open(str(tmp_path / name)) for name in ("one.usda", "run.usda"))
     for path, name in (

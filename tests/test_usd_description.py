@@ -103,6 +103,11 @@ def test_every_parameter_of_every_class_of_the_library_has_a_name_of_its_own_in_
     assert identifiers(names) == {name: name for name in names}
 
 
+def test_names_that_fall_together_are_told_apart_by_the_next_free_number():
+    found = identifiers(["a-b", "a.b", "a_b_2", "a b", "c"], reserved=["a_b", "c_1", "c"])
+    assert found == {"a_b_2": "a_b_2", "c": "c_2", "a-b": "a_b_1", "a.b": "a_b_3", "a b": "a_b_4"}
+
+
 def test_a_stage_without_a_description_has_none():
     assert read_description(Usd.Stage.CreateInMemory()) is None
 

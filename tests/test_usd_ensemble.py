@@ -112,6 +112,27 @@ def test_an_outcome_colours_the_environments_that_have_one(recording, tmp_path):
     np.testing.assert_allclose(colors[[1, 3]], 0.5)
 
 
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("stop_distance", "stopDistance"),
+        ("a.b_c", "a:bC"),
+        ("_", "_"),
+        ("__", "__"),
+        ("_1", "_1"),
+        ("a..b", "a:_:b"),
+        ("π", "__"),
+        ("颜色", "______"),
+    ],
+)
+def test_whatever_colours_has_a_name_that_usd_allows(recording, tmp_path, name, expected):
+    outcome = xr.DataArray([1.0, 2.0], dims="env", coords={"env": [0, 1]}, name=name)
+    stage = export(recording.isel(time=[0, 1]), tmp_path, scene=recording.scene, envs=1, color_by=outcome)
+    values = value(stage, "/World/Ensemble/ball", f"primvars:warpcontact:{expected}")
+    np.testing.assert_array_equal(values[:2], [1.0, 2.0])
+    assert stage.GetPrimAtPath("/World/Ensemble").GetCustomDataByKey("warpcontact:colorBy") == name
+
+
 def test_without_an_outcome_bodies_have_their_own_colours(recording, tmp_path):
     stage = export(recording, tmp_path, envs=1)
     ball = value(stage, "/World/Ensemble/ball/look_0/touch_0", "primvars:displayColor")
@@ -159,6 +180,31 @@ def test_bodies_of_a_set_have_ids_of_their_own(device, tmp_path):
     first = value(stage, "/World/Ensemble/grains/look_0/sizes", "radius")
     np.testing.assert_allclose(first * scales, [0.1, 0.2, 0.3] * 4, rtol=1e-6)
     assert wc.check_usd(tmp_path / "stage.usda") == []
+
+
+def test_a_shape_may_have_the_name_that_centres_of_a_set_have(device, tmp_path):
+    scene = wc.Scene()
+    grains = scene.add_bodies([(0, 0, 1), (1, 0, 1)], mass=1.0, inertia=(1, 1, 1), name="grains")
+    scene.add_shape(grains, wc.shapes.Sphere(0.1), name="centres")
+    stage = export(wc.Simulation(scene.build(2, device), 1e-3).run(2e-3), tmp_path, envs=0)
+    grains = stage.GetPrimAtPath("/World/env_0/grains")
+    below = {prim.GetName(): prim.GetTypeName() for prim in grains.GetChildren()}
+    assert below == {"centres": "Points", "centres_1": "PointInstancer"}
+    shape = stage.GetPrimAtPath("/World/env_0/grains/centres_1")
+    assert shape.GetCustomDataByKey("warpcontact:name") == "centres"
+
+
+def test_a_sphere_leaves_elements_their_names(device, tmp_path):
+    scene = wc.Scene()
+    ground = scene.add_surface(scenes.square(5.0), name="ground")
+    body = scene.add_body(1.0, (1, 1, 1), position=(0, 0, 2), name="body")
+    scene.add_surface(wc.meshes.box((0.4, 0.3, 0.2)), body=body, name="touch_0")
+    scene.add_shape(body, wc.shapes.Cylinder(0.1, 0.2), name="touch_0_1")
+    scene.add_contact(scene.add_point(body, (0, 0, 0.5)), ground, scenes.oracle_law(), radius=0.1, name="touch")
+    stage = export(wc.Simulation(scene.build(2, device), 1e-3).run(2e-3), tmp_path, envs=0)
+    look = stage.GetPrimAtPath("/World/Ensemble/body/look_0")
+    found = {prim.GetName(): prim.GetTypeName() for prim in look.GetChildren()}
+    assert found == {"touch_0": "Mesh", "touch_0_1": "Cylinder", "touch_0_2": "Sphere"}
 
 
 def test_of_very_many_environments_some_that_are_evenly_spread(recording, tmp_path, monkeypatch):

@@ -112,7 +112,7 @@ def hanging(replay: Replay, line: Catenary, start: Array, end: Array) -> Array:
     """Returns a catenary between two places over time, (time, env, LINE_POINTS, 3), world [m].
 
     Args:
-        replay: What is exported, with the parameters of the line as far as they were recorded.
+        replay: The environments, with the parameters of the line as far as they were recorded.
         line: The catenary.
         start: Where its first end is, (time, env, 3), world [m].
         end: Where its second end is, likewise.

@@ -21,7 +21,7 @@ PLANE = 10.0
 
 @dataclass(frozen=True)
 class FormPlacement:
-    """A shape in the environments of an export; arrays are (env, item, …).
+    """A shape in the environments of a replay; arrays are (env, item, …).
 
     Attributes:
         shape: The shape, or a set of them.
@@ -90,7 +90,7 @@ class FormPlacement:
 
 
 class FormSwarm:
-    """Shapes on the bodies of a set, one ``UsdGeom.PointInstancer`` that moves.
+    """Shapes on the bodies of a set: where they are over time, and which of them are of one size.
 
     Args:
         placement: The shapes.

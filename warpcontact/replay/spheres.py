@@ -48,7 +48,7 @@ class Spheres:
         return not self.radii.any()
 
     def differs(self, row: int) -> bool:
-        """Whether they are others in environment number ``row`` of the export than in the first."""
+        """Whether they are others in environment number ``row`` of the replay than in the first."""
         return bool((self.radii[row] != self.radii[0]).any() or (self.places[row] != self.places[0]).any())
 
 

@@ -16,7 +16,7 @@ INACTIVE = 0.4
 
 @dataclass(frozen=True)
 class Placement:
-    """A surface in the environments of an export.
+    """A surface in the environments of a replay.
 
     Attributes:
         surface: The surface.

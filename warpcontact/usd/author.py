@@ -26,13 +26,16 @@ def identifiers(names: Iterable[str], reserved: Iterable[str] = ()) -> dict[str,
 
     taken = set(reserved)
     table: dict[str, str] = {}
+    # The last number that was given to what falls together.
+    last: dict[str, int] = {}
     # Valid names first, so that they keep theirs whatever the order.
     for name in sorted(names, key=lambda name: not Tf.IsValidIdentifier(name)):
         identifier = base = Tf.MakeValidIdentifier(name)
-        number = 0
+        number = last.get(base, 0)
         while identifier in taken:
             number += 1
             identifier = f"{base}_{number}"
+        last[base] = number
         taken.add(identifier)
         table[name] = identifier
     return table
@@ -51,8 +54,11 @@ def attribute_name(quantity: str) -> str:
 
     parts = []
     for part in quantity.split("."):
-        first, *others = Tf.MakeValidIdentifier(part).split("_")
-        parts.append(first + "".join(word.capitalize() for word in others))
+        identifier = Tf.MakeValidIdentifier(part)
+        first, *others = identifier.split("_")
+        word = first + "".join(other.capitalize() for other in others)
+        # Without its underscores nothing, or a number, may be left.
+        parts.append(word if Tf.IsValidIdentifier(word) else identifier)
     return ":".join(["warpcontact", *parts])
 
 

@@ -126,27 +126,55 @@ def _quaternions(prim: Any) -> Iterator[str]:
                 break
 
 
+def _together(*attributes: Any) -> Iterator[tuple[str, list[Any]]]:
+    """Iterates over the values of attributes at their defaults and all times of any, with where that is in words.
+
+    What has no value is empty. An attribute with time samples alone has no default that goes with the others.
+    """
+    from pxr import Usd
+
+    sampled = [attribute.GetTimeSamples() for attribute in attributes]
+    default = [attribute.Get(Usd.TimeCode.Default()) for attribute in attributes]
+    if not any(value is None and codes for value, codes in zip(default, sampled, strict=True)):
+        yield "", [() if value is None else value for value in default]
+    for code in sorted({code for codes in sampled for code in codes}):
+        values = [attribute.Get(code) for attribute in attributes]
+        yield f" at time {code:g}", [() if value is None else value for value in values]
+
+
+def _outside(values: Any, count: int) -> NDArray[Any]:
+    """Returns the indices that are not from 0 to before ``count``."""
+    indices = np.array(values, dtype=np.int64)
+    return indices[(indices < 0) | (indices >= count)]
+
+
 def _mesh(prim: Any) -> Iterator[str]:
     from pxr import UsdGeom
 
     if not prim.IsA(UsdGeom.Mesh):
         return
     mesh = UsdGeom.Mesh(prim)
-    points = [len(value) for _, value in _samples(mesh.GetPointsAttr())]
-    count = min(points, default=0)
-    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
-    sizes = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
-    if len(indices) and not (indices.min() >= 0 and indices.max() < count):
-        worst = indices[(indices < 0) | (indices >= count)][0]
-        yield f"faceVertexIndices must be from 0 to {count - 1}, the last point, got {worst}"
-    if (sizes < 3).any():
-        yield f"faceVertexCounts must be at least 3, got {sizes.min()}"
-    if sizes.sum() != len(indices):
-        yield f"faceVertexCounts must add up to the {len(indices)} indices, got {sizes.sum()}"
+    counts = mesh.GetFaceVertexCountsAttr()
+    topology = mesh.GetPointsAttr(), mesh.GetFaceVertexIndicesAttr(), counts
+    for where, (points, indices, given) in _together(*topology):
+        found, sizes = False, np.array(given, dtype=np.int64)
+        if len(worst := _outside(indices, len(points))):
+            found = True
+            yield f"faceVertexIndices{where} must be from 0 to {len(points) - 1}, the last point, got {worst[0]}"
+        if (sizes < 3).any():
+            found = True
+            yield f"faceVertexCounts{where} must be at least 3, got {sizes.min()}"
+        if sizes.sum() != len(indices):
+            found = True
+            yield f"faceVertexCounts{where} must add up to the {len(indices)} indices, got {sizes.sum()}"
+        if found:
+            break
     for subset in UsdGeom.Subset.GetAllGeomSubsets(mesh):
-        chosen = np.array(subset.GetIndicesAttr().Get() or [], dtype=np.int64)
-        if len(chosen) and not (chosen.min() >= 0 and chosen.max() < len(sizes)):
-            yield f"indices of {subset.GetPrim().GetName()} must be from 0 to {len(sizes) - 1}, the last face"
+        for where, (chosen, faces) in _together(subset.GetIndicesAttr(), counts):
+            if len(_outside(chosen, len(faces))):
+                name = subset.GetPrim().GetName()
+                yield f"indices of {name}{where} must be from 0 to {len(faces) - 1}, the last face"
+                break
 
 
 def _curves(prim: Any) -> Iterator[str]:
@@ -155,10 +183,10 @@ def _curves(prim: Any) -> Iterator[str]:
     if not prim.IsA(UsdGeom.Curves):
         return
     curves = UsdGeom.Curves(prim)
-    counts = np.array(curves.GetCurveVertexCountsAttr().Get() or [], dtype=np.int64)
-    for where, points in _samples(curves.GetPointsAttr()):
-        if counts.sum() != len(points):
-            yield f"curveVertexCounts must add up to the {len(points)} points{where}, got {counts.sum()}"
+    for where, (counts, points) in _together(curves.GetCurveVertexCountsAttr(), curves.GetPointsAttr()):
+        total = np.array(counts, dtype=np.int64).sum()
+        if total != len(points):
+            yield f"curveVertexCounts{where} must add up to the {len(points)} points, got {total}"
             return
 
 
@@ -168,25 +196,26 @@ def _instancer(prim: Any) -> Iterator[str]:
     if not prim.IsA(UsdGeom.PointInstancer):
         return
     instancer = UsdGeom.PointInstancer(prim)
+    which = instancer.GetProtoIndicesAttr()
     prototypes = len(instancer.GetPrototypesRel().GetForwardedTargets())
-    for where, value in _samples(instancer.GetProtoIndicesAttr()):
-        numbers = np.array(value, dtype=np.int64)
-        if len(numbers) and not (numbers.min() >= 0 and numbers.max() < prototypes):
-            worst = numbers[(numbers < 0) | (numbers >= prototypes)][0]
-            yield f"protoIndices{where} must be from 0 to {prototypes - 1}, the last prototype, got {worst}"
-    indices = instancer.GetProtoIndicesAttr().Get()
-    count = 0 if indices is None else len(indices)
+    for where, value in _samples(which):
+        if len(worst := _outside(value, prototypes)):
+            yield f"protoIndices{where} must be from 0 to {prototypes - 1}, the last prototype, got {worst[0]}"
     for name in ("positions", "orientations", "orientationsf", "scales", "ids"):
-        for where, value in _samples(prim.GetAttribute(name)):
-            if len(value) not in (0, count):
-                yield f"{name}{where} must be as many as the {count} protoIndices, got {len(value)}"
+        for where, (numbers, value) in _together(which, prim.GetAttribute(name)):
+            if len(value) not in (0, len(numbers)):
+                yield f"{name}{where} must be as many as the {len(numbers)} protoIndices, got {len(value)}"
                 break
-    ids = np.array(instancer.GetIdsAttr().Get() or [], dtype=np.int64)
-    if len(np.unique(ids)) != len(ids):
-        yield "ids must differ"
+    for where, value in _samples(instancer.GetIdsAttr()):
+        if len(np.unique(np.array(value, dtype=np.int64))) != len(value):
+            yield f"ids{where} must differ"
+            break
     for name, api in _primvars(prim):
-        for where, value in _samples(api.GetAttr()):
-            if api.GetInterpolation() in ("vertex", "varying") and len(value) != count:
+        if api.GetInterpolation() not in ("vertex", "varying"):
+            continue
+        for where, (numbers, value) in _together(which, api.GetAttr()):
+            if len(value) != len(numbers):
+                count = len(numbers)
                 yield f"primvar {name}{where} must have one value for each of {count} instances, got {len(value)}"
                 break
 
@@ -242,14 +271,20 @@ def _mass(prim: Any) -> Iterator[str]:
     if not prim.HasAPI(UsdPhysics.MassAPI):
         return
     api = UsdPhysics.MassAPI(prim)
+    # Of UsdPhysics zeros, which are the fallbacks, say that others are to tell.
     for name, attribute in (("mass", api.GetMassAttr()), ("density", api.GetDensityAttr())):
         for where, value in _samples(attribute):
-            if not (np.isfinite(value) and value > 0.0):
-                yield f"{name}{where} must be greater than 0 and finite, got {value}"
+            if not (np.isfinite(value) and value >= 0.0):
+                yield f"{name}{where} must be greater than 0 and finite, or 0: not given, got {value}"
     for where, value in _samples(api.GetDiagonalInertiaAttr()):
         moments = np.sort(np.array(value, dtype=np.float64))
+        if not moments.any():
+            continue
         if not np.isfinite(moments).all() or moments[0] <= 0.0:
-            yield f"diagonalInertia{where} must be greater than 0 and finite, got {moments.tolist()}"
+            yield (
+                f"diagonalInertia{where} must be greater than 0 and finite, or all 0: not given, got "
+                f"{moments.tolist()}"
+            )
         elif moments[2] > (moments[0] + moments[1]) * (1.0 + ROUNDING):
             yield (
                 f"diagonalInertia{where} must be that of a body: no moment may exceed the sum of the others, got "

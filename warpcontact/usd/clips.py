@@ -1,13 +1,14 @@
 """Long recordings as value clips: files of some records each, written one after the other and picked up again.
 
-    run.usdc                     metadata, and which clip holds which time
-    run.clips/topology.usdc      all that does not change over time, and the first record as default values
-    run.clips/manifest.usdc      which attributes are in clips
-    run.clips/clip_000000.usdc   time samples of a block of records, and of the one behind it
-    run.clips/clips.json         which clips are whole, and of what
+    run.usdc                          metadata, and which clip holds which time
+    run.usdc.clips/topology.usdc      all that does not change over time, and the first record as default values
+    run.usdc.clips/manifest.usdc      which attributes are in clips
+    run.usdc.clips/clip_000000.usdc   time samples of a block of records, and of the one behind it
+    run.usdc.clips/clips.json         of which stage they are, which are whole, and of what
 
 No more than a block of records is in memory at once. A clip holds the first record of the next one, too, so that
-viewers interpolate across the seam as within a clip.
+viewers interpolate across the seam as within a clip. The stage is removed before what it refers to changes, and
+comes last: where it is, all of it is.
 """
 
 import hashlib
@@ -22,7 +23,7 @@ from warpcontact.durable import write_json
 from warpcontact.replay.content import Content
 from warpcontact.replay.couplings import Coil
 from warpcontact.usd.author import Samples
-from warpcontact.usd.files import save_layer
+from warpcontact.usd.files import remove_file, save_layer
 from warpcontact.usd.layout import WORLD
 from warpcontact.usd.stage import Export, Tell
 
@@ -57,15 +58,22 @@ class Clips:
     def __init__(self, export: Export, path: Path, frames: int) -> None:
         self.export = export
         self.path = path
-        self.folder = path.with_name(path.stem + FOLDER_SUFFIX)
+        self.folder = path.with_name(path.name + FOLDER_SUFFIX)
         count = len(export.replay.codes)
         self.blocks = [(first, min(first + frames, count)) for first in range(0, count, frames)]
         self._inputs: list[str] = []
 
     def write(self, tell: Tell) -> None:
-        """Writes what is not there yet; the stage comes last."""
+        """Writes what is not there yet.
+
+        Raises:
+            OSError: If a file cannot be written, or the folder is of another stage; names it.
+        """
         from pxr import Sdf, Usd
 
+        owner = self._told().get("stage", self.path.name)
+        if owner != self.path.name:
+            raise FileExistsError(f"cannot write {self.path}: {self.folder} holds the clips of {owner!r}")
         survey = self.export.survey(self._contents(noting=True))
         stage = Usd.Stage.CreateInMemory()
         manifest = Sdf.Layer.CreateAnonymous(".usdc")
@@ -74,9 +82,14 @@ class Clips:
         header = Samples([], None, declared=manifest)
         self.export.animate(stage, first, header, (0, 1), lambda _: None)
         topology = self.folder / "topology.usdc"
+        remove_file(self.path)
         save_layer(stage.GetRootLayer(), topology)
         save_layer(manifest, self.folder / "manifest.usdc")
-        about = {"topology": _sha(topology), "codes": _digest(np.array(self.export.replay.codes))}
+        about = {
+            "stage": self.path.name,
+            "topology": _sha(topology),
+            "codes": _digest(np.array(self.export.replay.codes)),
+        }
         known = self._known(about)
         done: list[dict[str, Any]] = []
         for number, (block, given) in enumerate(zip(self.blocks, self._inputs, strict=True)):
@@ -125,12 +138,20 @@ class Clips:
 
     def _known(self, about: dict[str, str]) -> dict[str, dict[str, Any]]:
         """Returns the clips of an earlier attempt that are of the same export, by the names of their files."""
+        told = self._told()
         try:
-            told = json.loads((self.folder / RECORD).read_bytes())
             same = all(told[key] == value for key, value in about.items())
             return {str(entry["file"]): dict(entry) for entry in told["clips"]} if same else {}
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        except (ValueError, KeyError, TypeError):
             return {}
+
+    def _told(self) -> dict[str, Any]:
+        """Returns what the folder says of itself; nothing if that cannot be read."""
+        try:
+            told = json.loads((self.folder / RECORD).read_bytes())
+        except (OSError, ValueError, RecursionError):
+            return {}
+        return told if isinstance(told, dict) else {}
 
     def _write_clip(self, stage: Any, file: Path, block: Range, coils: dict[str, Coil], tell: Tell) -> None:
         from pxr import Sdf

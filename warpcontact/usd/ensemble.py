@@ -12,6 +12,7 @@ from warpcontact.replay.spheres import body_color
 from warpcontact.usd.author import (
     Samples,
     attribute_name,
+    identifiers,
     integers,
     long_integers,
     mark,
@@ -85,19 +86,25 @@ def _define_look(stage: Any, path: str, look: Look, row: int, item: int, layout:
 
     UsdGeom.Xform.Define(stage, path)
     small = 0.5 * POINT * layout.size
-    for placement in look.surfaces:
-        own = f"{path}/{layout.names[placement.surface.name]}"
-        write_surface(stage, own, placement, row, physics=False, color=color)
-    for group in look.spheres:
-        # Of a set of bodies each has one of its own.
-        own_items = range(group.radii.shape[1]) if look.body.single else [item]
-        for number in own_items:
-            own = f"{path}/{layout.names[group.name]}_{number}"
-            radius = float(group.radii[row, number]) or small
-            _define_sphere(stage, own, radius, group.places[row, number], body_color(look.body) if color else None)
-    for form in look.forms:
-        own = f"{path}/{layout.names[form.shape.name]}"
+    # Of a set of bodies each has one sphere of its own.
+    spheres = {
+        f"{layout.names[group.name]}.{number}": (group, number)
+        for group in look.spheres
+        for number in (range(group.radii.shape[1]) if look.body.single else [item])
+    }
+    surfaces = {layout.names[placement.surface.name]: placement for placement in look.surfaces}
+    forms = {layout.names[form.shape.name]: form for form in look.forms}
+    # Elements keep their names; a sphere whose name one of them has gets another.
+    names = identifiers([*surfaces, *forms, *spheres])
+    for name, placement in surfaces.items():
+        write_surface(stage, f"{path}/{names[name]}", placement, row, physics=False, color=color)
+    for name, (group, number) in spheres.items():
+        radius = float(group.radii[row, number]) or small
+        shade = body_color(look.body) if color else None
+        _define_sphere(stage, f"{path}/{names[name]}", radius, group.places[row, number], shade)
+    for name, form in forms.items():
         number = 0 if form.shape.single else item
+        own = f"{path}/{names[name]}"
         write_form(stage, own, form, row, layout.size, item=number, physics=False, color=color)
     if not (look.surfaces or look.spheres or look.forms):
         _define_sphere(stage, f"{path}/centre", small, np.zeros(3), body_color(look.body) if color else None)

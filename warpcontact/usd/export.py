@@ -36,7 +36,8 @@ def export_usd(
     Args:
         recording: What ``Simulation.run`` returned, or the same data set loaded from a file.
         path: File to write, ``.usda`` (text), ``.usdc`` or ``.usd`` (binary), or ``.usdz`` (a package of one
-            binary file); replaced if it exists, once the new one is whole.
+            binary file); replaced if it exists, once the new one is whole, and with ``clip_frames`` removed
+            before its clips change.
         envs: Numbers of the environments with full physics, as in the coordinate ``env``; ``None``: the first 16.
         scene: What was simulated; ``None``: what the recording remembers.
         spacing: Distance along x and y between neighbouring environments on a grid [m], each with surfaces
@@ -48,7 +49,7 @@ def export_usd(
             recording with one number for each environment, or values with the coordinate ``env``, such as an
             outcome, or with ``time`` and ``env``. ``None``: the colours of the bodies.
         clip_frames: For long recordings: number of records of a value clip. The file then refers to a folder
-            beside it, ``<name>.clips``, with one file for so many records; these are written one after the
+            beside it, ``<file name>.clips``, with one file for so many records; these are written one after the
             other, with no more than that in memory, and an export that was interrupted goes on behind those that
             are whole. ``None``: one file.
         progress: Whether to show a progress bar; ``None``: on exports of over a second, in a terminal.
@@ -60,7 +61,7 @@ def export_usd(
         ValueError: If the suffix, an environment, the spacing, the scale or what colours is not allowed, the
             recording lacks its scene or the pose of a body, or a pose is not finite; the message names it.
         TypeError: If an argument is of another type.
-        OSError: If the file cannot be written; names it.
+        OSError: If the file cannot be written, or the folder of its clips is that of another; names it.
     """
     from tqdm import tqdm
 

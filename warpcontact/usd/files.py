@@ -44,6 +44,21 @@ def save_layer(layer: Any, path: Path) -> None:
         layer.Export(str(partial))
 
 
+def remove_file(path: Path) -> None:
+    """Removes a file if it is there, from the disk before anything that follows.
+
+    Raises:
+        OSError: If it cannot be removed; names it.
+    """
+    try:
+        path.unlink()
+        sync_folder(path.parent)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise OSError(f"cannot write {path}: {error.strerror or error}") from error
+
+
 def _save_package(stage: Any, path: Path) -> None:
     from pxr import Sdf, UsdUtils
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from warpcontact.checks import Array
 from warpcontact.replay.forms import FormPlacement
 from warpcontact.replay.surfaces import Placement
-from warpcontact.replay.swarms import Swarm
+from warpcontact.replay.swarms import CENTRES, Swarm
 from warpcontact.scene import Body
 
 WORLD = "/World"
@@ -15,8 +15,17 @@ PROTOTYPE = f"{WORLD}/Prototype"
 #: The class with meshes of surfaces that differ between environments.
 SHAPES = f"{WORLD}/Shapes"
 ENSEMBLE = f"{WORLD}/Ensemble"
-#: Children of an environment that no element may take the name of.
-RESERVED = ("contacts", "couplings", "joints", "FixedPoints", "PhysicsMaterials", "PhysicsScene", "Surfaces")
+#: Children of an environment, and of a body, that no element may take the name of.
+RESERVED = (
+    "contacts",
+    "couplings",
+    "joints",
+    "FixedPoints",
+    "PhysicsMaterials",
+    "PhysicsScene",
+    "Surfaces",
+    CENTRES,
+)
 
 
 @dataclass(frozen=True)
@@ -66,7 +75,7 @@ class Layout:
 
     def swarm(self, env: str, swarm: Swarm) -> str:
         """Returns the path of spheres or points on a set of bodies."""
-        return f"{self.body(env, swarm.body)}/{self.names.get(swarm.name, swarm.name)}"
+        return f"{self.body(env, swarm.body)}/{self.names[swarm.name] if swarm.contacts else CENTRES}"
 
     def surface(self, env: str, placement: Placement) -> str:
         """Returns the path of a surface in an environment."""

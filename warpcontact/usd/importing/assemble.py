@@ -214,14 +214,16 @@ def _tensor(moments: Array, axes: Array | None) -> Array:
 def names_of(paths: list[str]) -> list[str]:
     """Returns a name for each path of a prim: that of the prim, made valid and told apart by a number."""
     taken = {"scene"}
+    last: dict[str, int] = {}
     names = []
     for path in paths:
         text = re.sub(r"[^A-Za-z0-9_-]", "_", path.rpartition("/")[2])[:_LONGEST]
         name = base = text if re.match(r"[A-Za-z_]", text) else f"_{text}"
-        number = 1
+        number = last.get(base, 1)
         while name in taken:
             number += 1
             name = f"{base}_{number}"
+        last[base] = number
         taken.add(name)
         names.append(name)
     return names
