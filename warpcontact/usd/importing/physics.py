@@ -43,6 +43,14 @@ def read_physics(stage: Any, most_faces: int) -> dict[str, Any]:
     return _Reader(stage, most_faces).read()
 
 
+def read_gravity(stage: Any, scene: Any) -> Array:
+    """Returns the gravity (3,) that the prim of a physics scene says [m/s²]; NaN if it makes no sense."""
+    reader = _Reader(stage, 0)
+    reader.metres, reader.kilograms, reader.up = reader._units()
+    gravity = reader._gravity([scene])
+    return np.full(3, np.nan) if reader.findings.wrong else gravity
+
+
 class _Reader:
     """Reads one stage.
 
