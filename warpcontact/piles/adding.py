@@ -102,7 +102,8 @@ class MutualContacts:
         check_template(name, template, torsion_radius)
         if not isinstance(exclude, Iterable):
             raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {checks.element(exclude)}")
-        excluded = tuple(_pair(name, pair, given) for pair in exclude)
+        among = frozenset(given)
+        excluded = tuple(_pair(name, pair, among) for pair in exclude)
         if partners is not None and (
             isinstance(partners, bool) or not isinstance(partners, int | np.integer) or partners < 1
         ):
@@ -126,7 +127,7 @@ class MutualContacts:
         return contact
 
 
-def _pair(name: str, pair: Any, shapes: tuple[Shape, ...]) -> tuple[Shape, Shape]:
+def _pair(name: str, pair: Any, shapes: frozenset[Shape]) -> tuple[Shape, Shape]:
     if not isinstance(pair, list | tuple) or len(pair) != 2 or any(shape not in shapes for shape in pair):
         several = isinstance(pair, list | tuple)
         shown = f"({', '.join(map(checks.element, pair))})" if several else checks.element(pair)

@@ -22,6 +22,8 @@ def define_gravity(stage: Any, path: str, gravity: Array) -> None:
     direction = gravity / magnitude if magnitude > 0.0 else np.array([0.0, 0.0, -1.0])
     scene.CreateGravityDirectionAttr(Gf.Vec3f(*direction.tolist()))
     scene.CreateGravityMagnitudeAttr(magnitude)
+    # Readers of the description tell by it whether somebody changed these since.
+    scene.GetPrim().SetCustomDataByKey("warpcontact:gravity", Gf.Vec3d(*gravity.tolist()))
 
 
 def apply_rigid_body(prim: Any, body: Body, scene: str | None) -> None:

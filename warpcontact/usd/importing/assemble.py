@@ -16,7 +16,7 @@ from warpcontact.usd.importing.errors import StageError, shortened
 from warpcontact.usd.importing.findings import Unsupported, Wrong
 from warpcontact.usd.importing.forms import Part, part_of
 from warpcontact.usd.importing.solids import Weight
-from warpcontact.usd.importing.touching import NO_MATERIAL, Collider, Touching, pairs_of
+from warpcontact.usd.importing.touching import NO_MATERIAL, Collider, Touching
 
 #: Density where nothing says one [kg/m³].
 DENSITY = 1000.0
@@ -67,18 +67,17 @@ class _Assembly:
         scene = Scene(self.physics["gravity"])
         bodies: list[Body | None] = []
         centres = []
-        for number, (record, name) in enumerate(zip(self.physics["bodies"], self.body_names, strict=True)):
-            own = [
-                (collider, one)
-                for collider, one in zip(self.physics["colliders"], found, strict=True)
-                if collider["body"] == number and one is not None
-            ]
+        carried: list[list[tuple[dict[str, Any], Part]]] = [[] for _ in self.body_names]
+        for collider, part in zip(self.physics["colliders"], found, strict=True):
+            if collider["body"] >= 0 and part is not None:
+                carried[collider["body"]].append((collider, part))
+        for record, name, own in zip(self.physics["bodies"], self.body_names, carried, strict=True):
             made = self._tried(record, partial(self._body, scene, record, name, own))
             bodies.append(made)
             centres.append(np.zeros(3) if made is None else _local(record, made.position))
         self._refuse(subject, skip)
         colliders: list[Collider] = []
-        numbers: dict[int, int] = {}
+        numbers = np.full(len(found), -1)  # among those that are not left out
         for i, ((record, name), one) in enumerate(zip(self._named_colliders(), found, strict=True)):
             if one is None:
                 continue
@@ -89,8 +88,8 @@ class _Assembly:
         for one in colliders:
             self._tried({"path": one.path}, partial(one.add, scene))
         touching = Touching(scene, template, contact_time, samples)
-        apart = [(numbers[i], numbers[j]) for i, j in pairs_of(self.physics["apart"]) if {i, j} <= numbers.keys()]
-        self._tried({"path": "/"}, partial(touching.add, colliders, apart))
+        apart = numbers[self.physics["apart"]]
+        self._tried({"path": "/"}, partial(touching.add, colliders, apart[(apart >= 0).all(axis=1)]))
         self._refuse(subject, skip)
         bare = sum(record["material"] is None for record in self.physics["colliders"])
         if bare and template is None:
@@ -214,16 +213,14 @@ def _tensor(moments: Array, axes: Array | None) -> Array:
 def names_of(paths: list[str]) -> list[str]:
     """Returns a name for each path of a prim: that of the prim, made valid and told apart by a number."""
     taken = {"scene"}
-    last: dict[str, int] = {}
+    last: dict[str, int] = {}  # number given to each name that several have
     names = []
     for path in paths:
         text = re.sub(r"[^A-Za-z0-9_-]", "_", path.rpartition("/")[2])[:_LONGEST]
         name = base = text if re.match(r"[A-Za-z_]", text) else f"_{text}"
-        number = last.get(base, 1)
         while name in taken:
-            number += 1
-            name = f"{base}_{number}"
-        last[base] = number
+            last[base] = last.get(base, 1) + 1
+            name = f"{base}_{last[base]}"
         taken.add(name)
         names.append(name)
     return names

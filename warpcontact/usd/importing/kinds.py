@@ -50,19 +50,17 @@ def sorted_out(stage: Any, findings: Findings) -> Prims:
 
     prims, tuning, looks = Prims(), Counter[str](), 0
     instanced = _prototypes(stage)
-    walk = iter(_below(stage.GetPseudoRoot()))
+    walk = iter(below(stage.GetPseudoRoot()))
     for prim in walk:
         if prim.GetPath() in instanced or prim.IsA(UsdGeom.PointInstancer):
-            physical = next((one for one in _below(prim) if _is_physical(one)), None)
+            physical = next((one for one in below(prim) if _is_physical(one)), None)
             if physical is not None:
                 findings.pass_over(physical, "physics of a PointInstancer")
             walk.PruneChildren()
             continue
-        kind = str(prim.GetTypeName())
-        schemas = [str(name).partition(":")[0] for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
-        for reason in _reasons(prim, kind, schemas):
+        for reason in reasons(prim):
             findings.pass_over(prim, reason)
-        tuning.update(name for name in schemas if name.startswith(_FOREIGN) and _essence(name) is None)
+        tuning.update(name for name in _schemas(prim) if name.startswith(_FOREIGN) and _essence(name) is None)
         if prim.IsA(UsdPhysics.Scene):
             prims.scenes.append(prim)
         if prim.HasAPI(UsdPhysics.RigidBodyAPI):
@@ -75,7 +73,7 @@ def sorted_out(stage: Any, findings: Findings) -> Prims:
                 findings.remark(prim, "its collision is not enabled: it touches nothing and has no mass")
             elif prim.IsA(UsdGeom.Gprim):
                 prims.colliders.append(prim)
-            elif any(one.HasAPI(UsdPhysics.CollisionAPI) for one in list(_below(prim))[1:]):
+            elif any(one.HasAPI(UsdPhysics.CollisionAPI) for one in list(below(prim))[1:]):
                 findings.remark(prim, "it has no shape to collide with; those below it that collide are read")
             else:
                 kind = prim.GetTypeName() or "no type"
@@ -98,7 +96,7 @@ def _prototypes(stage: Any) -> set[Any]:
     return {path for one in instancers for path in one.GetPrototypesRel().GetForwardedTargets()}
 
 
-def _below(prim: Any) -> Any:
+def below(prim: Any) -> Any:
     """Returns a range of a prim and all below, those of instances as well."""
     from pxr import Usd
 
@@ -111,21 +109,27 @@ def _is_physical(prim: Any) -> bool:
     return prim.HasAPI(UsdPhysics.RigidBodyAPI) or prim.HasAPI(UsdPhysics.CollisionAPI)
 
 
-def _reasons(prim: Any, kind: str, schemas: list[str]) -> list[str]:
+def reasons(prim: Any) -> list[str]:
     """Returns why there is no counterpart for a prim, in words, if there is none."""
     from pxr import UsdPhysics
 
+    kind = str(prim.GetTypeName())
     if prim.IsA(UsdPhysics.Joint):
         return [f"a joint, {kind}"]
-    reasons = [f"{kind}, of another program"] if kind.startswith(_FOREIGN) else []
-    for name in schemas:
+    found = [f"{kind}, of another program"] if kind.startswith(_FOREIGN) else []
+    for name in _schemas(prim):
         if name == "PhysicsArticulationRootAPI":
-            reasons.append("an articulation")
+            found.append("an articulation")
         elif name.startswith("Physics") and name not in _READ:
-            reasons.append(f"{name}")
+            found.append(f"{name}")
         elif (essence := _essence(name)) is not None:
-            reasons.append(f"{essence}, {name}")
-    return reasons
+            found.append(f"{essence}, {name}")
+    return found
+
+
+def _schemas(prim: Any) -> list[str]:
+    """Returns the names of the applied schemas of a prim, without those of instances."""
+    return [str(name).partition(":")[0] for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
 
 
 def _essence(schema: str) -> str | None:

@@ -20,6 +20,8 @@ Array = npt.NDArray[np.float64]
 
 #: Gravity where a stage says none, or less than nothing [m/s²].
 GRAVITY = 9.81
+#: Most rigid bodies, and most colliders, of one stage.
+MOST = 50_000
 # Turns Y up into Z up.
 _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -34,8 +36,19 @@ def read_physics(stage: Any, most_faces: int) -> dict[str, Any]:
     Returns:
         ``gravity`` (3,) [m/s²]; ``bodies`` and ``colliders``, see ``_Reader``; ``apart``, pairs of numbers of
         colliders that do not touch (n, 2); and the ``Findings``.
+
+    Raises:
+        Unreadable: If it has too many rigid bodies or colliders.
     """
     return _Reader(stage, most_faces).read()
+
+
+def read_gravity(stage: Any, scene: Any) -> Array:
+    """Returns the gravity (3,) that the prim of a physics scene says [m/s²]; NaN if it makes no sense."""
+    reader = _Reader(stage, 0)
+    reader.metres, reader.kilograms, reader.up = reader._units()
+    gravity = reader._gravity([scene])
+    return np.full(3, np.nan) if reader.findings.wrong else gravity
 
 
 class _Reader:
@@ -66,6 +79,9 @@ class _Reader:
     def read(self) -> dict[str, Any]:
         self.metres, self.kilograms, self.up = self._units()
         prims = kinds.sorted_out(self.stage, self.findings)
+        for what, count in (("rigid bodies", len(prims.bodies)), ("colliders", len(prims.colliders))):
+            if count > MOST:
+                raise Unreadable(f"it has {count} {what}; allowed: {MOST}")
         bodies = [found for prim in prims.bodies if (found := self._tried(prim, self._body)) is not None]
         colliders = [found for prim in prims.colliders if (found := self._tried(prim, self._collider)) is not None]
         gravity = self._gravity(prims.scenes)

@@ -43,7 +43,11 @@ def scene_from_usd(
     subject = f"stage {shortened(path)!r}"
     found = _read(Path(path), subject, checks.switch("trusted", trusted), Limits() if limits is None else limits)
     if "description" in found:
-        return restored(found["description"], own, subject)
+        if found["additions"] and not skip:
+            raise StageError(subject, [f"{one} (not supported)" for one in found["additions"]])
+        scene = restored(found["description"], own, subject)
+        scene.remarks = tuple(f"left out: {one}" for one in found["additions"])
+        return scene
     return assembled(
         found["physics"],
         subject,

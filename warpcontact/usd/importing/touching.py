@@ -1,10 +1,8 @@
 """Which colliders touch, and by which contacts; ``docs/usd.md`` says the rules."""
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import islice
 from math import pi, sqrt
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +15,7 @@ from warpcontact.scene import Scene
 from warpcontact.smooth.elements import Shape
 from warpcontact.usd.importing.findings import Wrong
 from warpcontact.usd.importing.forms import Part
+from warpcontact.usd.importing.pairs import Numbers, loose, piles_of, within
 from warpcontact.usd.importing.together import share_of
 
 #: Friction and restitution where no physics material is bound.
@@ -121,40 +120,35 @@ class Touching:
         self.templates: dict[tuple[float, ...], Template] = {}
         self.remarks: list[str] = []
 
-    def add(self, colliders: list[Collider], apart: Iterable[tuple[int, int]]) -> None:
-        """Adds all contacts of colliders but for pairs, by number, that are kept apart."""
-        never = set(apart)
-        for pile in self._piles(colliders):
-            within = set(combinations(pile, 2))
-            self._add_pile([colliders[i] for i in pile], sorted(within & never), colliders)
-            never |= within
-        pairs = [
-            (one, other)
-            for (i, one), (j, other) in combinations(enumerate(colliders), 2)
-            if (one.moves or other.moves) and one.body is not other.body and (i, j) not in never
-        ]
+    def add(self, colliders: list[Collider], apart: Numbers) -> None:
+        """Adds all contacts of colliders.
+
+        Args:
+            colliders: The colliders.
+            apart: Pairs (n, 2) of their numbers that do not touch, the lower number first, ordered.
+        """
+        piles = piles_of([_pile_key(one) for one in colliders], PILE)
+        for number, exclude in enumerate(within(piles, apart)):
+            self._add_pile([colliders[i] for i in np.flatnonzero(piles == number)], exclude, colliders)
+        carriers: dict[Body | None, int] = {}
+        bodies = np.array([carriers.setdefault(one.body, len(carriers)) for one in colliders], dtype=np.int64)
+        moves = np.array([one.moves for one in colliders], dtype=bool)
+        pairs = list(islice(loose(bodies, moves, piles, apart), MOST_CONTACTS + 1))
         if len(pairs) > MOST_CONTACTS:
             raise Wrong(
-                f"{len(pairs)} pairs of colliders may touch; allowed: {MOST_CONTACTS}. Keep apart what does not "
-                "touch, with collision groups or filtered pairs"
+                f"more than {MOST_CONTACTS} pairs of colliders may touch; no more are allowed. Keep "
+                "apart what does not touch, with collision groups or filtered pairs"
             )
-        for one, other in pairs:
+        for i, j in pairs:
+            one, other = colliders[i], colliders[j]
             # What moves, and no half-space, is the first: normals point towards it.
             swap = (one.is_a(shapes.Plane), not one.moves) > (other.is_a(shapes.Plane), not other.moves)
             self._add_pair(*((other, one) if swap else (one, other)))
 
-    def _piles(self, colliders: list[Collider]) -> Iterator[list[int]]:
-        """Returns the numbers of spheres and capsules of one material, where they are many."""
-        alike: dict[tuple[float, ...], list[int]] = {}
-        for i, one in enumerate(colliders):
-            if one.moves and one.is_a(shapes.Sphere, shapes.Capsule):
-                alike.setdefault(tuple(one.material.values()), []).append(i)
-        return (numbers for numbers in alike.values() if len(numbers) > PILE)
-
-    def _add_pile(self, members: list[Collider], apart: list[tuple[int, int]], colliders: list[Collider]) -> None:
+    def _add_pile(self, members: list[Collider], apart: Numbers, colliders: list[Collider]) -> None:
         heaviest = max(members, key=lambda one: one.mass)
         template = self._template(heaviest, heaviest)
-        exclude = [(_shape(colliders[i]), _shape(colliders[j])) for i, j in apart]
+        exclude = [(_shape(colliders[i]), _shape(colliders[j])) for i, j in apart.tolist()]
         self.scene.add_mutual_contact([_shape(one) for one in members], template, exclude=exclude)
 
     def _add_pair(self, one: Collider, other: Collider) -> None:
@@ -218,6 +212,8 @@ def _shape(one: Collider) -> Shape:
     return one.shape
 
 
-def pairs_of(numbers: Any) -> list[tuple[int, int]]:
-    """Returns pairs (n, 2) of numbers as tuples."""
-    return [(int(i), int(j)) for i, j in np.asarray(numbers)]
+def _pile_key(one: Collider) -> tuple[float, ...] | None:
+    """Returns what spheres and capsules of a pile have in common; ``None``: it is in none."""
+    if one.moves and one.is_a(shapes.Sphere, shapes.Capsule):
+        return tuple(one.material.values())
+    return None

@@ -1,0 +1,149 @@
+"""Stages of ours that others went on with: what was added is refused with a list, or left out with a remark."""
+
+import described_scenes
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
+from usd_physics import BODY, body, prim, stage
+
+import warpcontact as wc
+
+GRAVITY = (0.0, 0.0, -3.7)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    scene = wc.Scene(gravity=GRAVITY)
+    plate = scene.add_shape(None, wc.shapes.Plane(), name="plate")
+    law = wc.laws.HuntCrossley(stiffness=1e4, restitution=0.7)
+    rubber = wc.Template(law=law, friction=wc.frictions.Tanh(mu=0.4))
+    ball = scene.add_body(0.5, (2e-4,) * 3, (0, 0, 0.3), name="ball-1", motion=wc.motions.Slider(axis=(0, 0, 1)))
+    scene.add_smooth_contact(scene.add_shape(ball, wc.shapes.Sphere(0.05), name="skin"), plate, rubber)
+    box = scene.add_body(1.0, (1e-2,) * 3, (1, 0, 0.3), name="box")
+    hull = scene.add_surface(wc.meshes.box((0.2, 0.2, 0.2)), body=box, name="hull")
+    floor = scene.add_surface(wc.meshes.grid((4.0, 4.0)), name="floor")
+    scene.add_surface_contact(hull, floor, rubber, samples="vertices")
+    scene.add_contact(scene.add_points(box, [(0, 0, 0), (0.1, 0, 0)]), floor, rubber, radius=0.05, name="pair")
+    return wc.Simulation(scene.build(2, "cpu"), dt=1e-4).run(2e-4)
+
+
+@pytest.fixture
+def path(recording, tmp_path):
+    return wc.export_usd(recording, tmp_path / "ours.usda")
+
+
+def edit(path, change):
+    """Changes the stage, and returns the problems of what it is then."""
+    opened = Usd.Stage.Open(str(path))
+    change(opened)
+    opened.GetRootLayer().Save()
+    with pytest.raises(wc.StageError) as raised:
+        wc.Scene.from_usd(path)
+    scene = wc.Scene.from_usd(path, skip_unsupported=True)
+    assert [one.name for one in scene.bodies] == ["ball-1", "box"]
+    assert len(scene.remarks) == len(raised.value.problems)
+    assert all(remark.startswith("left out: ") for remark in scene.remarks)
+    return raised.value.problems
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"spacing": (3.0, 0.0)}, {"clip_frames": 1}, {"envs": [1], "ensemble": True}]
+)
+def test_a_stage_that_nobody_changed_has_nothing_to_be_left_out(recording, tmp_path, options):
+    path = wc.export_usd(recording, tmp_path / "ours.usdc", **options)
+    assert wc.Scene.from_usd(path, trusted="clip_frames" in options).remarks == ()
+
+
+def test_a_stage_whose_environments_differ_has_nothing_to_be_left_out(tmp_path):
+    scene = described_scenes.touching()
+    model = scene.build(3, "cpu")
+    model["scene.gravity"] = np.linspace((0, 0, -1.0), (1, 0, -9.0), 3)
+    path = wc.export_usd(wc.Simulation(model, dt=1e-5).run(2e-5), tmp_path / "ours.usdc")
+    assert wc.Scene.from_usd(path).remarks == ()
+
+
+def added(opened, path):
+    prim = UsdGeom.Sphere.Define(opened, path).GetPrim()
+    UsdPhysics.RigidBodyAPI.Apply(prim)
+    UsdPhysics.CollisionAPI.Apply(prim)
+
+
+@pytest.mark.parametrize("place", ["/World/more", "/World/env_0/more", "/World/Surfaces/more", "/more"])
+def test_a_body_that_was_added_is_listed(path, place):
+    problems = edit(path, lambda opened: added(opened, place))
+    assert problems == tuple(
+        f"{place}: {what}, which the description does not have (not supported)"
+        for what in ("a rigid body", "a collider")
+    )
+
+
+def test_a_collider_that_was_added_to_a_body_is_listed(path):
+    def change(opened):
+        UsdPhysics.CollisionAPI.Apply(UsdGeom.Cube.Define(opened, "/World/env_1/box/bump").GetPrim())
+
+    (problem,) = edit(path, change)
+    assert problem.startswith("/World/env_1/box/bump: a collider")
+
+
+def test_a_copy_of_an_element_is_listed_under_whatever_name(path):
+    def change(opened):
+        layer = opened.GetRootLayer()
+        assert Sdf.CopySpec(layer, "/World/Prototype/box", layer, "/World/env_0/box_2")
+        assert Sdf.CopySpec(layer, "/World/Surfaces/floor", layer, "/World/env_0/ball_1/floor")
+
+    problems = edit(path, change)
+    assert {problem.partition(":")[0] for problem in problems} >= {
+        "/World/env_0/box_2",
+        "/World/env_0/box_2/hull",
+        "/World/env_0/ball_1/floor",
+    }
+
+
+def test_a_surface_that_was_made_a_body_and_a_joint_are_listed(path):
+    def change(opened):
+        UsdPhysics.RigidBodyAPI.Apply(opened.GetPrimAtPath("/World/Surfaces/floor"))
+        UsdPhysics.FixedJoint.Define(opened, "/World/env_0/joints/weld")
+
+    problems = edit(path, change)
+    assert [problem.partition(",")[0] for problem in sorted(problems)] == [
+        "/World/Surfaces/floor: a rigid body",
+        "/World/env_0/joints/weld: a joint",
+    ]
+
+
+@pytest.mark.parametrize("value", [9.81, 0.0, -1.0, float("nan")])
+def test_a_gravity_that_was_changed_is_listed(path, value):
+    def change(opened):
+        UsdPhysics.Scene(opened.GetPrimAtPath("/World/PhysicsScene")).GetGravityMagnitudeAttr().Set(value)
+
+    (problem,) = edit(path, change)
+    assert problem.startswith("/World/PhysicsScene: a gravity of [")
+
+
+def test_a_direction_of_gravity_that_was_changed_is_listed(path):
+    def change(opened):
+        scene = UsdPhysics.Scene(opened.GetPrimAtPath("/World/PhysicsScene"))
+        scene.GetGravityDirectionAttr().Set(Gf.Vec3f(1, 0, 0))
+
+    (problem,) = edit(path, change)
+    assert "a gravity of [3.7, 0.0, 0.0] m/s²" in problem
+
+
+def test_a_stage_that_refers_to_one_of_ours_among_other_bodies_lists_these(path, tmp_path):
+    ball = prim("Sphere", "other", BODY.replace("PhysicsMassAPI", "PhysicsCollisionAPI"), "double radius = 1")
+    outer = stage(tmp_path, prim("Xform", "run", "prepend references = @ours.usda@") + ball + body("third"))
+    with pytest.raises(wc.StageError) as raised:
+        wc.Scene.from_usd(outer)
+    assert {problem.partition(",")[0] for problem in raised.value.problems} == {
+        "/other: a rigid body",
+        "/other: a collider",
+        "/third: a rigid body",
+    }
+    assert len(wc.Scene.from_usd(outer, skip_unsupported=True).remarks) == 3
+
+
+def test_what_is_no_physics_may_be_added(path):
+    opened = Usd.Stage.Open(str(path))
+    UsdGeom.Sphere.Define(opened, "/World/env_0/ball_1/look")
+    opened.GetRootLayer().Save()
+    assert wc.Scene.from_usd(path).remarks == ()
