@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from warpcontact.hostile import shortened
+
 #: Longer texts are shortened; the whole is in their title, up to ``TITLE`` characters.
 SHORT = 60
 TITLE = 500
@@ -35,9 +37,8 @@ def escaped(value: Any) -> Markup:
 
 
 def short(value: Any, most: int = SHORT) -> str:
-    """Returns ``value`` as text, cut behind ``most`` characters."""
-    text = clean(value)
-    return text if len(text) <= most else f"{text[: most - 1]}…"
+    """Returns ``value`` as text of at most ``most`` characters."""
+    return shortened(clean(value), most)
 
 
 def element(tag: str, *content: Any, **attributes: Any) -> Markup:

@@ -11,6 +11,8 @@ import rich
 import viser
 from websockets.exceptions import ConnectionClosed
 
+from warpcontact import hostile
+
 HOST = "127.0.0.1"
 #: Names under which a browser finds it.
 LOCAL = (HOST, "localhost")
@@ -75,8 +77,7 @@ def is_own(host: str | None, origin: str | None) -> bool:
 
 def shortened(text: str, most: int = LONGEST) -> str:
     """Returns a text in one line of at most ``most`` characters."""
-    line = " ".join(text.split())
-    return line if len(line) <= most else f"{line[: most - 1]}…"
+    return hostile.shortened(hostile.in_one_line(text), most)
 
 
 def table(rows: Iterable[tuple[str, str]]) -> str:

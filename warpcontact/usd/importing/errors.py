@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable
 
+from warpcontact import hostile
+
 # So many problems are written out, and so many characters of each.
 _LISTED = 50
 _LENGTH = 600
@@ -27,7 +29,6 @@ class StageError(ValueError):
             )
 
 
-def shortened(text: object, length: int = 120) -> str:
-    """Returns a text in one line, its middle left out if it is longer than ``length``."""
-    line = " ".join(str(text).split())
-    return line if len(line) <= length else f"{line[: length // 2]}…{line[-length // 2 :]}"
+def shortened(text: object, most: int = 120) -> str:
+    """Returns a text in one line, its middle left out if it is longer than ``most``, for paths end in names."""
+    return hostile.shortened(hostile.in_one_line(text), most, middle=True)
