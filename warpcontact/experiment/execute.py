@@ -333,7 +333,8 @@ def _show(run: Run, job: Job) -> None:
     recording = run.recording
     usd_envs = min(settings.output.usd_envs, settings.envs)
     if usd_envs:
-        varied = (name for name in job.design.names if name in recording and recording[name].dims == ("env",))
-        animation = run.folder / files_of.ANIMATION
-        export_usd(recording, animation, envs=range(usd_envs), color_by=next(varied, None), progress=job.progress)
+        # All environments would take more than the run: whoever wants them exports them.
+        export_usd(
+            recording, run.folder / files_of.ANIMATION, envs=range(usd_envs), ensemble=False, progress=False
+        )
     write_picture(run.folder / files_of.PICTURE, recording, settings.name, list(job.design.names))
