@@ -183,6 +183,8 @@ def _curves(prim: Any) -> Iterator[str]:
     if not prim.IsA(UsdGeom.Curves):
         return
     curves = UsdGeom.Curves(prim)
+    if prim.IsAbstract() and not curves.GetPointsAttr().HasAuthoredValue():
+        return  # a class says what its curves have in common; where they are, who refers to it
     for where, (counts, points) in _together(curves.GetCurveVertexCountsAttr(), curves.GetPointsAttr()):
         total = np.array(counts, dtype=np.int64).sum()
         if total != len(points):
