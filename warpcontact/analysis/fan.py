@@ -7,14 +7,14 @@ import numpy as np
 import xarray as xr
 
 from warpcontact import checks
-from warpcontact.analysis.results import MISSING, Results, frozen, numbers, refuse, rest_of, variable
+from warpcontact.analysis.results import MISSING, Figures, frozen, numbers, refuse, rest_of, variable
 
 # Times are taken together up to this size of what they are computed from [bytes].
 BLOCK = 256 * 2**20
 
 
 def quantile_fan(
-    run: Results,
+    run: Figures,
     reading: str,
     quantiles: Sequence[float] = (0.05, 0.25, 0.5, 0.75, 0.95),
     *,

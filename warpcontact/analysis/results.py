@@ -17,18 +17,13 @@ MISSING = ("refuse", "drop")
 NAMED = 5
 
 
-class Results(Protocol):
-    """The results of an experiment.
+class Figures(Protocol):
+    """What was found, whatever was asked.
 
     Attributes:
-        settings: The experiment, with all defaults.
         outcome: Summaries (env, …) by name; ``status``, if it is there, tells by its flags which are frozen.
         series: Readings (time, env, …) by name.
     """
-
-    @property
-    def settings(self) -> Settings:
-        """The experiment, with all defaults."""
 
     @property
     def outcome(self) -> xr.Dataset:
@@ -37,6 +32,18 @@ class Results(Protocol):
     @property
     def series(self) -> xr.Dataset:
         """Readings (time, env, …) by name."""
+
+
+class Results(Figures, Protocol):
+    """The results of an experiment.
+
+    Attributes:
+        settings: The experiment, with all defaults.
+    """
+
+    @property
+    def settings(self) -> Settings:
+        """The experiment, with all defaults."""
 
 
 def variable(data: xr.Dataset, name: str, what: str, *dims: str) -> xr.DataArray:

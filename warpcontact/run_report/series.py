@@ -8,7 +8,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.analysis.fan import quantile_fan
-from warpcontact.experiment.schema import Settings
 from warpcontact.run_report import chart
 from warpcontact.run_report.columns import words_of
 from warpcontact.run_report.markup import Markup, element, joined, name
@@ -32,15 +31,10 @@ _LEFT_OUT = ("orientation", "point", "normal")
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """What an analysis takes from a run, of some environments and times; see ``analysis.results.Results``."""
+    """What a fan takes from a run, of some environments and times; see ``analysis.results.Figures``."""
 
     outcome: xr.Dataset
     series: xr.Dataset
-
-    @property
-    def settings(self) -> Settings:
-        """Not known of a sample."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
