@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
+from convex_pairs import heights
 from curved_pairs import Quadric, backward, meetings, random_rotations, rotated, signed_distance
+from scipy.ndimage import label
 from scipy.spatial import cKDTree
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.smooth import curved, shapes
@@ -19,6 +21,8 @@ SOLIDS = [
     S.Sphere(0.3), S.Plane(), S.Ellipsoid((0.5, 0.3, 0.2)), S.Capsule(0.15, 0.3), S.Cylinder(0.25, 0.3),
     S.RoundedBox((0.3, 0.25, 0.2), 0.05), S.Cone(0.3, 0.6), Torus(0.4, 0.1),
 ]  # fmt: skip
+# What the core of a ring can be deep in, and leave to two sides.
+PIERCED = (S.Ellipsoid, S.Cylinder, S.RoundedBox, S.Cone)
 names = {"ids": lambda shape: type(shape).__name__}
 
 
@@ -74,15 +78,55 @@ def check_ring(other, count, seed, device, angles=600):
 @pytest.mark.parametrize("other", SOLIDS, **names)
 def test_a_torus_meets_solids_where_its_core_circle_is_deepest(other, device):
     missed, _ = check_ring(other, 1000, 4, device)
-    # A tube that is pierced to its core at a rim has no facing normals there; see ring.py.
-    assert missed <= (1 if isinstance(other, S.Cylinder | S.Cone) else 0)
+    assert missed == 0
+
+
+def widest_way(other, x, q, columns=96, rows=48):
+    """The gap of a torus and a convex body that its core pierces, by a grid of directions, of support functions.
+
+    The larger of two: that of the hull, the largest over all directions, and that of the ring around the body. Of
+    the latter the least level below which a path of cells leads from pole to pole.
+    """
+    angle = 2.0 * np.pi * np.arange(columns)[:, None] / columns
+    up = np.pi * ((np.arange(rows) + 0.5) / rows - 0.5)
+    level = np.cos(up) + 0.0 * angle
+    own = np.stack([level * np.cos(angle), level * np.sin(angle), np.sin(up) + 0.0 * angle], axis=-1)
+    n = rotated(q, own)
+    values = {name: np.array([value]) for name, value in other.parameters().items()}
+    between = n @ x - heights(type(other), values, n.reshape(1, -1, 3)).reshape(columns, rows)
+    hull = (between - RING.major_radius * level).max()
+    around = between + RING.major_radius * level
+    low, high = around.min(), around.max()
+    while high - low > 1e-5:
+        middle = 0.5 * (low + high)
+        # Three times around, so that paths cross where columns begin.
+        cells, _ = label(np.tile(around < middle, (3, 1)))
+        joined = (np.intersect1d(cells[:, 0], cells[:, -1]) > 0).any()
+        low, high = (low, middle) if joined else (middle, high)
+    return max(hull, low) - RING.minor_radius
+
+
+@pytest.mark.parametrize("other", [shape for shape in SOLIDS if type(shape) in PIERCED], **names)
+def test_a_ring_that_a_body_pierces_leaves_it_on_the_shortest_way(other, device):
+    x, q, least = ring_case(other, 2000, 11)
+    met = meetings(RING, other, x, q, device)
+    # Deep in a box, a loop of directions may lie nearer to the axis of the ring than is looked: it is told.
+    good = met["status"] == MET
+    assert (~good).sum() <= (1 if isinstance(other, S.RoundedBox) else 0)
+    check_facing(met[good], RING, other, x[good], q[good])
+    # Where the way to the core's deepest place is not across the tube, the contact is another one.
+    pierced = np.flatnonzero(good & (met["gap"] < least - 3e-3))[:40]
+    assert len(pierced) == 40
+    grid = [widest_way(other, x[i], q[i]) for i in pierced]
+    # Cells are 0.065 apart: of an edge of g, as steep as the body is wide, half of that is missed.
+    np.testing.assert_allclose(met["gap"][pierced], grid, atol=0.012)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("other", SOLIDS, **names)
 def test_a_hundred_thousand_tori(other, device):
-    missed, wanted = check_ring(other, 100_000, 5, device, angles=150)
-    assert missed <= (2e-3 if isinstance(other, S.Cylinder | S.Cone) else 1e-5) * wanted
+    missed, _ = check_ring(other, 100_000, 5, device, angles=150)
+    assert missed <= 1e-5 * 100_000
 
 
 def test_the_order_of_a_pair_does_not_matter(device):
@@ -90,12 +134,10 @@ def test_the_order_of_a_pair_does_not_matter(device):
     one = meetings(RING, SOLIDS[2], x, q, device)
     other = meetings(SOLIDS[2], RING, rotated(backward(q), -x), backward(q), device)
     np.testing.assert_array_equal(other["status"], one["status"])
-    # Where no contact was found there is nothing to compare.
-    met = one["status"] == MET
-    assert met.mean() > 0.9
-    np.testing.assert_allclose(other["gap"][met], one["gap"][met], atol=1e-12)
-    np.testing.assert_allclose((rotated(q, other["point_a"]) + x)[met], one["point_b"][met], atol=1e-9)
-    np.testing.assert_allclose(rotated(q, other["normal"])[met], -one["normal"][met], atol=1e-9)
+    assert (one["status"] == MET).all()
+    np.testing.assert_allclose(other["gap"], one["gap"], atol=1e-12)
+    np.testing.assert_allclose(rotated(q, other["point_a"]) + x, one["point_b"], atol=1e-9)
+    np.testing.assert_allclose(rotated(q, other["normal"]), -one["normal"], atol=1e-9)
 
 
 def test_a_ball_lies_in_the_hole(device):

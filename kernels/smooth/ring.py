@@ -7,9 +7,8 @@ function, f + ½ R θ² is convex: two neighbouring values and slopes bound f fr
 lie lower than the least value known is looked at closely.
 
 Where f has a kink at its least value, the way out of the other shape is as short to two sides, and neither is
-across the tube. Behind a sharp edge, or where the tube pierces a thin part, the contact is then the one whose
-normal lies between the two, across the tube: the circle's farthest point and the shape's are sought from there by
-Newton's method. Where that leads nowhere, no pair of points has facing normals, and this is reported.
+across the tube. Of a convex body the ring then leaves on the shorter of two ways: as a whole, like its convex
+hull, or around the body, which stays in its hole (``threaded.py``).
 """
 
 import functools
@@ -17,8 +16,12 @@ import math
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Meeting, Nearest, Shape
+from warpcontact.kernels.formula import coefficient_struct
+from warpcontact.kernels.smooth import convex, threaded
+from warpcontact.kernels.smooth.base import ON_AXIS, Meeting, Nearest, Seed, Shape
+from warpcontact.kernels.smooth.hull import Hull
 from warpcontact.kernels.smooth.nearest import nearest
+from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED
 
@@ -39,12 +42,8 @@ ALLOWED = wp.constant(real(1.0e-9))
 STEPS = wp.constant(wp.int32(60))
 # A bracket this narrow is a point of the circle [rad].
 NARROW = wp.constant(real(1.0e-15))
-# How far to the side differences are taken [rad], and steps of Newton's method from a kink.
-ASIDE = wp.constant(real(1.0e-6))
-TURNS = wp.constant(wp.int32(30))
-HALVINGS = wp.constant(wp.int32(30))
-# Of the tangential distance of the two points, over R.
-GOAL = wp.constant(real(1.0e-14))
+# How near to the axis a loop is looked for that the grid does not see [rad].
+BESIDE = wp.constant(real(0.03))
 
 
 @wp.struct
@@ -61,7 +60,12 @@ class Seen:
 def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
     """Returns the device function of a torus and a closed shape; arguments as in ``meet.py``."""
     of_place = nearest(B)
-    rounded = B.convex and hasattr(B, "support")
+    convex_b = B.convex and B is not Plane
+    around_hull = threaded_on = next_to = Of_hull = None
+    if convex_b:
+        of_body = threaded.functions(B)
+        around_hull, threaded_on, next_to = convex.meet(Hull, B), of_body.threaded, of_body.follow
+        Of_hull = coefficient_struct(Hull, real)
     places = wp.constant(wp.int32(PLACES))
     parts = wp.constant(wp.int32(PARTS))
     Values = wp.types.vector(PLACES, real)
@@ -127,59 +131,32 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         return least - half * radius * width * width
 
     @wp.func
-    def beside(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, near: vec3d):
-        """The place of the circle with the tube's normal along n, of two the one by ``near``, from the shape's."""
-        n_A = wp.quat_rotate_inv(q, n)
-        level = wp.normalize(vec3d(n_A[0], n_A[1], zero))
-        center = x + wp.quat_rotate(q, p_a.major_radius * level)
-        other = x - wp.quat_rotate(q, p_a.major_radius * level)
-        if wp.length(other - near) < wp.length(center - near):
-            center = other
-        point = B.support(p_b, n)
-        return center, point, center - point - wp.dot(center - point, n) * n
-
-    @wp.func
-    def squeezed(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, kink: Seen):
-        """The contact from a kink on, as far as there is one; its residual says so."""
-        before = seen(p_a, p_b, x, q, kink.angle - ASIDE)
-        after = seen(p_a, p_b, x, q, kink.angle + ASIDE)
-        n = after.slope * before.near.normal - before.slope * after.near.normal
-        met = Meeting()
-        met.residual = one
-        if wp.length(n) < ASIDE:
-            return met
-        n = wp.normalize(n)
-        center, point, off = beside(p_a, p_b, x, q, n, kink.center)
-        for _i in range(TURNS):
-            if wp.length(off) <= GOAL * p_a.major_radius:
-                break
-            t_1 = wp.normalize(wp.cross(n, vec3d(n[1], n[2], n[0])))
-            t_2 = wp.cross(n, t_1)
-            _c_1, _p_1, off_1 = beside(p_a, p_b, x, q, wp.normalize(n + ASIDE * t_1), kink.center)
-            _c_2, _p_2, off_2 = beside(p_a, p_b, x, q, wp.normalize(n + ASIDE * t_2), kink.center)
-            by_1 = (off_1 - off) / ASIDE
-            by_2 = (off_2 - off) / ASIDE
-            J = wp.mat22d(wp.dot(by_1, t_1), wp.dot(by_2, t_1), wp.dot(by_1, t_2), wp.dot(by_2, t_2))
-            step = -(wp.inverse(J) * wp.vec2d(wp.dot(off, t_1), wp.dot(off, t_2)))
-            going = wp.bool(False)
-            for _j in range(HALVINGS):
-                turned = wp.normalize(n + step[0] * t_1 + step[1] * t_2)
-                c_now, p_now, off_now = beside(p_a, p_b, x, q, turned, kink.center)
-                if wp.length(off_now) < wp.length(off):
-                    n = turned
-                    center = c_now
-                    point = p_now
-                    off = off_now
-                    going = wp.bool(True)
-                    break
-                step = half * step
-            if not going:
-                break
-        met.normal = n
-        met.gap = wp.dot(n, center - point) - p_a.minor_radius
-        met.point_b = point
-        met.point_a = center - p_a.minor_radius * n
-        met.residual = wp.length(off) / p_a.major_radius
+    def apart(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, deepest: real, iterations: wp.int32):
+        """Where a torus and a convex body meet that the core circle runs deep in, as ``deepest`` says."""
+        # Each loop passes the azimuth of that place, so there is none above; if it is the deepest indeed.
+        most = deepest + ALLOWED * p_a.major_radius
+        p_hull = Of_hull()
+        p_hull.major_radius = p_a.major_radius
+        p_hull.minor_radius = p_a.minor_radius
+        met = around_hull(p_hull, p_b, x, q, Seed())
+        met.iterations += iterations
+        if met.status == MET:
+            # The flat side of the hull is none of the ring's: within it the body comes out of the hole.
+            n_A = wp.quat_rotate_inv(q, met.normal)
+            flat = wp.length(wp.vec2d(n_A[0], n_A[1])) <= ON_AXIS
+            least = met.gap + p_a.minor_radius
+            loop, found = threaded_on(p_a, p_b, x, q, least, most)
+            if flat and not found:
+                # Its loop is so near around the axis that the grid does not see it.
+                met.residual = one
+                loop, found = next_to(p_a, p_b, x, q, met.normal, least, most, BESIDE)
+                found = found and loop.gap > least
+            if found:
+                met.normal = loop.normal
+                met.gap = loop.gap - p_a.minor_radius
+                met.point_b = loop.point
+                met.point_a = loop.center - p_a.minor_radius * loop.normal
+                met.residual = wp.length(loop.off) / p_a.major_radius
         return met
 
     @wp.func
@@ -218,17 +195,11 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         met.point_a = best.center - p_a.minor_radius * met.normal
         met.iterations = iterations
         met.residual = wp.abs(best.slope)
-        if wp.static(rounded):  # noqa: SIM102  a static branch
+        if wp.static(convex_b):  # noqa: SIM102  a static branch
             if met.residual > ALLOWED:
-                between = squeezed(p_a, p_b, x, q, best)
-                # Across the tube the way out is longer than the shortest; another contact is not meant.
-                if between.residual <= ALLOWED and between.gap <= met.gap:
-                    met.normal = between.normal
-                    met.gap = between.gap
-                    met.point_a = between.point_a
-                    met.point_b = between.point_b
-                    met.residual = between.residual
-        met.status = wp.where(met.residual <= ALLOWED, MET, NOT_CONVERGED)
+                met = apart(p_a, p_b, x, q, best.near.gap, iterations)
+        if met.residual > ALLOWED:
+            met.status = NOT_CONVERGED
         met.seed.normal = met.normal
         met.seed.known = 1
         return met
