@@ -23,6 +23,7 @@ ENV_CROSSED = 3  # a point crossed a surface in this step, which is to be taken 
 ENV_WAITING = 4  # has taken this step, while others take it again
 ENV_HALTED = 5  # a stop condition holds at the state that this step would begin from
 ENV_STOPPED = 6  # held at that state
+ENV_RESTING = 7  # this step would change nothing, and is left out
 
 # Why an environment was frozen.
 NO_CAUSE = 0

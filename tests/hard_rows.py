@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.types import WORLD, Work, structs
+from warpcontact.kernels.types import WORLD, Work
 from warpcontact.kernels.unilateral import accelerated, gauss_seidel
 from warpcontact.kernels.unilateral.impulses import change_struct
-from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 
 SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
 #: Where they run.
@@ -67,10 +67,16 @@ class Step:
         self.inverse = np.array([_inverse(m) for m in inverse_masses])
         self.velocity = np.array([np.concatenate(v) for v in velocities], float)
         self.rows = rows
+        self.still = False  # whether nothing moved before the step
 
     @property
     def rolls(self):
         return any(row.rolling or row.spinning for row in self.rows)
+
+    def guess(self, impulses):
+        """Takes impulses as the guess."""
+        for row, impulse in zip(self.rows, impulses, strict=True):
+            row.impulse = impulse
 
     def jacobian(self):
         """H (3 × rows, 6 × bodies): relative velocities in contact axes are H v."""
@@ -149,32 +155,39 @@ class Step:
         return Result(arrays, len(self.rows))
 
     def arrays(self, real, envs):
-        r, t = row_structs(real), structs(real)
-        kind = wp.dtype_to_numpy(real)
-        rows, moving, outcome = r.Rows(), r.Moving(), r.Outcome()
+        r = row_structs(real)
+        outcome = r.Outcome()
 
-        def put(owner, name, values, dtype):
-            values = np.asarray(values, np.int32 if dtype == wp.int32 else kind)
-            tiled = np.repeat(values[None], envs, axis=0)
-            setattr(owner, name, wp.array(tiled, dtype=dtype, device=DEVICE))
+        def records(struct, values):
+            """The same records, by name, in every environment."""
+            made = np.zeros((envs, len(next(iter(values.values())))), dtype=struct.numpy_dtype())
+            for name in made.dtype.names:
+                if name in values:
+                    made[name] = np.asarray(values[name])
+            return wp.array(made, dtype=struct, device=DEVICE)
 
         # One more than there are, which is not to be looked at.
         spare = Row(9999, 9999, *(np.full(3, np.nan),) * 3, *(np.nan,) * 4, *(np.full(3, np.nan),) * 2)
         every = [*self.rows, spare]
-        put(rows, "contact", range(len(every)), wp.int32)
-        put(rows, "body_1", [row.first for row in every], wp.int32)
-        put(rows, "body_2", [row.second for row in every], wp.int32)
-        for name in ("arm_1", "arm_2", "normal", "impulse", "couple"):
-            put(rows, name, [getattr(row, name) for row in every], t.vec3)
-        for name in ("mu", "rolling", "spinning", "bounce"):
-            put(rows, name, [getattr(row, name) for row in every], real)
-        put(rows, "recovery", [0.0] * len(every), real)
-        put(moving, "linear", self.velocity[:, :3], t.vec3)
-        put(moving, "angular", self.velocity[:, 3:], t.vec3)
-        put(moving, "inverse_mass", self.inverse[:, 0, 0], real)
-        put(moving, "by_force", self.inverse[:, :3, :3], t.mat33)
-        put(moving, "across", self.inverse[:, :3, 3:], t.mat33)
-        put(moving, "by_torque", self.inverse[:, 3:, 3:], t.mat33)
+        values = {
+            name: [getattr(row, name) for row in every] for name in vars(spare) if name not in ("first", "second")
+        }
+        values |= {
+            "contact": range(len(every)),
+            "body_1": [row.first for row in every],
+            "body_2": [row.second for row in every],
+        }
+        rows = records(r.Row, values)
+        values = {
+            "linear": self.velocity[:, :3],
+            "angular": self.velocity[:, 3:],
+            "inverse_mass": self.inverse[:, 0, 0],
+            "by_force": self.inverse[:, :3, :3],
+            "across": self.inverse[:, :3, 3:],
+            "by_torque": self.inverse[:, 3:, 3:],
+            "still": [self.still] * len(self.inverse),
+        }
+        moving = records(moving_struct(real, self.moves), values)
         outcome.count = wp.full(envs, len(self.rows), dtype=wp.int32, device=DEVICE)
         outcome.slack = wp.zeros(envs, dtype=real, device=DEVICE)
         outcome.residual = wp.full(envs, -1.0, dtype=real, device=DEVICE)
@@ -187,9 +200,9 @@ def launch(solver, arrays, real, moves, rolls, tolerance, iterations, status, ch
     """Runs a solver once on all environments; returns what it leaves of changes."""
     rows, moving, outcome = arrays
     module = SOLVERS[solver]
-    scratch = _zeros(module.scratch(real, rolls), rows.body_1.shape)
+    scratch = wp.zeros(rows.shape, dtype=module.scratch(real, rolls), device=DEVICE)
     if change is None:
-        change = _zeros(change_struct(real), moving.linear.shape)
+        change = wp.zeros(moving.shape, dtype=change_struct(real), device=DEVICE)
     kernel = module.kernel(real, moves, rolls, **options)
     work = Work()
     work.first, work.items, work.tasks = 0, 1, len(status)
@@ -206,19 +219,12 @@ class Result:
     def __init__(self, arrays, count):
         rows, moving, outcome = arrays
         self.arrays = arrays
-        self.impulse = rows.impulse.numpy()[-1, :count].astype(float)
-        self.couple = rows.couple.numpy()[-1, :count].astype(float)
-        self.velocity = np.concatenate([moving.linear.numpy()[-1], moving.angular.numpy()[-1]], -1).astype(float)
+        row, body = rows.numpy()[-1, :count], moving.numpy()[-1]
+        self.impulse, self.couple = row["impulse"].astype(float), row["couple"].astype(float)
+        self.velocity = np.concatenate([body["linear"], body["angular"]], -1).astype(float)
         self.residual = float(outcome.residual.numpy()[-1])
         self.iterations = int(outcome.iterations.numpy()[-1])
         self.converged = bool(outcome.converged.numpy()[-1] == 1)
-
-
-def _zeros(struct, shape):
-    instance = struct()
-    for name, variable in struct.vars.items():
-        setattr(instance, name, wp.zeros(shape, dtype=variable.type.dtype, device=DEVICE))
-    return instance
 
 
 def _inverse(given):

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
 from warpcontact.kernels.unilateral import begin, impulses, relative
-from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 
 # Iterations that may pass without a smaller residual where that is of the size of rounding.
 PATIENCE = 100
@@ -21,7 +21,7 @@ PATIENCE = 100
 
 @functools.cache
 def scratch(real: type, rolls: bool) -> type:
-    """Returns the struct of what a solve keeps of a row; declare it [env, row], as records.
+    """Returns the struct of what a solve keeps of a row.
 
     Of couples there is what they are over an arm, so that they count as impulses do, and of angular velocities
     what they are times that arm.
@@ -30,24 +30,23 @@ def scratch(real: type, rolls: bool) -> type:
 
     @wp.struct
     class Scratch:
-        rho: wp.array2d(dtype=real)  # [kg]
-        scale: wp.array2d(dtype=real)  # (ρ V)², see ``begin`` [N²·s²]
-        free: wp.array2d(dtype=vec3)  # q, W [m/s]
-        before: wp.array2d(dtype=vec3)  # impulse of the iteration before, W [N·s]
-        trial: wp.array2d(dtype=vec3)  # where momentum leads, W [N·s]
-        moved: wp.array2d(dtype=vec3)  # w, W [m/s]
-        moved_before: wp.array2d(dtype=vec3)  # that of the iteration before
-        moved_trial: wp.array2d(dtype=vec3)  # that where momentum leads
-        best: wp.array2d(dtype=vec3)  # impulse of the least residual, W [N·s]
+        rho: real  # [kg]
+        free: vec3  # q, W [m/s]
+        before: vec3  # impulse of the iteration before, W [N·s]
+        trial: vec3  # where momentum leads, W [N·s]
+        moved: vec3  # w, W [m/s]
+        moved_before: vec3  # that of the iteration before
+        moved_trial: vec3  # that where momentum leads
+        best: vec3  # impulse of the least residual, W [N·s]
         if rolls:
-            arm: wp.array2d(dtype=real)  # at which a force turns as easily as it pushes [m]
-            turning_free: wp.array2d(dtype=vec3)
-            couple_before: wp.array2d(dtype=vec3)
-            couple_trial: wp.array2d(dtype=vec3)
-            turned: wp.array2d(dtype=vec3)
-            turned_before: wp.array2d(dtype=vec3)
-            turned_trial: wp.array2d(dtype=vec3)
-            couple_best: wp.array2d(dtype=vec3)
+            arm: real  # at which a force turns as easily as it pushes [m]
+            turning_free: vec3
+            couple_before: vec3
+            couple_trial: vec3
+            turned: vec3
+            turned_before: vec3
+            turned_trial: vec3
+            couple_best: vec3
 
     return Scratch
 
@@ -69,10 +68,13 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
     t = structs(real)
     vec3 = t.vec3
     r = row_structs(real)
-    Rows, Moving, Outcome = r.Rows, r.Moving, r.Outcome
-    Change, Scratch = impulses.change_struct(real), scratch(real, rolls)
+    Rows, Outcome = r.Rows, r.Outcome
+    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    Change = wp.array2d(dtype=impulses.change_struct(real))
+    Scratch = wp.array2d(dtype=scratch(real, rolls))
     f = impulses.functions(real, moves)
-    spin, changed_at, push = relative.functions(real).spin, f.changed_at, f.push
+    spin_after, spin_changed = relative.functions(real, moves).spin_after, f.spin_changed
+    changed_at, push = f.changed_at, f.push
     turning_ease, in_cone, in_discs = f.turning_ease, f.in_cone, f.in_discs
     off_squared, pressing = f.off_squared, f.pressing
     first = begin.functions(real, moves, rolls)
@@ -106,9 +108,9 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                 if outcome.converged[env] == 1:
                     continue
                 done = outcome.iterations[env]
-                for body in range(change.linear.shape[1]):
-                    moving.linear[env, body] = moving.linear[env, body] - change.linear[env, body]
-                    moving.angular[env, body] = moving.angular[env, body] - change.angular[env, body]
+                for body in range(change.shape[1]):
+                    moving[env, body].linear = moving[env, body].linear - change[env, body].linear
+                    moving[env, body].angular = moving[env, body].angular - change[env, body].angular
             count = outcome.count[env]
             if count == 0:
                 outcome.residual[env] = zero
@@ -116,35 +118,33 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                 outcome.converged[env] = 1
                 continue
 
-            for body in range(change.linear.shape[1]):
-                change.linear[env, body] = vec3()
-                change.angular[env, body] = vec3()
-                change.speed_squared[env, body] = zero
+            for body in range(change.shape[1]):
+                change[env, body].linear = vec3()
+                change[env, body].angular = vec3()
+                change[env, body].speed_squared = zero
             finite = zero  # only if all terms are
             for row in range(count):
                 free, rho, trace, size = begin_row(rows, moving, change, env, row, tolerance)
                 finite += size
-                scratch.rho[env, row] = rho
-                scratch.free[env, row] = free
-                scratch.before[env, row] = rows.impulse[env, row]
+                scratch[env, row].rho = rho
+                scratch[env, row].free = free
+                scratch[env, row].before = rows[env, row].impulse
                 if wp.static(rolls):
-                    one_body = rows.body_1[env, row]
-                    other = rows.body_2[env, row]
+                    one_body = rows[env, row].body_1
+                    other = rows[env, row].body_2
                     turning_trace = turning_ease(moving, env, one_body) + turning_ease(moving, env, other)
                     arm = zero
                     if turning_trace > zero and rho > zero:
                         arm = wp.sqrt(trace / turning_trace)
-                        scratch.couple_before[env, row] = rows.couple[env, row] / arm
-                    scratch.arm[env, row] = arm
-                    scratch.turning_free[env, row] = arm * spin(moving.angular, env, one_body, other)
+                        scratch[env, row].couple_before = rows[env, row].couple / arm
+                    scratch[env, row].arm = arm
+                    scratch[env, row].turning_free = arm * spin_after(moving, env, one_body, other)
             if not wp.isfinite(finite):
                 outcome.residual[env] = finite
                 outcome.iterations[env] = 0
                 outcome.converged[env] = 0
                 continue
             spread(rows, change, env, count)
-            for row in range(count):
-                scratch.scale[env, row] = scale_of(rows, change, env, row, scratch.rho[env, row])
 
             goal = tolerance * tolerance
             length = one  # of a step, over rho
@@ -161,48 +161,48 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                 gone = zero
                 uphill = zero
                 for row in range(count):
-                    one_body = rows.body_1[env, row]
-                    other = rows.body_2[env, row]
-                    n = rows.normal[env, row]
-                    mu = rows.mu[env, row]
-                    rho = scratch.rho[env, row]
-                    impulse = rows.impulse[env, row]
-                    w = scratch.free[env, row] + changed_at(change, env, one_body, rows.arm_1[env, row])
-                    w -= changed_at(change, env, other, rows.arm_2[env, row])
-                    scratch.moved[env, row] = w
-                    scale = wp.max(scratch.scale[env, row], wp.length_sq(impulse))
+                    one_body = rows[env, row].body_1
+                    other = rows[env, row].body_2
+                    n = rows[env, row].normal
+                    mu = rows[env, row].mu
+                    rho = scratch[env, row].rho
+                    impulse = rows[env, row].impulse
+                    w = scratch[env, row].free + changed_at(change, env, one_body, rows[env, row].arm_1)
+                    w -= changed_at(change, env, other, rows[env, row].arm_2)
+                    scratch[env, row].moved = w
+                    scale = wp.max(scale_of(change, env, one_body, other, rho), wp.length_sq(impulse))
                     worst = wp.max(worst, off_squared(impulse, w, n, mu, rho) / scale)
-                    step = impulse - scratch.trial[env, row]
-                    trial_w = scratch.moved_trial[env, row]
+                    step = impulse - scratch[env, row].trial
+                    trial_w = scratch[env, row].moved_trial
                     if rho > zero and steps > 0:
                         bent += wp.dot(step, w - trial_w)
                         gone += wp.length_sq(step) / rho
                         w_n = wp.dot(trial_w, n)
                         lifted = trial_w + mu * wp.length(trial_w - w_n * n) * n
-                        uphill += wp.dot(lifted, impulse - scratch.before[env, row])
+                        uphill += wp.dot(lifted, impulse - scratch[env, row].before)
                     if wp.static(rolls):
-                        arm = scratch.arm[env, row]
+                        arm = scratch[env, row].arm
                         if arm > zero:
-                            turning = scratch.turning_free[env, row] + arm * spin(
-                                change.angular, env, one_body, other
+                            turning = scratch[env, row].turning_free + arm * spin_changed(
+                                change, env, one_body, other
                             )
-                            scratch.turned[env, row] = turning
-                            couple = rows.couple[env, row] / arm
+                            scratch[env, row].turned = turning
+                            couple = rows[env, row].couple / arm
                             pressed = wp.max(wp.dot(impulse, n), zero) / arm
-                            rolling = rows.rolling[env, row]
-                            spinning = rows.spinning[env, row]
+                            rolling = rows[env, row].rolling
+                            spinning = rows[env, row].spinning
                             law = in_discs(couple - rho * turning, n, rolling * pressed, spinning * pressed)
                             worst = wp.max(worst, wp.length_sq(law - couple) / scale)
                             if steps > 0:
-                                step = couple - scratch.couple_trial[env, row]
-                                trial_turning = scratch.turned_trial[env, row]
+                                step = couple - scratch[env, row].couple_trial
+                                trial_turning = scratch[env, row].turned_trial
                                 bent += wp.dot(step, turning - trial_turning)
                                 gone += wp.length_sq(step) / rho
                                 along = wp.dot(trial_turning, n)
                                 lift = rolling * wp.length(trial_turning - along * n) + spinning * wp.abs(along)
-                                moved_on = impulse - scratch.before[env, row]
+                                moved_on = impulse - scratch[env, row].before
                                 uphill += lift / arm * wp.dot(moved_on, n)
-                                uphill += wp.dot(trial_turning, couple - scratch.couple_before[env, row])
+                                uphill += wp.dot(trial_turning, couple - scratch[env, row].couple_before)
                 if worst <= goal:
                     break
                 waited += 1
@@ -210,9 +210,9 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                     least = worst
                     waited = 0
                     for row in range(count):
-                        scratch.best[env, row] = rows.impulse[env, row]
+                        scratch[env, row].best = rows[env, row].impulse
                         if wp.static(rolls):
-                            scratch.couple_best[env, row] = rows.couple[env, row]
+                            scratch[env, row].couple_best = rows[env, row].couple
                 if steps >= iterations or (waited >= PATIENCE and least < ROUNDING * ROUNDING):
                     break
 
@@ -226,43 +226,43 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                 beta = theta * (one - theta) / (theta * theta + theta_next)
                 theta = theta_next
                 for row in range(count):
-                    rho = scratch.rho[env, row]
+                    rho = scratch[env, row].rho
                     if rho > zero:
-                        one_body = rows.body_1[env, row]
-                        other = rows.body_2[env, row]
-                        n = rows.normal[env, row]
-                        mu = rows.mu[env, row]
-                        impulse = rows.impulse[env, row]
-                        w = scratch.moved[env, row]
+                        one_body = rows[env, row].body_1
+                        other = rows[env, row].body_2
+                        n = rows[env, row].normal
+                        mu = rows[env, row].mu
+                        impulse = rows[env, row].impulse
+                        w = scratch[env, row].moved
                         trial = impulse
                         trial_w = w
                         if beta > zero:
-                            trial += beta * (impulse - scratch.before[env, row])
-                            trial_w += beta * (w - scratch.moved_before[env, row])
-                        scratch.before[env, row] = impulse
-                        scratch.moved_before[env, row] = w
-                        scratch.trial[env, row] = trial
-                        scratch.moved_trial[env, row] = trial_w
+                            trial += beta * (impulse - scratch[env, row].before)
+                            trial_w += beta * (w - scratch[env, row].moved_before)
+                        scratch[env, row].before = impulse
+                        scratch[env, row].moved_before = w
+                        scratch[env, row].trial = trial
+                        scratch[env, row].moved_trial = trial_w
                         w_n = wp.dot(trial_w, n)
                         lift = mu * wp.length(trial_w - w_n * n)
                         new = trial - length * rho * (trial_w + lift * n)
                         turn_step = vec3()
                         if wp.static(rolls):
-                            arm = scratch.arm[env, row]
+                            arm = scratch[env, row].arm
                             if arm > zero:
-                                couple = rows.couple[env, row] / arm
-                                turning = scratch.turned[env, row]
+                                couple = rows[env, row].couple / arm
+                                turning = scratch[env, row].turned
                                 trial = couple
                                 trial_turning = turning
                                 if beta > zero:
-                                    trial += beta * (couple - scratch.couple_before[env, row])
-                                    trial_turning += beta * (turning - scratch.turned_before[env, row])
-                                scratch.couple_before[env, row] = couple
-                                scratch.turned_before[env, row] = turning
-                                scratch.couple_trial[env, row] = trial
-                                scratch.turned_trial[env, row] = trial_turning
-                                rolling = rows.rolling[env, row] / arm
-                                spinning = rows.spinning[env, row] / arm
+                                    trial += beta * (couple - scratch[env, row].couple_before)
+                                    trial_turning += beta * (turning - scratch[env, row].turned_before)
+                                scratch[env, row].couple_before = couple
+                                scratch[env, row].turned_before = turning
+                                scratch[env, row].couple_trial = trial
+                                scratch[env, row].turned_trial = trial_turning
+                                rolling = rows[env, row].rolling / arm
+                                spinning = rows[env, row].spinning / arm
                                 along = wp.dot(trial_turning, n)
                                 lift = rolling * wp.length(trial_turning - along * n) + spinning * wp.abs(along)
                                 new -= length * rho * lift * n
@@ -270,36 +270,36 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                                 pressed = pressing(new, new_couple, n, mu, rolling, spinning)
                                 new_couple = arm * in_discs(new_couple, n, rolling * pressed, spinning * pressed)
                                 new = in_discs(new, n, mu * pressed, zero) + pressed * n
-                                turn_step = new_couple - rows.couple[env, row]
-                                rows.couple[env, row] = new_couple
+                                turn_step = new_couple - rows[env, row].couple
+                                rows[env, row].couple = new_couple
                             else:
                                 new = in_cone(new, n, mu)
                         else:
                             new = in_cone(new, n, mu)
                         step = new - impulse
-                        rows.impulse[env, row] = new
-                        push(moving, change, env, one_body, step, wp.cross(rows.arm_1[env, row], step) + turn_step)
-                        push(moving, change, env, other, -step, -wp.cross(rows.arm_2[env, row], step) - turn_step)
+                        rows[env, row].impulse = new
+                        push(moving, change, env, one_body, step, wp.cross(rows[env, row].arm_1, step) + turn_step)
+                        push(moving, change, env, other, -step, -wp.cross(rows[env, row].arm_2, step) - turn_step)
                 steps += 1
 
             if worst > least:
                 # Back to the best.
                 worst = least
                 for row in range(count):
-                    step = scratch.best[env, row] - rows.impulse[env, row]
+                    step = scratch[env, row].best - rows[env, row].impulse
                     turn_step = vec3()
-                    rows.impulse[env, row] = scratch.best[env, row]
+                    rows[env, row].impulse = scratch[env, row].best
                     if wp.static(rolls):
-                        turn_step = scratch.couple_best[env, row] - rows.couple[env, row]
-                        rows.couple[env, row] = scratch.couple_best[env, row]
-                    one_body = rows.body_1[env, row]
-                    other = rows.body_2[env, row]
-                    push(moving, change, env, one_body, step, wp.cross(rows.arm_1[env, row], step) + turn_step)
-                    push(moving, change, env, other, -step, -wp.cross(rows.arm_2[env, row], step) - turn_step)
+                        turn_step = scratch[env, row].couple_best - rows[env, row].couple
+                        rows[env, row].couple = scratch[env, row].couple_best
+                    one_body = rows[env, row].body_1
+                    other = rows[env, row].body_2
+                    push(moving, change, env, one_body, step, wp.cross(rows[env, row].arm_1, step) + turn_step)
+                    push(moving, change, env, other, -step, -wp.cross(rows[env, row].arm_2, step) - turn_step)
 
-            for body in range(change.linear.shape[1]):
-                moving.linear[env, body] = moving.linear[env, body] + change.linear[env, body]
-                moving.angular[env, body] = moving.angular[env, body] + change.angular[env, body]
+            for body in range(change.shape[1]):
+                moving[env, body].linear = moving[env, body].linear + change[env, body].linear
+                moving[env, body].angular = moving[env, body].angular + change[env, body].angular
             outcome.residual[env] = wp.sqrt(worst)
             outcome.iterations[env] = done + steps
             outcome.converged[env] = wp.where(worst <= goal, 1, 0)

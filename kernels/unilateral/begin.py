@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.types import structs
 from warpcontact.kernels.unilateral import impulses, relative
-from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 
 
 @functools.cache
@@ -23,13 +23,13 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
     """
     t = structs(real)
     vec3 = t.vec3
-    r = row_structs(real)
-    Rows, Moving = r.Rows, r.Moving
-    Change = impulses.change_struct(real)
+    Rows = row_structs(real).Rows
+    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    Change = wp.array2d(dtype=impulses.change_struct(real))
     f = impulses.functions(real, moves)
     push, ease, turning_ease = f.push, f.ease, f.turning_ease
-    between = relative.functions(real)
-    velocity, spin = between.after, between.spin
+    between = relative.functions(real, moves)
+    velocity, spin = between.after, between.spin_after
     zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
     # Of a velocity over that of the guess: what rounding of the guess may leave.
     ROUNDING = wp.constant(real(4.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
@@ -38,12 +38,12 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
     @wp.func
     def hasten(change: Change, env: int, body: int, squared: real, ease_of_it: real):
         if body >= 0:
-            before = change.speed_squared[env, body]
+            before = change[env, body].speed_squared
             if ease_of_it > zero:
-                change.speed_squared[env, body] = wp.max(before, squared)
+                change[env, body].speed_squared = wp.max(before, squared)
             elif before == zero:
                 # What does not move connects nothing.
-                change.speed_squared[env, body] = -one
+                change[env, body].speed_squared = -one
 
     @wp.func
     def begin(rows: Rows, moving: Moving, change: Change, env: int, row: int, tolerance: real):
@@ -51,12 +51,12 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
 
         Where nothing moves ρ is 0, and so is what the row may carry.
         """
-        one_body = rows.body_1[env, row]
-        other = rows.body_2[env, row]
-        arm_1 = rows.arm_1[env, row]
-        arm_2 = rows.arm_2[env, row]
+        one_body = rows[env, row].body_1
+        other = rows[env, row].body_2
+        arm_1 = rows[env, row].arm_1
+        arm_2 = rows[env, row].arm_2
         free = velocity(moving, env, one_body, other, arm_1, arm_2)
-        free -= wp.max(rows.bounce[env, row], rows.recovery[env, row]) * rows.normal[env, row]
+        free -= wp.max(rows[env, row].bounce, rows[env, row].recovery) * rows[env, row].normal
         one_ease = ease(moving, env, one_body, arm_1)
         other_ease = ease(moving, env, other, arm_2)
         trace = one_ease + other_ease
@@ -65,21 +65,21 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
         squared = wp.length_sq(free)
         if trace > zero:
             rho = three / trace
-            impulse = rows.impulse[env, row]
-            noise = ROUNDING / (tolerance * rho)
+            impulse = rows[env, row].impulse
+            noise = ROUNDING / (three * tolerance) * trace
             squared = wp.max(squared, noise * noise * wp.length_sq(impulse))
-        rows.impulse[env, row] = impulse
+        rows[env, row].impulse = impulse
         turn_1 = wp.cross(arm_1, impulse)
         turn_2 = wp.cross(arm_2, impulse)
         if wp.static(rolls):
             couple = vec3()
             turning_trace = turning_ease(moving, env, one_body) + turning_ease(moving, env, other)
             if turning_trace > zero and rho > zero:
-                couple = rows.couple[env, row]
-                if rows.rolling[env, row] + rows.spinning[env, row] > zero:
-                    turning = spin(moving.angular, env, one_body, other)
+                couple = rows[env, row].couple
+                if rows[env, row].rolling + rows[env, row].spinning > zero:
+                    turning = spin(moving, env, one_body, other)
                     squared = wp.max(squared, trace / turning_trace * wp.length_sq(turning))
-            rows.couple[env, row] = couple
+            rows[env, row].couple = couple
             turn_1 += couple
             turn_2 += couple
         push(moving, change, env, one_body, impulse, turn_1)
@@ -97,29 +97,27 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
             changed = wp.int32(0)
             row = wp.where(step > 0, 0, count - 1)
             for _ in range(count):
-                one_body = rows.body_1[env, row]
-                other = rows.body_2[env, row]
+                one_body = rows[env, row].body_1
+                other = rows[env, row].body_2
                 row += step
                 if one_body >= 0 and other >= 0:
-                    squared = change.speed_squared[env, one_body]
-                    other_squared = change.speed_squared[env, other]
+                    squared = change[env, one_body].speed_squared
+                    other_squared = change[env, other].speed_squared
                     if squared >= zero and other_squared >= zero and squared != other_squared:
                         changed = 1
                         squared = wp.max(squared, other_squared)
-                        change.speed_squared[env, one_body] = squared
-                        change.speed_squared[env, other] = squared
+                        change[env, one_body].speed_squared = squared
+                        change[env, other].speed_squared = squared
             step = -step
 
     @wp.func
-    def scale(rows: Rows, change: Change, env: int, row: int, rho: real):
-        """(ρ V)² of a row."""
+    def scale(change: Change, env: int, one_body: int, other: int, rho: real):
+        """(ρ V)² of a row between two bodies [N²·s²]."""
         squared = zero
-        one_body = rows.body_1[env, row]
-        other = rows.body_2[env, row]
         if one_body >= 0:
-            squared = change.speed_squared[env, one_body]
+            squared = change[env, one_body].speed_squared
         if other >= 0:
-            squared = wp.max(squared, change.speed_squared[env, other])
+            squared = wp.max(squared, change[env, other].speed_squared)
         return wp.max(rho * rho * squared, LEAST)
 
     return SimpleNamespace(begin=begin, spread=spread, scale=scale)

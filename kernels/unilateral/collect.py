@@ -9,7 +9,7 @@ import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.piles.base import TOUCHES, pile_structs
 from warpcontact.kernels.smooth.records import Members, Settings, contact_structs
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, MODE_SLIP, Work, structs
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, INLINED, MODE_SLIP, Work, structs
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import row_structs
 
@@ -25,7 +25,8 @@ def add_row(real: type) -> wp.Function:
     t = structs(real)
     vec3, State = t.vec3, t.State
     r, records = row_structs(real), record_structs(real)
-    Rows, Outcome, Memory, Account, Material = r.Rows, r.Outcome, records.Memory, records.Account, records.Material
+    Row, Rows, Outcome = r.Row, r.Rows, r.Outcome
+    Memories, Account, Material = records.Memories, records.Account, records.Material
     velocity_at = frames.functions(real).velocity_at
 
     @wp.func
@@ -33,7 +34,7 @@ def add_row(real: type) -> wp.Function:
         state: State,
         rows: Rows,
         outcome: Outcome,
-        memory: Memory,
+        memory: Memories,
         account: Account,
         env: int,
         contact: int,
@@ -48,34 +49,29 @@ def add_row(real: type) -> wp.Function:
         radius: real,
         torsion_radius: real,
     ):
-        row = outcome.count[env]
-        outcome.count[env] = row + 1
-        rows.contact[env, row] = contact
-        rows.body_1[env, row] = body_1
-        rows.body_2[env, row] = body_2
-        rows.arm_1[env, row] = arm_1
-        rows.arm_2[env, row] = arm_2
-        rows.normal[env, row] = normal
-        rows.rolling[env, row] = material.rolling * radius
-        rows.spinning[env, row] = material.spinning * torsion_radius
-        mu = material.mu_static
-        impulse = vec3()
-        couple = vec3()
-        if memory.stamp[env, contact] == account.step[env]:
-            impulse = memory.impulse[env, contact]
-            couple = memory.couple[env, contact]
-            if memory.mode[env, contact] == MODE_SLIP:
-                mu = material.mu_dynamic
-        rows.mu[env, row] = mu
-        rows.impulse[env, row] = impulse
-        rows.couple[env, row] = couple
-        bounce = real(0.0)
+        added = Row()
+        added.contact = contact
+        added.body_1 = body_1
+        added.body_2 = body_2
+        added.arm_1 = arm_1
+        added.arm_2 = arm_2
+        added.normal = normal
+        added.rolling = material.rolling * radius
+        added.spinning = material.spinning * torsion_radius
+        added.mu = material.mu_static
+        if memory[env, contact].stamp == account.step[env]:
+            added.impulse = memory[env, contact].impulse
+            added.couple = memory[env, contact].couple
+            if memory[env, contact].mode == MODE_SLIP:
+                added.mu = material.mu_dynamic
         if material.restitution > real(0.0):
             approach = velocity_at(state, env, body_2, arm_2) - velocity_at(state, env, body_1, arm_1)
-            bounce = material.restitution * wp.max(wp.dot(approach, normal), real(0.0))
-        rows.bounce[env, row] = bounce
+            added.bounce = material.restitution * wp.max(wp.dot(approach, normal), real(0.0))
         # What bodies fall in a step stays: a contact must be closed to be held.
-        rows.recovery[env, row] = recovery * wp.max(-gap - outcome.slack[env], real(0.0))
+        added.recovery = recovery * wp.max(-gap - outcome.slack[env], real(0.0))
+        row = outcome.count[env]
+        rows[env, row] = added
+        outcome.count[env] = row + 1
 
     return add_row
 
@@ -86,11 +82,17 @@ def mesh(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Contacts, Near = t.Model, t.State, t.Contacts, t.Near
     r, records = row_structs(real), record_structs(real)
-    Rows, Outcome, Memory, Account, Material = r.Rows, r.Outcome, records.Memory, records.Account, records.Material
+    Rows, Outcome, Memories, Account, Material = (
+        r.Rows,
+        r.Outcome,
+        records.Memories,
+        records.Account,
+        records.Material,
+    )
     apart = frames.functions(real).apart
     add = add_row(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def collect_mesh_contacts(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -102,7 +104,7 @@ def mesh(real: type) -> wp.Kernel:
         block_count: wp.int32,
         recovery: real,  # [1/s]
         material: wp.array2d(dtype=Material),
-        memory: Memory,
+        memory: Memories,
         account: Account,
         rows: Rows,
         outcome: Outcome,
@@ -150,10 +152,16 @@ def smooth(real: type, rolls: bool) -> wp.Kernel:
     """
     State, Smooth = structs(real).State, contact_structs(real).Smooth
     r, records = row_structs(real), record_structs(real)
-    Rows, Outcome, Memory, Account, Material = r.Rows, r.Outcome, records.Memory, records.Account, records.Material
+    Rows, Outcome, Memories, Account, Material = (
+        r.Rows,
+        r.Outcome,
+        records.Memories,
+        records.Account,
+        records.Material,
+    )
     add = add_row(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def collect_smooth_contacts(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -166,7 +174,7 @@ def smooth(real: type, rolls: bool) -> wp.Kernel:
         smooth: Smooth,
         recovery: real,  # [1/s]
         material: wp.array2d(dtype=Material),
-        memory: Memory,
+        memory: Memories,
         account: Account,
         rows: Rows,
         outcome: Outcome,
@@ -203,10 +211,16 @@ def pile(real: type) -> wp.Kernel:
     p = pile_structs(real)
     Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
     r, records = row_structs(real), record_structs(real)
-    Rows, Outcome, Memory, Account, Material = r.Rows, r.Outcome, records.Memory, records.Account, records.Material
+    Rows, Outcome, Memories, Account, Material = (
+        r.Rows,
+        r.Outcome,
+        records.Memories,
+        records.Account,
+        records.Material,
+    )
     add = add_row(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def collect_pile(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -219,7 +233,7 @@ def pile(real: type) -> wp.Kernel:
         substance: wp.int32,  # number of the material of all pairs
         recovery: real,  # [1/s]
         material: wp.array2d(dtype=Material),
-        memory: Memory,
+        memory: Memories,
         account: Account,
         rows: Rows,
         outcome: Outcome,

@@ -5,8 +5,8 @@ import functools
 import numpy as np
 import warp as wp
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
-from warpcontact.kernels.unilateral import begin, cone, impulses, relative
-from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unilateral import begin, cone, impulses, relative, standing
+from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 
 # Stages of a solve: the block of a row is made where it is first needed, and made anew, softer, after some sweeps.
 RAW, EXACT, SOFTENED = 0, 1, 2
@@ -20,24 +20,23 @@ PATIENCE = 50
 
 @functools.cache
 def scratch(real: type, rolls: bool) -> type:
-    """Returns the struct of what a solve keeps of a row; declare it [env, row], as records."""
+    """Returns the struct of what a solve keeps of a row."""
     t = structs(real)
     vec3, mat33 = t.vec3, t.mat33
 
     @wp.struct
     class Scratch:
-        stage: wp.array2d(dtype=wp.int32)  # of the solve that the block is of
-        rho: wp.array2d(dtype=real)  # [kg]
-        scale: wp.array2d(dtype=real)  # (ρ V)², see ``begin`` [N²·s²]
-        free: wp.array2d(dtype=vec3)  # q, W [m/s]
-        inverse: wp.array2d(dtype=mat33)  # of the block, W [kg]
-        block: wp.array2d(dtype=mat33)  # w over an impulse, (normal, two tangents) [1/kg]
-        before: wp.array2d(dtype=vec3)  # impulse before the sweep, W [N·s]
-        swept: wp.array2d(dtype=vec3)  # impulse after the sweep before, W [N·s]
-        guess: wp.array2d(dtype=vec3)  # impulse before the solve, W [N·s]
+        stage: wp.int32  # of the solve that the block is of
+        rho: real  # [kg]
+        free: vec3  # q, W [m/s]
+        inverse: mat33  # of the block, W [kg]
+        block: mat33  # w over an impulse, (normal, two tangents) [1/kg]
+        before: vec3  # impulse before the sweep, W [N·s]
+        swept: vec3  # impulse after the sweep before, W [N·s]
+        guess: vec3  # impulse before the solve, W [N·s]
         if rolls:
-            couple_guess: wp.array2d(dtype=vec3)  # likewise [N·m·s]
-            turning: wp.array2d(dtype=vec3)  # relative angular velocity without contact, W [rad/s]
+            couple_guess: vec3  # likewise [N·m·s]
+            turning: vec3  # relative angular velocity without contact, W [rad/s]
 
     return Scratch
 
@@ -61,14 +60,19 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
     t = structs(real)
     vec3 = t.vec3
     r = row_structs(real)
-    Rows, Moving, Outcome = r.Rows, r.Moving, r.Outcome
-    Change, Scratch = impulses.change_struct(real), scratch(real, rolls)
+    Rows, Outcome = r.Rows, r.Outcome
+    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    Change = wp.array2d(dtype=impulses.change_struct(real))
+    Scratch = wp.array2d(dtype=scratch(real, rolls))
     c = cone.functions(real)
     basis, one_contact = c.basis, c.one_contact
     f = impulses.functions(real, moves)
-    spin = relative.functions(real).spin
+    spin_after, spin_changed = relative.functions(real, moves).spin_after, f.spin_changed
     changed_at, push, turning_ease, in_discs = f.changed_at, f.push, f.turning_ease, f.in_discs
     block_of, inverse_of, in_cone, off_squared = f.block, f.inverse_of, f.in_cone, f.off_squared
+    if not moves:
+        stood_still = standing.functions(real, scratch(real, rolls))
+        at_rest, stand, settle = stood_still.at_rest, stood_still.stand, stood_still.settle
     first = begin.functions(real, moves, rolls)
     begin_row, spread, scale_of = first.begin, first.spread, first.scale
     zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
@@ -83,6 +87,23 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
     ROUGH = wp.constant(real(4.0))
     # Part of the tolerance below which a row is left as it is.
     KEPT = wp.constant(real(0.1))
+    # Residual from which impulses on what is at rest are made right: of the size of rounding.
+    STEADY = wp.constant(real(8.0 * float(rounding.eps)))
+    # Velocity, over that of the impulse alone, squared, up to which a contact may soon stick.
+    SLOW = wp.constant(real(0.1))
+
+    @wp.func
+    def start(rows: Rows, scratch: Scratch, env: int, count: int):
+        """Notes with what sweeps begin."""
+        for row in range(count):
+            impulse = rows[env, row].impulse
+            scratch[env, row].stage = raw
+            scratch[env, row].before = impulse
+            scratch[env, row].swept = impulse
+            if wp.static(before):
+                scratch[env, row].guess = impulse
+                if wp.static(rolls):
+                    scratch[env, row].couple_guess = rows[env, row].couple
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def gauss_seidel(
@@ -107,35 +128,25 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                 outcome.converged[env] = 1
                 continue
 
-            for body in range(change.linear.shape[1]):
-                change.linear[env, body] = vec3()
-                change.angular[env, body] = vec3()
-                change.speed_squared[env, body] = zero
+            for body in range(change.shape[1]):
+                change[env, body].linear = vec3()
+                change[env, body].angular = vec3()
+                change[env, body].speed_squared = zero
             finite = zero  # only if all terms are
             for row in range(count):
                 free, rho, _trace, size = begin_row(rows, moving, change, env, row, tolerance)
                 finite += size
-                impulse = rows.impulse[env, row]
-                scratch.stage[env, row] = raw
-                scratch.rho[env, row] = rho
-                scratch.free[env, row] = free
-                scratch.before[env, row] = impulse
-                scratch.swept[env, row] = impulse
-                if wp.static(before):
-                    scratch.guess[env, row] = impulse
-                    if wp.static(rolls):
-                        scratch.couple_guess[env, row] = rows.couple[env, row]
+                scratch[env, row].rho = rho
+                scratch[env, row].free = free
                 if wp.static(rolls):
-                    turning = spin(moving.angular, env, rows.body_1[env, row], rows.body_2[env, row])
-                    scratch.turning[env, row] = turning
+                    turning = spin_after(moving, env, rows[env, row].body_1, rows[env, row].body_2)
+                    scratch[env, row].turning = turning
             if not wp.isfinite(finite):
                 outcome.residual[env] = finite
                 outcome.iterations[env] = 0
                 outcome.converged[env] = 0
                 continue
             spread(rows, change, env, count)
-            for row in range(count):
-                scratch.scale[env, row] = scale_of(rows, change, env, row, scratch.rho[env, row])
 
             goal = tolerance * tolerance
             worst = zero
@@ -144,32 +155,55 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
             waited = wp.int32(0)
             last = wp.where(iterations <= 0, 1, 0)
             sweeps = wp.int32(0)
+            stood = last
+            stops = wp.int32(0)
+            begun = wp.int32(0)
+            if wp.static(rolls):
+                begun = wp.int32(1)
+                start(rows, scratch, env, count)
+            steady = zero
+            if wp.static(not moves):  # noqa: SIM102  only a static condition alone is pruned
+                # What is at rest stays there, but for what stopped it in the last step and would push it back now.
+                if at_rest(moving, change, env) == 1:
+                    steady = STEADY * STEADY
             rough = wp.int32(0)
             stage = wp.int32(EXACT)
             while True:
                 worst = zero
                 uphill = zero
                 changes = rough
+                stands = wp.int32(0)
                 for row in range(count):
-                    one_body = rows.body_1[env, row]
-                    other = rows.body_2[env, row]
-                    arm_1 = rows.arm_1[env, row]
-                    arm_2 = rows.arm_2[env, row]
-                    n = rows.normal[env, row]
-                    mu = rows.mu[env, row]
-                    rho = scratch.rho[env, row]
-                    impulse = rows.impulse[env, row]
-                    scale = wp.max(scratch.scale[env, row], wp.length_sq(impulse))
-                    w = scratch.free[env, row] + changed_at(change, env, one_body, arm_1)
+                    one_body = rows[env, row].body_1
+                    other = rows[env, row].body_2
+                    arm_1 = rows[env, row].arm_1
+                    arm_2 = rows[env, row].arm_2
+                    n = rows[env, row].normal
+                    mu = rows[env, row].mu
+                    rho = scratch[env, row].rho
+                    impulse = rows[env, row].impulse
+                    scale = wp.max(scale_of(change, env, one_body, other, rho), wp.length_sq(impulse))
+                    w = scratch[env, row].free + changed_at(change, env, one_body, arm_1)
                     w -= changed_at(change, env, other, arm_2)
                     off = zero
                     if rough == 0:
                         off = off_squared(impulse, w, n, mu, rho) / scale
                         worst = wp.max(worst, off)
+                    if wp.static(not moves):  # noqa: SIM102  only a static condition alone is pruned
+                        if stood == 0 and off > steady:
+                            # Before anything is changed.
+                            stood = 1
+                            if rho * rho * wp.length_sq(w) < SLOW * wp.length_sq(impulse):
+                                stands = stand(rows, moving, change, scratch, env, count)
+                            if stands == 1:
+                                break
+                    if begun == 0 and off > goal:
+                        begun = 1
+                        start(rows, scratch, env, count)
                     if rough == 1 or (last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal))):
                         changes += 1
-                        if scratch.stage[env, row] != stage:
-                            scratch.stage[env, row] = stage
+                        if scratch[env, row].stage != stage:
+                            scratch[env, row].stage = stage
                             W = block_of(moving, env, one_body, arm_1) + block_of(moving, env, other, arm_2)
                             inverse, invertible = inverse_of(W)
                             if rho > zero and (stage == softened or invertible == 0):
@@ -178,42 +212,42 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                                 inverse, invertible = inverse_of(W)
                             across_1, across_2 = basis(n)
                             R = wp.matrix_from_cols(n, across_1, across_2)
-                            scratch.block[env, row] = wp.transpose(R) * W * R
-                            scratch.inverse[env, row] = inverse
+                            scratch[env, row].block = wp.transpose(R) * W * R
+                            scratch[env, row].inverse = inverse
                         # Without slip, if the cone allows.
                         sticks = wp.int32(0)
-                        new = impulse - scratch.inverse[env, row] * w
+                        new = impulse - scratch[env, row].inverse * w
                         along = wp.dot(new, n)
                         if along >= zero and wp.length_sq(new) <= (one + mu * mu) * along * along:
                             sticks = 1
                         if sticks == 0:
                             across_1, across_2 = basis(n)
-                            W = scratch.block[env, row]
+                            W = scratch[env, row].block
                             local = vec3(wp.dot(impulse, n), wp.dot(impulse, across_1), wp.dot(impulse, across_2))
                             b = vec3(wp.dot(w, n), wp.dot(w, across_1), wp.dot(w, across_2)) - W * local
                             local = one_contact(W, b, mu)
                             new = local[0] * n + local[1] * across_1 + local[2] * across_2
                         if rho > zero:
-                            back = scratch.before[env, row] - new
-                            uphill += wp.dot(back, new - scratch.swept[env, row]) / rho
+                            back = scratch[env, row].before - new
+                            uphill += wp.dot(back, new - scratch[env, row].swept) / rho
                         step = new - impulse
                         if rough == 1:
                             worst = wp.max(worst, wp.length_sq(step) / scale)
-                        rows.impulse[env, row] = new
+                        rows[env, row].impulse = new
                         push(moving, change, env, one_body, step, wp.cross(arm_1, step))
                         push(moving, change, env, other, -step, -wp.cross(arm_2, step))
                         impulse = new
                     if wp.static(rolls):
                         trace = turning_ease(moving, env, one_body) + turning_ease(moving, env, other)
                         if trace > zero:
-                            turning = scratch.turning[env, row] + spin(change.angular, env, one_body, other)
+                            turning = scratch[env, row].turning + spin_changed(change, env, one_body, other)
                             pressed = wp.max(wp.dot(impulse, n), zero)
-                            couple = rows.couple[env, row]
+                            couple = rows[env, row].couple
                             new = in_discs(
                                 couple - three / trace * turning,
                                 n,
-                                rows.rolling[env, row] * pressed,
-                                rows.spinning[env, row] * pressed,
+                                rows[env, row].rolling * pressed,
+                                rows[env, row].spinning * pressed,
                             )
                             step = new - couple
                             # As an impulse: over the arm at which both move a body as easily.
@@ -221,9 +255,15 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                             worst = wp.max(worst, off)
                             if last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal)):
                                 changes += 1
-                                rows.couple[env, row] = new
+                                rows[env, row].couple = new
                                 push(moving, change, env, one_body, vec3(), step)
                                 push(moving, change, env, other, vec3(), -step)
+                if stands == 1:
+                    sweeps += 1
+                    stops = wp.int32(1)
+                    last = wp.where(sweeps >= iterations, 1, 0)
+                    continue
+                stood = 1
                 if changes == 0:
                     break
                 sweeps += 1
@@ -246,29 +286,32 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                 beta = theta * (one - theta) / (theta * theta + theta_next)
                 theta = theta_next
                 for row in range(count):
-                    swept = rows.impulse[env, row]
+                    swept = rows[env, row].impulse
                     new = swept
                     if beta > zero:
-                        n = rows.normal[env, row]
-                        new = in_cone(swept + beta * (swept - scratch.swept[env, row]), n, rows.mu[env, row])
-                        rows.impulse[env, row] = new
+                        n = rows[env, row].normal
+                        new = in_cone(swept + beta * (swept - scratch[env, row].swept), n, rows[env, row].mu)
+                        rows[env, row].impulse = new
                         step = new - swept
-                        one_body = rows.body_1[env, row]
-                        other = rows.body_2[env, row]
-                        push(moving, change, env, one_body, step, wp.cross(rows.arm_1[env, row], step))
-                        push(moving, change, env, other, -step, -wp.cross(rows.arm_2[env, row], step))
-                    scratch.before[env, row] = new
-                    scratch.swept[env, row] = swept
+                        one_body = rows[env, row].body_1
+                        other = rows[env, row].body_2
+                        push(moving, change, env, one_body, step, wp.cross(rows[env, row].arm_1, step))
+                        push(moving, change, env, other, -step, -wp.cross(rows[env, row].arm_2, step))
+                    scratch[env, row].before = new
+                    scratch[env, row].swept = swept
 
-            for body in range(change.linear.shape[1]):
-                moving.linear[env, body] = moving.linear[env, body] + change.linear[env, body]
-                moving.angular[env, body] = moving.angular[env, body] + change.angular[env, body]
+            for body in range(change.shape[1]):
+                moving[env, body].linear = moving[env, body].linear + change[env, body].linear
+                moving[env, body].angular = moving[env, body].angular + change[env, body].angular
+            if wp.static(not moves):  # noqa: SIM102  only a static condition alone is pruned
+                if worst <= goal and stops == sweeps:
+                    settle(rows, moving, change, env, count, stops)
             if wp.static(before):  # noqa: SIM102  Warp would evaluate both sides
                 if worst > goal:
                     for row in range(count):
-                        rows.impulse[env, row] = scratch.guess[env, row]
+                        rows[env, row].impulse = scratch[env, row].guess
                         if wp.static(rolls):
-                            rows.couple[env, row] = scratch.couple_guess[env, row]
+                            rows[env, row].couple = scratch[env, row].couple_guess
             outcome.residual[env] = wp.sqrt(worst)
             outcome.iterations[env] = sweeps
             outcome.converged[env] = wp.where(worst <= goal, 1, 0)

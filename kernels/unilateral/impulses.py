@@ -11,21 +11,24 @@ from types import SimpleNamespace
 import numpy as np
 import warp as wp
 from warpcontact.kernels.types import structs
-from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unilateral.rows import moving_struct
 
 
 @functools.cache
 def change_struct(real: type) -> type:
-    """Returns the struct of what contact changes, for ``real``."""
+    """Returns the struct of what contact changes of a body, for ``real``."""
     vec3 = structs(real).vec3
 
     @wp.struct
     class Change:
-        """What impulses have changed; declare it [env, body]."""
+        """What impulses have changed of a body."""
 
-        linear: wp.array2d(dtype=vec3)  # [env, body] of the velocity of the centre of mass, W [m/s]
-        angular: wp.array2d(dtype=vec3)  # [env, body] W [rad/s]
-        speed_squared: wp.array2d(dtype=real)  # [env, body] V², see ``begin`` [m²/s²]
+        linear: vec3  # of the velocity of the centre of mass, W [m/s]
+        angular: vec3  # W [rad/s]
+        speed_squared: real  # V², see ``begin`` [m²/s²]
+        needs: vec3  # impulse that stops it, see ``standing``, W [N·s]
+        needs_turning: vec3  # likewise, about its centre of mass, W [N·m·s]
+        held: wp.int32  # 1: has it
 
     return Change
 
@@ -35,8 +38,8 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
     """Returns the device functions for ``real``; with ``moves`` not all bodies are free."""
     t = structs(real)
     vec3, mat33 = t.vec3, t.mat33
-    Moving = row_structs(real).Moving
-    Change = change_struct(real)
+    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    Change = wp.array2d(dtype=change_struct(real))
     zero, one, two, three = (wp.constant(real(x)) for x in (0.0, 1.0, 2.0, 3.0))
     rounding = float(np.finfo(wp.dtype_to_numpy(real)).eps)
     # A block of less determinant, over the cube of a third of its trace, is not to be inverted.
@@ -47,7 +50,17 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         """Change of the velocity at ``arm`` from the centre of mass; 0 for the world."""
         if body < 0:
             return vec3()
-        return change.linear[env, body] + wp.cross(change.angular[env, body], arm)
+        return change[env, body].linear + wp.cross(change[env, body].angular, arm)
+
+    @wp.func
+    def spin_changed(change: Change, env: int, body_1: int, body_2: int):
+        """Change of the angular velocity of the first body relative to the second."""
+        difference = vec3()
+        if body_1 >= 0:
+            difference = change[env, body_1].angular
+        if body_2 >= 0:
+            difference -= change[env, body_2].angular
+        return difference
 
     @wp.func
     def push(moving: Moving, change: Change, env: int, body: int, impulse: vec3, turning: vec3):
@@ -55,26 +68,26 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         if body < 0:
             return
         if wp.static(moves):
-            B = moving.across[env, body]
-            linear = moving.by_force[env, body] * impulse + B * turning
-            angular = wp.transpose(B) * impulse + moving.by_torque[env, body] * turning
-            change.linear[env, body] = change.linear[env, body] + linear
-            change.angular[env, body] = change.angular[env, body] + angular
+            B = moving[env, body].across
+            linear = moving[env, body].by_force * impulse + B * turning
+            angular = wp.transpose(B) * impulse + moving[env, body].by_torque * turning
+            change[env, body].linear = change[env, body].linear + linear
+            change[env, body].angular = change[env, body].angular + angular
         else:
-            linear = moving.inverse_mass[env, body] * impulse
-            change.linear[env, body] = change.linear[env, body] + linear
-            change.angular[env, body] = change.angular[env, body] + moving.by_torque[env, body] * turning
+            linear = moving[env, body].inverse_mass * impulse
+            change[env, body].linear = change[env, body].linear + linear
+            change[env, body].angular = change[env, body].angular + moving[env, body].by_torque * turning
 
     @wp.func
     def ease(moving: Moving, env: int, body: int, arm: vec3):
         """Trace of the block of one body: how easily an impulse at ``arm`` moves that place [1/kg]."""
         if body < 0:
             return zero
-        C = moving.by_torque[env, body]
+        C = moving[env, body].by_torque
         trace = (C[0, 0] + C[1, 1] + C[2, 2]) * wp.length_sq(arm) - wp.dot(arm, C * arm)
         if wp.static(moves):
-            A = moving.by_force[env, body]
-            B = moving.across[env, body]
+            A = moving[env, body].by_force
+            B = moving[env, body].across
             trace += A[0, 0] + A[1, 1] + A[2, 2]
             most = trace
             trace += two * wp.dot(arm, vec3(B[1, 2] - B[2, 1], B[2, 0] - B[0, 2], B[0, 1] - B[1, 0]))
@@ -82,7 +95,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
                 # Of a place that does not move there is left what rounding is.
                 trace = zero
         else:
-            trace += three * moving.inverse_mass[env, body]
+            trace += three * moving[env, body].inverse_mass
         return trace
 
     @wp.func
@@ -90,7 +103,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         """Trace of what an angular impulse does to the angular velocity of a body [1/(kg·m²)]."""
         if body < 0:
             return zero
-        C = moving.by_torque[env, body]
+        C = moving[env, body].by_torque
         return C[0, 0] + C[1, 1] + C[2, 2]
 
     @wp.func
@@ -99,12 +112,15 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         if body < 0:
             return mat33()
         cross = wp.skew(arm)
-        C = moving.by_torque[env, body]
+        C = moving[env, body].by_torque
+        made = -(cross * C * cross)
         if wp.static(moves):
-            across = moving.across[env, body] * cross
-            return moving.by_force[env, body] + across + wp.transpose(across) - cross * C * cross
-        m = moving.inverse_mass[env, body]
-        return wp.diag(vec3(m, m, m)) - cross * C * cross
+            across = moving[env, body].across * cross
+            made += moving[env, body].by_force + across + wp.transpose(across)
+        else:
+            m = moving[env, body].inverse_mass
+            made += wp.diag(vec3(m, m, m))
+        return made
 
     @wp.func
     def inverse_of(W: mat33):
@@ -215,6 +231,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         in_discs=in_discs,
         pressing=pressing,
         changed_at=changed_at,
+        spin_changed=spin_changed,
         push=push,
         ease=ease,
         turning_ease=turning_ease,

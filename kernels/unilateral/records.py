@@ -26,13 +26,13 @@ def record_structs(real: type) -> SimpleNamespace:
     class Memory:
         """Of the last step in which a contact was closed; ``stamp`` tells which that was."""
 
-        impulse: wp.array2d(dtype=vec3)  # [env, contact] on the first body, W [N·s]
-        couple: wp.array2d(dtype=vec3)  # [env, contact] of rolling and spinning on it, W [N·m·s]
-        normal: wp.array2d(dtype=vec3)  # [env, contact] W
-        approach_speed: wp.array2d(dtype=real)  # [env, contact] at K, at the end of the step [m/s]
-        slip_speed: wp.array2d(dtype=real)  # [env, contact] likewise [m/s]
-        mode: wp.array2d(dtype=wp.int32)  # [env, contact] MODE_*
-        stamp: wp.array2d(dtype=wp.int32)  # [env, contact] that step
+        impulse: vec3  # on the first body, W [N·s]
+        couple: vec3  # of rolling and spinning on it, W [N·m·s]
+        normal: vec3  # W
+        approach_speed: real  # at K, at the end of the step [m/s]
+        slip_speed: real  # likewise [m/s]
+        mode: wp.int32  # MODE_*
+        stamp: wp.int32  # that step
 
     @wp.struct
     class Account:
@@ -40,6 +40,7 @@ def record_structs(real: type) -> SimpleNamespace:
 
         step: wp.array(dtype=wp.int32)  # [env] number of the last step, from 1; what has another stamp is open
         failures: wp.array(dtype=wp.int32)  # [env] steps without convergence
+        calm: wp.array(dtype=wp.int32)  # [env] last steps in which nothing moved or changed, at most 2
         restrained: wp.array(dtype=wp.int32)  # [env] steps in which restitution was lowered
         friction_loss: wp.array(dtype=wp.float64)  # [env] energy that friction took [J]
         impact_loss: wp.array(dtype=wp.float64)  # [env] energy that impacts took [J]
@@ -60,4 +61,11 @@ def record_structs(real: type) -> SimpleNamespace:
         impulse: wp.array2d(dtype=vec3)  # [env, contact] on the first body, W [N·s]
         mode: wp.array2d(dtype=wp.int32)  # [env, contact] MODE_*
 
-    return SimpleNamespace(Material=Material, Memory=Memory, Account=Account, Restraint=Restraint, Shown=Shown)
+    return SimpleNamespace(
+        Material=Material,
+        Memory=Memory,
+        Memories=wp.array2d(dtype=Memory),
+        Account=Account,
+        Restraint=Restraint,
+        Shown=Shown,
+    )

@@ -6,15 +6,18 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.types import structs
-from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unilateral.rows import moving_struct
 
 
 @functools.cache
-def functions(real: type) -> SimpleNamespace:
-    """Returns the device functions for ``real``; all are of the first body relative to the second."""
+def functions(real: type, moves: bool) -> SimpleNamespace:
+    """Returns the device functions for ``real``; all are of the first body relative to the second.
+
+    With ``moves`` not all bodies are free.
+    """
     t = structs(real)
     vec3, State = t.vec3, t.State
-    Moving = row_structs(real).Moving
+    Moving = wp.array2d(dtype=moving_struct(real, moves))
     velocity_at = frames.functions(real).velocity_at
 
     @wp.func
@@ -27,19 +30,29 @@ def functions(real: type) -> SimpleNamespace:
         """Velocity at K of bodies under impulses."""
         velocity = vec3()
         if body_1 >= 0:
-            velocity = moving.linear[env, body_1] + wp.cross(moving.angular[env, body_1], arm_1)
+            velocity = moving[env, body_1].linear + wp.cross(moving[env, body_1].angular, arm_1)
         if body_2 >= 0:
-            velocity -= moving.linear[env, body_2] + wp.cross(moving.angular[env, body_2], arm_2)
+            velocity -= moving[env, body_2].linear + wp.cross(moving[env, body_2].angular, arm_2)
         return velocity
 
     @wp.func
-    def spin(angular: wp.array2d(dtype=vec3), env: int, body_1: int, body_2: int):
-        """Angular velocity, of those of the bodies [env, body]."""
+    def spin_before(state: State, env: int, body_1: int, body_2: int):
+        """Angular velocity in a state."""
         difference = vec3()
         if body_1 >= 0:
-            difference = angular[env, body_1]
+            difference = state.body_angular_velocity[env, body_1]
         if body_2 >= 0:
-            difference -= angular[env, body_2]
+            difference -= state.body_angular_velocity[env, body_2]
         return difference
 
-    return SimpleNamespace(before=before, after=after, spin=spin)
+    @wp.func
+    def spin_after(moving: Moving, env: int, body_1: int, body_2: int):
+        """Angular velocity of bodies under impulses."""
+        difference = vec3()
+        if body_1 >= 0:
+            difference = moving[env, body_1].angular
+        if body_2 >= 0:
+            difference -= moving[env, body_2].angular
+        return difference
+
+    return SimpleNamespace(before=before, after=after, spin_before=spin_before, spin_after=spin_after)

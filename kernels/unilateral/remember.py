@@ -5,15 +5,27 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.piles.base import TOUCHES, pile_structs
-from warpcontact.kernels.types import ENV_ACTIVE, MODE_OPEN, MODE_SLIP, MODE_STICK, Work, structs
+from warpcontact.kernels.types import (
+    ENV_ACTIVE,
+    ENV_RESTING,
+    INLINED,
+    MODE_OPEN,
+    MODE_SLIP,
+    MODE_STICK,
+    Work,
+    structs,
+)
 from warpcontact.kernels.unilateral import relative
 from warpcontact.kernels.unilateral.records import record_structs
-from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 
 
 @functools.cache
-def kernel(real: type) -> wp.Kernel:
+def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
     """Returns the kernel that takes the rows of an accepted step into the memory of their contacts; items: 1.
+
+    With ``moves`` not all bodies are free, and with ``rolls`` some contacts oppose rolling or spinning.
+    Environments that were left out of the step, by ``rest``, are active again.
 
     An impulse P at a contact with the velocities U⁻ before and U⁺ after takes −P·(U⁻ + U⁺)/2 of the energy: with
     θ = ½ this and the work of the forces make up the change of the kinetic energy of free bodies.
@@ -21,10 +33,13 @@ def kernel(real: type) -> wp.Kernel:
     t = structs(real)
     vec3, State, Wrenches = t.vec3, t.State, t.Wrenches
     r, records = row_structs(real), record_structs(real)
-    Rows, Moving, Outcome, Memory, Account = r.Rows, r.Moving, r.Outcome, records.Memory, records.Account
+    Rows, Outcome = r.Rows, r.Outcome
+    Memory, Memories, Account = records.Memory, records.Memories, records.Account
     Restraint = records.Restraint
-    f = relative.functions(real)
-    velocity_before, velocity_after, spin = f.before, f.after, f.spin
+    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    f = relative.functions(real, moves)
+    velocity_before, velocity_after = f.before, f.after
+    spin_before, spin_after = f.spin_before, f.spin_after
     # As near as that to the edge of the cone a contact slips: within rounding, and within what a solve leaves.
     ROUNDING = wp.constant(real(64.0 * t.epsilon))
     UNSOLVED = wp.constant(real(20.0))
@@ -35,7 +50,7 @@ def kernel(real: type) -> wp.Kernel:
             wrenches.force[env, body] = wrenches.force[env, body] + force
             wrenches.torque[env, body] = wrenches.torque[env, body] + torque
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def remember_rows(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -47,12 +62,15 @@ def kernel(real: type) -> wp.Kernel:
         moving: Moving,
         outcome: Outcome,
         restraint: Restraint,
-        memory: Memory,
+        memory: Memories,
         account: Account,
         reactions: Wrenches,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task
+            if status[env] == ENV_RESTING:
+                status[env] = ENV_ACTIVE
+                continue
             if status[env] != ENV_ACTIVE:
                 continue
             number = account.step[env] + 1
@@ -60,48 +78,60 @@ def kernel(real: type) -> wp.Kernel:
             if restraint.part[env] < real(1.0):
                 account.restrained[env] = account.restrained[env] + 1
             account.failures[env] = account.failures[env] + 1 - outcome.converged[env]
+            calm = wp.min(account.calm[env] + 1, 2)
+            if outcome.converged[env] == 0 or outcome.iterations[env] > 0 or restraint.part[env] < real(1.0):
+                calm = wp.int32(0)
             for body in range(bodies):
                 reactions.force[env, body] = vec3()
                 reactions.torque[env, body] = vec3()
+                # What moves neither before nor after a step has the same pose after it.
+                still = middle.body_linear_velocity[env, body] == vec3() and moving[env, body].linear == vec3()
+                still = still and middle.body_angular_velocity[env, body] == vec3()
+                if not (still and moving[env, body].angular == vec3()):
+                    calm = wp.int32(0)
             per_step = real(1.0) / step[env, 0]
             inside = real(1.0) - wp.max(ROUNDING, UNSOLVED * tolerance)
             by_friction = wp.float64(0.0)
             by_impact = wp.float64(0.0)
-            for row in range(outcome.count[env]):
-                body_1 = rows.body_1[env, row]
-                body_2 = rows.body_2[env, row]
-                arm_1 = rows.arm_1[env, row]
-                arm_2 = rows.arm_2[env, row]
-                normal = rows.normal[env, row]
-                impulse = rows.impulse[env, row]
-                couple = rows.couple[env, row]
-                along = wp.dot(impulse, normal)
-                across = impulse - along * normal
-                u_before = velocity_before(middle, env, body_1, body_2, arm_1, arm_2)
-                u_after = velocity_after(moving, env, body_1, body_2, arm_1, arm_2)
-                turned = spin(middle.body_angular_velocity, env, body_1, body_2)
-                turned += spin(moving.angular, env, body_1, body_2)
-                parting = wp.dot(u_after, normal)
-                slip = u_after - parting * normal
+            for number_of_row in range(outcome.count[env]):
+                row = rows[env, number_of_row]
+                impulse = row.impulse
+                along = wp.dot(impulse, row.normal)
+                across = impulse - along * row.normal
+                u_after = velocity_after(moving, env, row.body_1, row.body_2, row.arm_1, row.arm_2)
+                u_before = velocity_before(middle, env, row.body_1, row.body_2, row.arm_1, row.arm_2)
                 mean = real(0.5) * (u_after + u_before)
-                by_impact -= wp.float64(along * wp.dot(mean, normal))
+                by_impact -= wp.float64(along * wp.dot(mean, row.normal))
                 by_friction -= wp.float64(wp.dot(across, mean))
-                by_friction -= wp.float64(real(0.5) * wp.dot(couple, turned))
-                mode = wp.int32(MODE_SLIP)
+                turn_1 = wp.cross(row.arm_1, impulse)
+                turn_2 = wp.cross(row.arm_2, impulse)
+                if wp.static(rolls):
+                    turned = spin_before(middle, env, row.body_1, row.body_2)
+                    turned += spin_after(moving, env, row.body_1, row.body_2)
+                    by_friction -= wp.float64(real(0.5) * wp.dot(row.couple, turned))
+                    turn_1 += row.couple
+                    turn_2 += row.couple
+                push(reactions, env, row.body_1, per_step * impulse, per_step * turn_1)
+                push(reactions, env, row.body_2, -per_step * impulse, -per_step * turn_2)
+                parting = wp.dot(u_after, row.normal)
+                limit = inside * row.mu * along
+                known = Memory()
+                known.impulse = impulse
+                known.couple = row.couple
+                known.normal = row.normal
+                known.approach_speed = -parting
+                known.slip_speed = wp.length(u_after - parting * row.normal)
+                known.mode = wp.int32(MODE_SLIP)
                 if along <= real(0.0):
-                    mode = wp.int32(MODE_OPEN)
-                elif wp.length(across) < inside * rows.mu[env, row] * along:
-                    mode = wp.int32(MODE_STICK)
-                contact = rows.contact[env, row]
-                memory.impulse[env, contact] = impulse
-                memory.couple[env, contact] = couple
-                memory.normal[env, contact] = normal
-                memory.approach_speed[env, contact] = -parting
-                memory.slip_speed[env, contact] = wp.length(slip)
-                memory.mode[env, contact] = mode
-                memory.stamp[env, contact] = number
-                push(reactions, env, body_1, per_step * impulse, per_step * (wp.cross(arm_1, impulse) + couple))
-                push(reactions, env, body_2, -per_step * impulse, -per_step * (wp.cross(arm_2, impulse) + couple))
+                    known.mode = wp.int32(MODE_OPEN)
+                elif limit > real(0.0) and wp.length_sq(across) < limit * limit:
+                    known.mode = wp.int32(MODE_STICK)
+                known.stamp = number
+                # Which coefficient of friction the next step takes.
+                if known.mode != memory[env, row.contact].mode or memory[env, row.contact].stamp != number - 1:
+                    calm = wp.int32(0)
+                memory[env, row.contact] = known
+            account.calm[env] = calm
             account.friction_loss[env] = account.friction_loss[env] + by_friction
             account.impact_loss[env] = account.impact_loss[env] + by_impact
 
@@ -116,7 +146,7 @@ def read(real: type, Contacts: Any) -> wp.Kernel:
     """
     vec3 = structs(real).vec3
     records = record_structs(real)
-    Memory, Account, Shown = records.Memory, records.Account, records.Shown
+    Memories, Account, Shown = records.Memories, records.Account, records.Shown
 
     @wp.kernel(module="unique", enable_backward=False)
     def show_contacts(
@@ -125,7 +155,7 @@ def read(real: type, Contacts: Any) -> wp.Kernel:
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         first: wp.int32,  # number of the first contact of the arrays
         items: wp.array(dtype=wp.int32),  # [item] those of the arrays that are hard
-        memory: Memory,
+        memory: Memories,
         account: Account,
         contacts: Contacts,
         shown: Shown,
@@ -143,15 +173,15 @@ def read(real: type, Contacts: Any) -> wp.Kernel:
             mode = wp.int32(MODE_OPEN)
             along = real(0.0)
             normal = vec3()
-            if memory.stamp[env, contact] == account.step[env]:
-                mode = memory.mode[env, contact]
+            if memory[env, contact].stamp == account.step[env]:
+                mode = memory[env, contact].mode
                 if mode != MODE_OPEN:
-                    impulse = memory.impulse[env, contact]
-                    couple = memory.couple[env, contact]
-                    normal = memory.normal[env, contact]
+                    impulse = memory[env, contact].impulse
+                    couple = memory[env, contact].couple
+                    normal = memory[env, contact].normal
                     along = wp.dot(impulse, normal)
-                    approach_speed = memory.approach_speed[env, contact]
-                    slip_speed = memory.slip_speed[env, contact]
+                    approach_speed = memory[env, contact].approach_speed
+                    slip_speed = memory[env, contact].slip_speed
             per_step = real(1.0) / step[env, 0]
             shown.impulse[env, contact] = impulse
             shown.mode[env, contact] = mode
@@ -174,7 +204,7 @@ def read_pile(real: type) -> wp.Kernel:
     p = pile_structs(real)
     Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
     records = record_structs(real)
-    Memory, Account = records.Memory, records.Account
+    Memories, Account = records.Memories, records.Account
 
     @wp.kernel(module="unique", enable_backward=False)
     def show_pile(
@@ -182,7 +212,7 @@ def read_pile(real: type) -> wp.Kernel:
         first: wp.int32,  # number of the contact of the first record
         shapes: Shapes,
         lists: Lists,
-        memory: Memory,
+        memory: Memories,
         account: Account,
         touches: Touches,
     ):
@@ -199,12 +229,12 @@ def read_pile(real: type) -> wp.Kernel:
             along = real(0.0)
             approach_speed = real(0.0)
             contact = first + slot
-            if memory.stamp[env, contact] == account.step[env]:  # noqa: SIM102  Warp would look at both sides
-                if memory.mode[env, contact] != MODE_OPEN:
-                    force = per_step * memory.impulse[env, contact]
-                    normal = memory.normal[env, contact]
+            if memory[env, contact].stamp == account.step[env]:  # noqa: SIM102  Warp would look at both sides
+                if memory[env, contact].mode != MODE_OPEN:
+                    force = per_step * memory[env, contact].impulse
+                    normal = memory[env, contact].normal
                     along = wp.dot(force, normal)
-                    approach_speed = memory.approach_speed[env, contact]
+                    approach_speed = memory[env, contact].approach_speed
                     touches.normal[env, slot] = normal
                     touches.bits[env, slot] = bits | TOUCHES
             touches.force[env, slot] = force
@@ -249,6 +279,7 @@ def forget(real: type) -> wp.Kernel:
             return
         # No contact has the stamp of a step that none has taken.
         account.step[env] = account.step[env] + 1
+        account.calm[env] = 0
         if everything == 1:
             account.failures[env] = 0
             account.restrained[env] = 0

@@ -11,14 +11,14 @@ import warp as wp
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_WAITING, Work, structs
 from warpcontact.kernels.unilateral import impulses, relative
 from warpcontact.kernels.unilateral.records import record_structs
-from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 
 #: Solves after the first, at most.
 ROUNDS = 4
 
 
 @functools.cache
-def kernel(real: type) -> wp.Kernel:
+def kernel(real: type, moves: bool) -> wp.Kernel:
     """Returns the kernel that looks for a large part of the restitution that brings no energy; items: 1.
 
     It comes after each solve, ``number`` 0 after the first, with the whole restitution. Where that brings energy,
@@ -28,10 +28,12 @@ def kernel(real: type) -> wp.Kernel:
     t = structs(real)
     State = t.State
     r, records = row_structs(real), record_structs(real)
-    Rows, Moving, Outcome, Restraint = r.Rows, r.Moving, r.Outcome, records.Restraint
-    Change = impulses.change_struct(real)
-    f = relative.functions(real)
-    velocity_before, velocity_after, spin = f.before, f.after, f.spin
+    Rows, Outcome, Restraint = r.Rows, r.Outcome, records.Restraint
+    Change = wp.array2d(dtype=impulses.change_struct(real))
+    Moving = wp.array2d(dtype=moving_struct(real, moves))
+    f = relative.functions(real, moves)
+    velocity_before, velocity_after = f.before, f.after
+    spin_before, spin_after = f.spin_before, f.spin_after
     last = wp.constant(ROUNDS - 1)
     # Of the work at all contacts: what rounding may bring; and what a solve may, over its tolerance.
     slight = wp.constant(real(1.0e-4) if real is wp.float32 else real(1.0e-9))
@@ -41,7 +43,7 @@ def kernel(real: type) -> wp.Kernel:
     def bounces(rows: Rows, env: int, count: int):
         found = wp.bool(False)
         for row in range(count):
-            found = found or rows.bounce[env, row] > real(0.0)
+            found = found or rows[env, row].bounce > real(0.0)
         return found
 
     @wp.func
@@ -50,23 +52,23 @@ def kernel(real: type) -> wp.Kernel:
         work_done = real(0.0)
         size = real(0.0)
         for row in range(count):
-            body_1 = rows.body_1[env, row]
-            body_2 = rows.body_2[env, row]
-            arm_1 = rows.arm_1[env, row]
-            arm_2 = rows.arm_2[env, row]
+            body_1 = rows[env, row].body_1
+            body_2 = rows[env, row].body_2
+            arm_1 = rows[env, row].arm_1
+            arm_2 = rows[env, row].arm_2
             u_before = velocity_before(middle, env, body_1, body_2, arm_1, arm_2)
             u_after = velocity_after(moving, env, body_1, body_2, arm_1, arm_2)
-            turned = spin(middle.body_angular_velocity, env, body_1, body_2)
-            turned += spin(moving.angular, env, body_1, body_2)
-            impulse = rows.impulse[env, row]
-            couple = rows.couple[env, row]
+            turned = spin_before(middle, env, body_1, body_2)
+            turned += spin_after(moving, env, body_1, body_2)
+            impulse = rows[env, row].impulse
+            couple = rows[env, row].couple
             work_done += wp.dot(impulse, u_before + u_after) + wp.dot(couple, turned)
-            if rows.recovery[env, row] > rows.bounce[env, row]:
+            if rows[env, row].recovery > rows[env, row].bounce:
                 # What takes overlap back may bring energy.
-                work_done -= rows.recovery[env, row] * wp.dot(impulse, rows.normal[env, row])
+                work_done -= rows[env, row].recovery * wp.dot(impulse, rows[env, row].normal)
             # At rest there is less than what a step without contact would bring.
             body = wp.where(body_1 < 0, body_2, body_1)
-            free = wp.sqrt(wp.max(change.speed_squared[env, body], real(0.0)))
+            free = wp.sqrt(wp.max(change[env, body].speed_squared, real(0.0)))
             size += wp.length(impulse) * (wp.length(u_before) + wp.length(u_after) + free)
         return work_done > wp.max(slight, unsolved * tolerance) * size
 
@@ -110,6 +112,6 @@ def kernel(real: type) -> wp.Kernel:
             restraint.part[env] = next_part
             restraint.status[env] = ENV_ACTIVE
             for row in range(count):
-                rows.bounce[env, row] = rows.bounce[env, row] * (next_part / part)
+                rows[env, row].bounce = rows[env, row].bounce * (next_part / part)
 
     return restrain_impacts

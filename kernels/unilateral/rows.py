@@ -13,40 +13,29 @@ from warpcontact.kernels.types import structs
 
 @functools.cache
 def row_structs(real: type) -> SimpleNamespace:
-    """Returns the structs for ``real``, ``wp.float32`` or ``wp.float64``."""
-    vec3, mat33 = structs(real).vec3, structs(real).mat33
+    """Returns the structs for ``real``, ``wp.float32`` or ``wp.float64``.
+
+    ``Rows`` is the type of an array of rows [env, row]; what lies beyond their ``count`` is not to be looked at.
+    """
+    vec3 = structs(real).vec3
 
     @wp.struct
-    class Rows:
-        """Contacts that are closed in a step; what they are beyond ``count`` is not to be looked at."""
+    class Row:
+        """A contact that is closed in a step."""
 
-        contact: wp.array2d(dtype=wp.int32)  # [env, row] number of the contact among all that are hard
-        body_1: wp.array2d(dtype=wp.int32)  # [env, row] or WORLD
-        body_2: wp.array2d(dtype=wp.int32)  # [env, row] or WORLD
-        arm_1: wp.array2d(dtype=vec3)  # [env, row] to K from the centre of mass of the first, W [m]
-        arm_2: wp.array2d(dtype=vec3)  # [env, row] to K from that of the second, W [m]
-        normal: wp.array2d(dtype=vec3)  # [env, row] unit, out of the second, towards the first, W
-        mu: wp.array2d(dtype=real)  # [env, row] coefficient of friction
-        rolling: wp.array2d(dtype=real)  # [env, row] couple against rolling over the normal impulse [m]
-        spinning: wp.array2d(dtype=real)  # [env, row] likewise against spinning about the normal [m]
-        bounce: wp.array2d(dtype=real)  # [env, row] speed at which it is to part, e × that of approach, ≥ 0 [m/s]
-        recovery: wp.array2d(dtype=real)  # [env, row] speed at which overlap is taken back, ≥ 0 [m/s]
-        impulse: wp.array2d(dtype=vec3)  # [env, row] on the first; before a solve the guess, W [N·s]
-        couple: wp.array2d(dtype=vec3)  # [env, row] of rolling and spinning, on the first, likewise [N·m·s]
-
-    @wp.struct
-    class Moving:
-        """Bodies under impulses: Δv = A P + B L, Δω = Bᵀ P + C L of an impulse P and an angular impulse L.
-
-        Of a free body A = 1/m and B = 0; what a body may not do its motion takes out of A, B and C.
-        """
-
-        linear: wp.array2d(dtype=vec3)  # [env, body] velocity of the centre of mass; in: without contact, W [m/s]
-        angular: wp.array2d(dtype=vec3)  # [env, body] W [rad/s]
-        inverse_mass: wp.array2d(dtype=real)  # [env, body] if all bodies are free [1/kg]
-        by_force: wp.array2d(dtype=mat33)  # [env, body] A, W [1/kg]; only if not all are free
-        across: wp.array2d(dtype=mat33)  # [env, body] B, W [1/(kg·m)]; only if not all are free
-        by_torque: wp.array2d(dtype=mat33)  # [env, body] C, W [1/(kg·m²)]
+        contact: wp.int32  # its number among all that are hard
+        body_1: wp.int32  # or WORLD
+        body_2: wp.int32  # or WORLD
+        arm_1: vec3  # to K from the centre of mass of the first, W [m]
+        arm_2: vec3  # to K from that of the second, W [m]
+        normal: vec3  # unit, out of the second, towards the first, W
+        mu: real  # coefficient of friction
+        rolling: real  # couple against rolling over the normal impulse [m]
+        spinning: real  # likewise against spinning about the normal [m]
+        bounce: real  # speed at which it is to part, e × that of approach, ≥ 0 [m/s]
+        recovery: real  # speed at which overlap is taken back, ≥ 0 [m/s]
+        impulse: vec3  # on the first; before a solve the guess, W [N·s]
+        couple: vec3  # of rolling and spinning, on the first, likewise [N·m·s]
 
     @wp.struct
     class Outcome:
@@ -58,4 +47,29 @@ def row_structs(real: type) -> SimpleNamespace:
         iterations: wp.array(dtype=wp.int32)  # [env]
         converged: wp.array(dtype=wp.int32)  # [env] 1: to the tolerance
 
-    return SimpleNamespace(Rows=Rows, Moving=Moving, Outcome=Outcome)
+    return SimpleNamespace(Row=Row, Rows=wp.array2d(dtype=Row), Outcome=Outcome)
+
+
+@functools.cache
+def moving_struct(real: type, moves: bool) -> type:
+    """Returns the struct of a body under impulses, for ``real``; with ``moves`` not all bodies are free."""
+    vec3, mat33 = structs(real).vec3, structs(real).mat33
+
+    @wp.struct
+    class Moving:
+        """A body under impulses: Δv = A P + B L, Δω = Bᵀ P + C L of an impulse P and an angular impulse L.
+
+        Of a free body A = 1/m and B = 0; what a body may not do its motion takes out of A, B and C.
+        """
+
+        linear: vec3  # velocity of the centre of mass; in: without contact, W [m/s]
+        angular: vec3  # W [rad/s]
+        by_torque: mat33  # C, W [1/(kg·m²)]
+        if moves:
+            by_force: mat33  # A, W [1/kg]
+            across: mat33  # B, W [1/(kg·m)]
+        else:
+            inverse_mass: real  # [1/kg]
+            still: wp.int32  # 1: it did not move before the step
+
+    return Moving

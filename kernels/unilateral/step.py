@@ -23,6 +23,7 @@ from warpcontact.kernels.types import (
     ENV_FAILED,
     FREE,
     HINGE,
+    INLINED,
     NO_CAUSE,
     PLANAR,
     PRESCRIBED,
@@ -32,7 +33,7 @@ from warpcontact.kernels.types import (
     structs,
 )
 from warpcontact.kernels.unilateral.records import record_structs
-from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 
 
 @functools.cache
@@ -51,7 +52,7 @@ def middle(real: type, moves: bool) -> wp.Kernel:
     wide, wide_matrix, wide_quat = f.wide, f.wide_matrix, f.wide_quat
     moved, put, set_velocity = f.moved, f.put, f.set_velocity
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def go_half_way(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -122,8 +123,8 @@ def free(real: type, moves: bool) -> wp.Kernel:
     time.
     """
     t = structs(real)
-    mat33, Model, State, Wrenches = t.mat33, t.Model, t.State, t.Wrenches
-    Moving = row_structs(real).Moving
+    vec3, mat33, Model, State, Wrenches = t.vec3, t.mat33, t.Model, t.State, t.Wrenches
+    Moving = wp.array2d(dtype=moving_struct(real, moves))
     f = bodies.functions(real)
     wide, narrow, wide_matrix, wide_quat = f.wide, f.narrow, f.wide_matrix, f.wide_quat
 
@@ -205,13 +206,13 @@ def free(real: type, moves: bool) -> wp.Kernel:
             lever = wp.skew(arm)
             across = -(lever * by_torque)
             by_force = across * lever
-        moving.linear[env, body] = narrow(linear)
-        moving.angular[env, body] = narrow(angular)
-        moving.by_force[env, body] = narrow_matrix(by_force)
-        moving.across[env, body] = narrow_matrix(across)
-        moving.by_torque[env, body] = narrow_matrix(by_torque)
+        moving[env, body].linear = narrow(linear)
+        moving[env, body].angular = narrow(angular)
+        moving[env, body].by_force = narrow_matrix(by_force)
+        moving[env, body].across = narrow_matrix(across)
+        moving[env, body].by_torque = narrow_matrix(by_torque)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def velocities_without_contact(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -237,25 +238,27 @@ def free(real: type, moves: bool) -> wp.Kernel:
                     continue
             inverse_mass = real(1.0) / model.body_mass[env, body]
             acceleration = inverse_mass * wrenches.force[env, body] + model.gravity[env, 0]
-            moving.linear[env, body] = state_in.body_linear_velocity[env, body] + dt * acceleration
+            moving[env, body].linear = state_in.body_linear_velocity[env, body] + dt * acceleration
             inverse_B = model.body_inverse_inertia[env, body]
             w_W = state_in.body_angular_velocity[env, body]
             R = wp.identity(n=3, dtype=real)
             by_torque = inverse_B
             if model.body_round[env, body]:
-                moving.angular[env, body] = w_W + (dt * inverse_B[0, 0]) * wrenches.torque[env, body]
+                moving[env, body].angular = w_W + (dt * inverse_B[0, 0]) * wrenches.torque[env, body]
             else:
                 R = wp.quat_to_matrix(middle.body_orientation[env, body])
                 by_torque = R * inverse_B * wp.transpose(R)
                 # There the body has the angular momentum of the start.
                 w_middle = middle.body_angular_velocity[env, body]
-                moving.angular[env, body] = w_middle + by_torque * (dt * wrenches.torque[env, body])
-            moving.by_torque[env, body] = by_torque
+                moving[env, body].angular = w_middle + by_torque * (dt * wrenches.torque[env, body])
+            moving[env, body].by_torque = by_torque
             if wp.static(moves):
-                moving.by_force[env, body] = inverse_mass * wp.identity(n=3, dtype=real)
-                moving.across[env, body] = mat33()
+                moving[env, body].by_force = inverse_mass * wp.identity(n=3, dtype=real)
+                moving[env, body].across = mat33()
             else:
-                moving.inverse_mass[env, body] = inverse_mass
+                moving[env, body].inverse_mass = inverse_mass
+                still = state_in.body_linear_velocity[env, body] == vec3() and w_W == vec3()
+                moving[env, body].still = wp.where(still, 1, 0)
 
     return velocities_without_contact
 
@@ -269,7 +272,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
     """
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
-    Moving = row_structs(real).Moving
+    Moving = wp.array2d(dtype=moving_struct(real, moves))
     rotated = frames.functions(real).rotated
     f = bodies.functions(real)
     wide, wide_matrix, wide_quat, moved = f.wide, f.wide_matrix, f.wide_quat, f.moved
@@ -291,8 +294,8 @@ def advance(real: type, moves: bool) -> wp.Kernel:
     ):
         motion = model.body_motion[env, body]
         rest = wp.float64(1.0) - theta
-        v = wide(moving.linear[env, body])
-        w = wide(moving.angular[env, body])
+        v = wide(moving[env, body].linear)
+        w = wide(moving[env, body].angular)
         w_before = wide(middle.body_angular_velocity[env, body])
         linear = theta * v + rest * wide(state_in.body_linear_velocity[env, body])
         whole_B = wp.mat33d()
@@ -314,7 +317,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
         state_out.body_orientation[env, body] = orientation
         set_velocity(state_out, env, body, v, w)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def go_whole_way(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -345,7 +348,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
                     judge(guard, wrenches, state_out, env, body, status)
                     continue
             rest = real(1.0) - theta
-            velocity = moving.linear[env, body]
+            velocity = moving[env, body].linear
             before = state_in.body_position[env, body]
             way = dt * (theta * velocity + rest * state_in.body_linear_velocity[env, body])
             way += state_in.body_position_remainder[env, body]
@@ -353,10 +356,12 @@ def advance(real: type, moves: bool) -> wp.Kernel:
             gone = position - before
             q_WB = state_in.body_orientation[env, body]
             w_W = state_in.body_angular_velocity[env, body]
-            turning = moving.angular[env, body]
+            turning = moving[env, body].angular
             orientation = q_WB
             if model.body_round[env, body]:
-                orientation = rotated(q_WB, dt * (theta * turning + rest * w_W))
+                turn = dt * (theta * turning + rest * w_W)
+                if wp.length_sq(turn) > real(0.0):
+                    orientation = rotated(q_WB, turn)
             else:
                 inverse_B = model.body_inverse_inertia[env, body]
                 inertia_B = model.body_inertia[env, body]
@@ -364,13 +369,16 @@ def advance(real: type, moves: bool) -> wp.Kernel:
                 w_before = middle.body_angular_velocity[env, body]
                 gained_B = inertia_B * wp.quat_rotate_inv(q_middle, turning - w_before)
                 momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
-                orientation = rotated(q_WB, dt * (theta * turning + rest * w_before))
+                turn = dt * (theta * turning + rest * w_before)
+                if wp.length_sq(turn) > real(0.0):
+                    orientation = rotated(q_WB, turn)
                 # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and
                 # scales what it rotates, which in a difference from step to step cancels instead of adding up.
                 last = wp.quat_rotate(q_WB, inverse_B * wp.quat_rotate_inv(q_WB, momentum))
                 momentum += wp.quat_rotate(q_middle, gained_B)
                 after = wp.quat_rotate(orientation, inverse_B * wp.quat_rotate_inv(orientation, momentum))
-                turning = w_W + (after - last)
+                if wp.length_sq(turning) > real(0.0):
+                    turning = w_W + (after - last)
             state_out.body_position[env, body] = position
             state_out.body_position_remainder[env, body] = (before - (position - gone)) + (way - gone)
             state_out.body_orientation[env, body] = orientation

@@ -155,7 +155,8 @@ class MoreauJean(Integrator):
         a, real, moves, bodies = model.arrays, model.types.real, model.moves, model.body_count
         middle = hard.middle
         status, h = a.status, dt.dynamic
-        launches = span.prepare(
+        launches = hard.rest_stages(span, dt.clock)
+        launches += span.prepare(
             step.middle(real, moves), bodies, [status, h, a.model, state_in, middle, hard.outcome, hard.restraint]
         )
         for drive in model.drives:
@@ -178,7 +179,7 @@ class MoreauJean(Integrator):
         for number in range(restrain.ROUNDS if model.bounces else 0):
             inputs = [status, number, middle, hard.rows, hard.moving, hard.outcome, hard.change]
             inputs += [hard.tolerance, hard.restraint]
-            launches += span.prepare(restrain.kernel(real), 1, inputs)
+            launches += span.prepare(restrain.kernel(real, moves), 1, inputs)
             launches += solve(hard.restraint.status)
         inputs = [status, h, float(self.theta), a.model, a.guard, state_in, middle, hard.moving, a.wrenches]
         inputs.append(state_out)

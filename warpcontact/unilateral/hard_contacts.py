@@ -2,18 +2,20 @@
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from warpcontact.arrays import Layout, fixed, per_env
+from warpcontact.arrays import Layout, per_env
+from warpcontact.captures import beside_captures
 from warpcontact.footprint import Need
 from warpcontact.groups import Group, by_code
 from warpcontact.kernels.smooth.records import contact_structs
-from warpcontact.kernels.unilateral import collect, impulses, remember
+from warpcontact.kernels.unilateral import collect, impulses, remember, rest
 from warpcontact.kernels.unilateral.records import record_structs
-from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 from warpcontact.parameters import Parameter
 from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.pile import Pile
@@ -57,8 +59,8 @@ class HardContacts:
     Args:
         model: The model, or what is drawn up of it.
         compliant: Names of the contacts that are not hard, beside those of contact couplings.
-        scratch: For each solver, what returns the struct of arrays [env, row] that it works in, by precision and
-            whether anything opposes rolling or spinning.
+        scratch: For each solver, what returns the struct of what it keeps of a row, by precision and whether
+            anything opposes rolling or spinning.
         tolerance: Of a solve.
         recovery: Share of an overlap that is taken back in a second [1/s].
         layout: Where to declare arrays.
@@ -67,13 +69,13 @@ class HardContacts:
         compliant: Names of the contacts that are not hard.
         tolerance: Of a solve.
         recovery: Share of an overlap that is taken back in a second [1/s].
+        watched: Whether every step is looked at, so that none is left out.
         capacity: Most rows of an environment.
         middle: State at half a step.
         rows: The closed contacts of a step.
         moving: The bodies under impulses.
         outcome: How the last solve went.
-        scratch: What each solver works in, of rows.
-        change: Likewise, of bodies.
+        change: What impulses have changed of these.
         restraint: How far restitution was lowered in the last step.
         memory: Of each contact, from the last step in which it was closed.
         account: Of each environment, since reset.
@@ -96,6 +98,7 @@ class HardContacts:
         forces = [contact.name for contact in scene.contacts if contact.facing is not None]
         self.compliant = frozenset([*compliant, *forces])
         self.tolerance, self.recovery = tolerance, recovery
+        self.watched = False
         self._real = t.real
         self._contacts = t.Contacts
         self._device = layout.device
@@ -133,17 +136,21 @@ class HardContacts:
 
         bodies, each_row = per_env(model.body_count), per_env(max(1, self.capacity))
         self.middle = layout.struct(PURPOSE, t.State, bodies)
-        apart = ("by_force", "across") if not model.moves else ("inverse_mass",)
-        nothing = fixed(1, 1)
-        self.moving = layout.struct(PURPOSE, rows.Moving, bodies, records=True, **dict.fromkeys(apart, nothing))
-        self.rows = layout.struct(PURPOSE, rows.Rows, each_row, records=True)
-        self.scratch = [
-            layout.struct(PURPOSE, make(t.real, self.rolls), each_row, records=True) for make in scratch
-        ]
-        self.change = layout.struct(PURPOSE, impulses.change_struct(t.real), bodies, records=True)
+        made = {
+            "rows": (rows.Row, each_row),
+            "moving": (moving_struct(t.real, model.moves), bodies),
+            "change": (impulses.change_struct(t.real), bodies),
+            "memory": (records.Memory, per_env(max(1, known))),
+        }
+        self.rows = self.moving = self.change = self.memory = None
+        for name, (struct, shape) in made.items():
+            layout.array(PURPOSE, self, name, struct, shape)
+        self._scratch = SimpleNamespace()
+        for number, make in enumerate(scratch):
+            setattr(self._scratch, str(number), None)
+            layout.array(PURPOSE, self._scratch, str(number), make(t.real, self.rolls), each_row)
         self.outcome = layout.struct(PURPOSE, rows.Outcome, per_env())
         self.restraint = layout.struct(PURPOSE, records.Restraint, per_env())
-        self.memory = layout.struct(PURPOSE, records.Memory, per_env(max(1, known)), records=True)
         self.account = layout.struct(PURPOSE, records.Account, per_env())
         self.shown = layout.struct(PURPOSE, records.Shown, per_env(max(1, count)))
         self.reactions = layout.struct(PURPOSE, t.Wrenches, bodies)
@@ -208,6 +215,11 @@ class HardContacts:
                 values[:, hard] = nothing
                 array.assign(values)
 
+    @property
+    def scratch(self) -> list[Any]:
+        """What each solver works in [env, row]."""
+        return list(vars(self._scratch).values())
+
     def acts(self, name: str) -> bool:
         """Whether the contact ``name`` acts by the force of its law."""
         return name in self.compliant
@@ -262,12 +274,29 @@ class HardContacts:
             launches += span.prepare(collect.pile(real), 1, [*inputs, *outputs])
         return launches
 
+    def rest_stages(self, span: "Span", step: wp.array) -> list[wp.Launch]:
+        """Returns the launch that leaves environments at rest out of a step, none where that may be wrong.
+
+        Only contacts with surfaces do the same in every step in which nothing moves.
+        """
+        model = span.model
+        others = model.moves or model.drives or model.couplings or model.smooth or model.piles or model.follows
+        if self.watched or others or any(self.compliant_blocks(group) for group in model.groups):
+            return []
+        inputs = [model.arrays.status, step, model.arrays.time, self.account]
+        return span.prepare(rest.kernel(self._real), 1, inputs)
+
+    @beside_captures()
+    def wake(self) -> None:
+        """Lets no environment rest: something may have been changed from outside."""
+        self.account.calm.zero_()
+
     def accept_stages(self, span: "Span", step: wp.array) -> list[wp.Launch]:
         """Returns the launch that remembers what an accepted step led to; ``step`` [env, 0] [s]."""
         inputs = [span.model.arrays.status, step, self.tolerance, span.model.body_count]
         inputs += [self.middle, self.rows, self.moving]
         inputs += [self.outcome, self.restraint, self.memory, self.account, self.reactions]
-        return span.prepare(remember.kernel(self._real), 1, inputs)
+        return span.prepare(remember.kernel(self._real, span.model.moves, self.rolls), 1, inputs)
 
     def restart(self, chosen: wp.array) -> None:
         """Empties what the environments of the mask ``chosen`` [env] remember."""

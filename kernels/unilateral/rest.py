@@ -1,0 +1,36 @@
+"""Steps that would change nothing, and are left out: to the last bit the result is the same.
+
+A step is a function of the state, of what contacts remember and of parameters. Where the last steps changed none
+of these the next does not either, until something is changed from outside. ``remember`` counts such steps.
+"""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_RESTING, Work
+from warpcontact.kernels.unilateral.records import record_structs
+
+
+@functools.cache
+def kernel(real: type) -> wp.Kernel:
+    """Returns the kernel that leaves environments at rest out of a step, but for their clocks; items: 1.
+
+    All contacts are hard and with surfaces, and nothing else acts.
+    """
+    Account = record_structs(real).Account
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def leave_at_rest(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
+        time: wp.array(dtype=wp.float64),  # [env] [s]
+        account: Account,
+    ):
+        for task in range(wp.tid(), work.tasks, work.threads):
+            env = work.first + task
+            if status[env] == ENV_ACTIVE and account.calm[env] == 2:
+                time[env] = time[env] + step[env, 0]
+                status[env] = ENV_RESTING
+
+    return leave_at_rest
