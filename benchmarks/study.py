@@ -7,7 +7,7 @@ W1, a sphere on a terrain, 1000 steps, outcomes and nothing over time; each run 
 
 import argparse
 import json
-import os
+import re
 import shutil
 import subprocess
 import sys
@@ -75,6 +75,9 @@ def main() -> None:
     if options.study:
         experiment = wc.Experiment(study(options.envs, outcomes_of[options.study]))
         experiment.run(options.folder, device=options.device)
+        # What the system tells a parent of its child has the parent's own in it.
+        peak = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
+        Path(options.folder).with_name("peak").write_text(peak[1] if peak else "")
         return
     results = {}
     for name, outcomes in outcomes_of.items():
@@ -82,18 +85,16 @@ def main() -> None:
         plan = wc.Experiment(study(options.envs, outcomes)).plan(device=options.device)
         words = ["--device", options.device, "--envs", str(options.envs), "--study", name]
         start = time.perf_counter()
-        process = subprocess.Popen([sys.executable, __file__, *words, "--folder", f"{folder}/run"])
-        _, status, usage = os.wait4(process.pid, 0)
-        if status:
-            raise SystemExit(f"{name}: the study ended with {status}")
+        subprocess.run([sys.executable, __file__, *words, "--folder", f"{folder}/run"], check=True)
         took = time.perf_counter() - start
         summary = json.loads(Path(folder, "run", "run.json").read_text())
         results[name] = {
             "seconds": took,
             "stepping_seconds": summary["wall_time"],
             "env_steps_per_s": summary["env_steps_per_second"],
-            "peak_host_bytes": usage.ru_maxrss * 1024,
-            "planned_host_bytes": plan.footprint.host_bytes,
+            "peak_host_bytes": 1024 * int(Path(folder, "peak").read_text()),
+            "planned_host_bytes": plan.peak,
+            "planned_of_study_bytes": plan.footprint.host_bytes,
             "planned_device_bytes": plan.footprint.device_bytes,
             "disk_bytes": sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file()),
         }
@@ -102,7 +103,7 @@ def main() -> None:
         peak, planned = (own[f"{key}_host_bytes"] / 2**30 for key in ("peak", "planned"))
         print(
             f"{name:18} {took:7.1f} s, {own['env_steps_per_s']:.3g} environment steps per second, "
-            f"peak {peak:.2f} GiB of the host with all libraries, planned {planned:.2f} GiB for the study",
+            f"peak {peak:.2f} GiB of the host, planned {planned:.2f} GiB",
             flush=True,
         )
     threads = available_threads() if options.device == "cpu" else 1

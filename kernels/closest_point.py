@@ -68,10 +68,10 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     remembered = REMEMBERED if part == WHOLE else REMEMBERED_IN_QUEUES
     of_face, of_search = feet.functions(real), search.functions(real, remembered)
     Foot, foot_on, inner, walk = of_face.Foot, of_face.foot_on, of_face.inner, of_face.walk
-    Recalled = of_search.Recalled
+    Recalled, recall_sure = of_search.Recalled, of_search.recall_sure
     recall = {
         WHOLE: of_search.recall,
-        KNOWN: of_search.recall_sure,
+        KNOWN: recall_sure,
         LISTED: of_search.recall_listed,
         SEARCH: of_search.recall_nothing,
     }[part]
@@ -175,15 +175,11 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         history: History,
         contacts: Contacts,
         cached: bool,
-        complete: bool,
         cache: Cache,
         env: int,
         contact: int,
     ):
-        """Fills ``contacts`` for one; returns how far its point can move and not touch [m], < 0: not at all.
-
-        A ``complete`` one tells the same to the last digit, whatever is remembered.
-        """
+        """Fills ``contacts`` for one; returns how far its point can move and not touch [m], < 0: not at all."""
         geometry = model.contact_geometry[env, contact]
         radius = geometry.radius
         armed = history.armed[env, contact]
@@ -219,29 +215,33 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
             if cached:
                 step = view.per_scale * cache.set_step[env, view.number]
                 recalled = recall(model, cache, env, contact, p_S, step)
+            elif wp.static(part == WHOLE):
+                # Far away a search settles no ties, as what is remembered does.
+                recalled = recall_sure(model, cache, env, contact, p_S, real(0.0))
+                if recalled.known:
+                    sure = recalled.foot.distance
+                    sure += model.patch_slack[patch] + query_epsilon * (extent + sure)
+                    recalled.known = sure < reach + model.patch_skin[patch]
             foot = recalled.foot
-            if wp.static(real is wp.float32):  # noqa: SIM102 - only a static condition alone is pruned
-                # Far away a search settles no ties: so that its outcome does not depend on what is remembered.
-                if complete and not (foot.distance < reach + model.patch_skin[patch]):
-                    recalled.known = recalled.known and inner(model, foot)
             if wp.static(part in (KNOWN, LISTED)):
                 if not recalled.known:
                     return real(LATER)
             elif not recalled.known:
-                # With a cache it looks farther, to know how long it need not look again, yet not beyond the face
-                # that was nearest last.
+                # With a cache it looks farther, to know how long it need not look again. It never looks beyond the
+                # face that was nearest last: whichever that was, what is found is the same.
                 ahead = wp.where(cached, real(2.0) * seen, seen)
                 limit = ahead
                 hinted = wp.bool(False)
-                if cached:
-                    hint = cache.nearest[env, contact]
-                    if hint >= view.start and hint < view.stop:
-                        if wp.static(part == SEARCH) or cache.faces[env, contact] == 0:
-                            foot = foot_on(model, hint, p_S)
-                        hinted = foot.distance < ahead
-                        limit = wp.min(limit, foot.distance)
-                if not (hinted and foot.distance < reach + model.patch_skin[patch]):
-                    margin = model.patch_slack[patch] + query_epsilon * (extent + limit)
+                hint = cache.nearest[env, contact]
+                if hint >= view.start and hint < view.stop:
+                    if wp.static(part == SEARCH) or not cached or cache.faces[env, contact] == 0:
+                        foot = foot_on(model, hint, p_S)
+                    hinted = foot.distance < ahead
+                    limit = wp.min(limit, foot.distance)
+                margin = model.patch_slack[patch] + query_epsilon * (extent + limit)
+                # Ties are settled from the nearest on; what is remembered keeps the choice of an earlier search.
+                enough = cached and hinted and foot.distance + margin < reach + model.patch_skin[patch]
+                if not enough:
                     mesh = model.patch_mesh[patch]
                     query = wp.mesh_query_point_no_sign(
                         mesh,
@@ -267,7 +267,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 elif doubtful or wp.static(real is wp.float64):
                     foot = nearest_of_all(model, patch, p_S, foot, unsure)
                     unsure = real(0.0)
-                if cached:
+                if cached or cache.faces[env, contact] == 0:
                     cache.nearest[env, contact] = foot.row
             if foot.distance >= seen:
                 lost(contacts, env, contact, out_of_sight, FAR, armed, arm_W)

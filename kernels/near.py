@@ -162,8 +162,8 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
     """Returns the kernel that fills ``contacts`` and ``near`` from ``state``; items: blocks.
 
     With ``cached`` it looks only at points that may touch, and remembers what it finds: contacts that it leaves
-    out do not touch and did not in the last step, and ``near`` lists the others. The outcome is the same. With
-    ``complete`` it looks at all, tells gap, normal and point of those that are far away as well, and lists all.
+    out do not touch and did not in the last step, and ``near`` lists the others. Without, it looks at all, lists
+    all, and tells gap, normal and point of those that are far away as well. Of the others the outcome is the same.
 
     Args:
         real: Type of a real number.
@@ -185,12 +185,10 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
         state: State,
         history: History,
         cached: wp.bool,
-        complete: wp.bool,
         cache: Cache,
         contacts: Contacts,
         near: Near,
     ):
-        choosy = cached and not complete
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items
             block = task % work.items
@@ -204,7 +202,6 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
             if cached:
                 travel = cache.set_travel[env, number]
                 travelled = travel + cache.set_margin[env, number]
-            if choosy:  # noqa: SIM102 - Warp computes both sides of an ``and``
                 if cache.set_asleep[env, number] != 0 or travelled < cache.block_wake[env, block]:
                     near.count[env, block] = 0
                     continue
@@ -212,35 +209,35 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
             stop = model.block_start[block + 1]
             view = view_of(model, state, env, number)
             around = real(-1.0)
-            if choosy and stop - start > 1:  # noqa: SIM102 - Warp computes both sides of an ``and``
+            if cached and stop - start > 1:  # noqa: SIM102 - Warp computes both sides of an ``and``
                 # One search in the middle may do for all that are far from where they last touched.
                 if unknown(model, cache, env, start, stop, travelled):
                     around = probe(model, view, env, block)
             first_wake = real(wp.inf)
             for place in range(start, stop):
                 contact = model.block_contact[place]
-                if choosy and travelled < cache.wake[env, contact]:
+                if cached and travelled < cache.wake[env, contact]:
                     wake = longer_wake(model, history, cache, env, block, contact, travel, around)
                     first_wake = wp.min(first_wake, wake)
                 else:
                     before = contacts.status[env, contact]
                     free = real(-1.0)
-                    if choosy:
+                    if cached:
                         free = free_around(model, history, contacts, cache, env, block, contact, around)
                     if free < real(0.0):
-                        free = look(model, view, history, contacts, cached, complete, cache, env, contact)
+                        free = look(model, view, history, contacts, cached, cache, env, contact)
                     if cached:
                         wake = wake_of(travel, free)
                         cache.wake[env, contact] = wake
                         first_wake = wp.min(first_wake, wake)
                         near.news[env, contact] = news(contacts, history, env, contact, before)
                     elif contacts.status[env, contact] == CONTACT:
-                        # A later look that is choosy may not leave it out.
+                        # A later look with ``cached`` may not leave it out.
                         cache.wake[env, contact] = real(0.0)
                         new += 1
                 if cached:
                     new += near.news[env, contact]
-                if not choosy or near.news[env, contact] != 0:
+                if not cached or near.news[env, contact] != 0:
                     near.contact[env, start + count] = contact
                     count += 1
             near.count[env, block] = count

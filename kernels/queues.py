@@ -146,7 +146,7 @@ def work_off(real: type, follows: bool, part: str) -> wp.Kernel:
             number = model.contact_set[contact]
             view = view_of(model, state, env, number)
             before = contacts.status[env, contact]
-            free = look(model, view, history, contacts, True, False, cache, env, contact)
+            free = look(model, view, history, contacts, True, cache, env, contact)
             if wp.static(part != SEARCH) and free == real(LATER):
                 put(cache, wp.static(queue + 1), task)
             else:

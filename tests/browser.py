@@ -199,7 +199,8 @@ class Page:
         return self.evaluate("document.body.innerText")
 
     def place(self, expression):
-        """The middle of the element that an expression gives, scrolled into view [px]."""
+        """The middle of the element that an expression gives, once there is one, scrolled into view [px]."""
+        self.wait_for(f"Boolean({expression})")
         box = (
             "(e => { e.scrollIntoView({block: 'center', behavior: 'instant'}); "
             "const r = e.getBoundingClientRect(); "

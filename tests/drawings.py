@@ -18,7 +18,7 @@ PLATE = Shape(
 )
 
 
-def figure(shape, color, positions, scales=1.0, turns=(0.0, 0.0, 0.0, 1.0), name="thing"):
+def figure(shape, color, positions, scales=1.0, turns=(0.0, 0.0, 0.0, 1.0), name="thing", kind="surface"):
     """Copies of a shape in one record of one environment."""
     positions = np.asarray(positions, dtype=float).reshape(1, 1, -1, 3)
     count = positions.shape[2]
@@ -27,7 +27,7 @@ def figure(shape, color, positions, scales=1.0, turns=(0.0, 0.0, 0.0, 1.0), name
     scales = scales[:, None] if scales.ndim == 1 and len(scales) == count != 3 else scales
     return Figure(
         name,
-        "surface",
+        kind,
         shape,
         np.array(color, dtype=float),
         positions,

@@ -324,6 +324,18 @@ def test_mistakes_are_named():
         ),
         (lambda: wc.quantile_fan(fan, "ball.height", ()), r"quantiles must be numbers from 0 to 1, got \(\)"),
         (lambda: wc.quantile_fan(fan, "ball.height", (0.5, 0.1)), r"quantiles must rise, got \(0.5, 0.1\)"),
+        (
+            lambda: wc.convergence(sampled(np.zeros(0)), "peak"),
+            "outcome 'peak' is of no environment yet: none is finished; resume the run",
+        ),
+        (
+            lambda: wc.sensitivity(with_outcome(saltelli.settings, np.zeros((0, 3)), ("env", "axis")), "peak"),
+            "outcome 'peak' is of no environment yet: none is finished",
+        ),
+        (
+            lambda: wc.quantile_fan(Run(fan.settings, series=fan.series.isel(env=[])), "ball.height"),
+            "reading 'ball.height' is of no environment yet: none is begun",
+        ),
         (lambda: wc.quantile_fan(run, "x"), "reading must be one of the run, got 'x'; there are: none"),
         (
             lambda: wc.convergence(run, "peak", "median"),

@@ -180,9 +180,17 @@ def test_a_damaged_file_is_refused(device, tmp_path):
         path.write_bytes(whole[:length])
         with pytest.raises(wc.CheckpointError, match="is no whole checkpoint"):
             sim.load(path)
-    path.write_text("not a checkpoint")
-    with pytest.raises(wc.CheckpointError, match="is no whole checkpoint"):
+    for text in ("not a checkpoint", "import numpy\n", ""):
+        path.write_text(text)
+        with pytest.raises(wc.CheckpointError, match=r"is no whole checkpoint: it is no \.npz file") as caught:
+            sim.load(path)
+        assert "pickle" not in str(caught.value)
+    np.savez(path, header=np.array([{}], dtype=object))
+    with pytest.raises(
+        wc.CheckpointError, match="is no whole checkpoint: Object arrays cannot be loaded"
+    ) as caught:
         sim.load(path)
+    assert "pickle" not in str(caught.value)
     with pytest.raises(FileNotFoundError):
         sim.load(tmp_path / "none.npz")
 

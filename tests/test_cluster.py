@@ -9,6 +9,11 @@ import pytest
 import runs
 
 import warpcontact as wc
+from warpcontact.available import HOST
+from warpcontact.cli import main
+from warpcontact.experiment.cluster import Place
+from warpcontact.experiment.plan import Plan
+from warpcontact.footprint import USABLE, Footprint, Need
 
 WORDS = ("--shard", 4, "--device", "cpu")
 
@@ -141,3 +146,71 @@ def test_a_run_begun_in_one_process_goes_on_with_ray(place, tmp_path):
     assert code == 0, err
     assert runs.hashes(out) == runs.hashes(place / "whole")
     assert runs.leftovers(out) == []
+
+
+class Cluster:
+    """Stands for Ray, with machines of so many cores, GPUs and bytes."""
+
+    def __init__(self, *machines):
+        keys = ("CPU", "GPU", "memory")
+        self.machines = [dict(zip(keys, machine, strict=True)) for machine in machines]
+
+    def nodes(self):
+        return [{"Alive": True, "Resources": one} for one in self.machines] + [{"Alive": False, "Resources": {}}]
+
+
+@pytest.mark.parametrize(
+    ("machines", "gpus", "places", "there", "said"),
+    [
+        ([(8, 0, 100)], 0, 4, 4, 0),
+        ([(8, 0, 35)], 0, 4, 3, 1),
+        ([(8, 0, 35), (4, 0, 8), (2, 0, 1000)], 0, 7, 4, 1),
+        ([(64, 4, 25), (64, 4, 1000)], 1, 8, 6, 1),
+        ([(5, 0, 100)] * 3, 0, 7, 6, 0),
+    ],
+    ids=["enough", "less", "several machines", "GPUs", "cores left over"],
+)
+def test_no_more_shards_run_at_once_than_memory_holds(machines, gpus, places, there, said, monkeypatch):
+    monkeypatch.setattr("warpcontact.experiment.cluster.WORKER", 2)
+    # What the process that plans has of memory does not count.
+    plan = Plan(100, 5, 1, Footprint(5, "cpu", (Need("state", HOST, 6),)), 0, (), process=50)
+    told = []
+    place = Place(Cluster(*machines), cores=2, gpus=gpus, places=places).for_shards_of(plan, told.append)
+    # With what is kept in reserve.
+    assert (place.places, place.memory) == (there, int(8 / USABLE))
+    assert len(told) == said
+    if said:
+        assert f"running {there} at once, and not {places}, for want of memory: a shard of 5 environm" in told[0]
+
+
+def test_a_shard_that_no_machine_holds_is_refused():
+    plan = Plan(100, 5, 1, Footprint(5, "cpu", (Need("state", HOST, 6 * 2**30),)), 0, ())
+    place = Place(Cluster((8, 0, 2**30), (1, 0, 2**40)), cores=2, gpus=0, places=4)
+    message = "takes 7.58 GiB of a machine, and Ray has 1 GiB at most; take a smaller shard"
+    with pytest.raises(MemoryError, match=message):
+        place.for_shards_of(plan, print)
+
+
+@pytest.mark.parametrize("device", ["cuda:0,cuda:1", "cuda:1", "cpu,cpu"])
+def test_shards_on_a_cluster_are_given_no_list_of_devices(device, tmp_path, capsys):
+    study = runs.study(tmp_path)
+    assert main(["run", str(study), "--out", str(tmp_path / "out"), "--ray", "--device", device]) == 2
+    assert f"--device {device}: device must be one of 'auto', 'cpu', 'cuda', 'cuda:0' with Ray" in (
+        capsys.readouterr().err
+    )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_with_memory_for_one_shard_a_cluster_runs_one_after_another(place, tmp_path):
+    little = "import ray; ray.init(address='local', num_cpus=2, _memory=0.9e9, object_store_memory=10**8)"
+    out = tmp_path / "out"
+    code, _, err = runs.run(place / "study.toml", "--out", out, "--ray", *WORDS, first=little)
+    assert code == 0, err
+    assert "running 1 at once, and not 2, for want of memory: a shard of 4 environments, with Python" in err
+    assert runs.hashes(out) == runs.hashes(place / "whole")
+    none = little.replace("0.9e9", "0.2e9")
+    code, _, err = runs.run(place / "study.toml", "--out", tmp_path / "none", "--ray", *WORDS, first=none)
+    assert code == 2
+    assert "warpcontact: --ray: a shard of 4 environments, with Python" in err
+    assert not (tmp_path / "none").exists()

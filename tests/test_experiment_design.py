@@ -8,6 +8,7 @@ from scipy import stats
 from test_experiment import content
 
 import warpcontact as wc
+from warpcontact.experiment import sampling
 from warpcontact.experiment.sampling import BLOCK, _sobol_engine
 
 RANDOM = {
@@ -87,6 +88,47 @@ def test_environments_that_do_not_exist_are_refused():
     for first, stop in ((0, 11), (-1, 3), (4, 3)):
         with pytest.raises(IndexError, match=rf"from 0 to 10, got {first} to {stop}"):
             some.rows(first, stop)
+
+
+@pytest.mark.parametrize("method", ["random", "latin_hypercube", "sobol"])
+def test_the_plan_of_very_many_environments_draws_none_of_them(method, monkeypatch):
+    variation = {
+        name: RANDOM[name] for name in ("ball.mass", "touch.radius", "ball.linear_velocity", "touch.kappa")
+    }
+    experiment = wc.Experiment.from_dict(content(variation=variation, sampling={"method": method}))
+
+    def blocks(*_):
+        raise AssertionError("values are drawn")
+
+    for sampler in (sampling.Random, sampling.LatinHypercube, sampling.Sobol):
+        monkeypatch.setattr(sampler, "blocks", blocks)
+    # float64 as it is drawn: a mass, a radius, three components of a velocity, and kappa.
+    assert experiment.design.row_bytes == 6 * 8
+    plan = experiment.plan(envs=2**31 - 1, device="cpu")
+    assert plan.envs == 2**31 - 1
+    with pytest.raises(wc.ExperimentError, match="envs must be at most 2147483647, got 2147483648"):
+        experiment.plan(envs=2**31, device="cpu")
+
+
+def test_what_may_be_drawn_wrong_is_still_drawn_to_be_checked():
+    """Of a normal mass, and of correlated normal numbers, ends tell nothing."""
+    with pytest.raises(wc.ExperimentError, match=r'variation."ball.mass".*\[\d+'):
+        design({"ball.mass": {"normal": [1.0, 0.5]}}, 1000)
+    # Each within what one normal number can be; together they go beyond it.
+    lowest = 1.0 / 8.0
+    variation = {"ball.mass": {"normal": [1.0, lowest]}, "touch.share": {"normal": [0.5, 0.01]}}
+    together = [{"names": ["ball.mass", "touch.share"], "matrix": [[1, 0.5], [0.5, 1]]}]
+    assert design(variation, 100, correlation=together).ends("ball.mass") is None
+    assert design(variation, 100).ends("ball.mass") is not None
+
+
+def test_more_combinations_than_there_can_be_environments_are_refused():
+    names = ["ball.mass", "touch.radius", "touch.kappa", "touch.share"]
+    raw = content(variation={name: {"grid": np.linspace(0.1, 0.9, 216).tolist()} for name in names})
+    raw.pop("envs")
+    message = f"variation: grid must have at most 2147483647 combinations, got {216**4}"
+    with pytest.raises(wc.ExperimentError, match=message):
+        wc.Experiment.from_dict(raw)
 
 
 def test_another_entry_changes_no_random_value():
@@ -212,6 +254,21 @@ def test_sobol_points_are_those_of_scipy():
         assert counts.max() <= 4  # of random points there are boxes with 6 and more
     halves = np.floor(points * 2048)
     assert all(sorted(column) == list(range(2048)) for column in halves.T)
+
+
+@pytest.mark.parametrize(("envs", "told"), [(6, ["next to it: 4 and 8"]), (8, [])])
+def test_sobol_points_that_are_no_power_of_two_are_remarked(envs, told, tmp_path):
+    raw = content(
+        envs=envs,
+        variation={"ball.mass": {"uniform": [1, 2]}},
+        sampling={"method": "sobol"},
+        output={"usd_envs": 0},
+        record={"series": False},
+    )
+    heard = []
+    run = wc.Experiment.from_dict(raw).run(tmp_path / "run", device="cpu", on_warning=heard.append)
+    assert [text.rpartition("; ")[2] for text in heard] == told
+    assert run.summary["warnings"] == heard
 
 
 def test_saltelli_rows_are_a_b_and_a_with_columns_of_b():

@@ -97,6 +97,7 @@ BAD = [
     (("record", "readings"), "touch.gap", "record.readings must be a list, got 'touch.gap'"),
     # Ranges, with their units.
     (("envs",), 0, "envs must be at least 1, got 0"),
+    (("envs",), 2**31, "envs must be at most 2147483647, got 2147483648"),
     (("dt",), 0, "dt must be greater than 0, got 0 s"),
     (("duration",), -1.0, "duration must be greater than 0, got -1 s"),
     (("duration",), inf, "duration must be finite, got inf"),

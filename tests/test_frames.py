@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from test_schedule import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
@@ -27,10 +28,16 @@ def simulation(name, device, precision="float32", **options):
 
 
 def afresh(model):
-    """Computes contacts with nothing remembered."""
-    span = Span(model, 0, model.envs, cached=False, ordered=True, complete=True)
+    """Computes contacts as if nothing were remembered; it is afterwards."""
+    cache = model.arrays.cache
+    kept = [(known, wp.clone(known)) for known in (cache.faces, cache.nearest)]
+    cache.faces.zero_()
+    cache.nearest.fill_(-1)
+    span = Span(model, 0, model.envs, cached=False, ordered=True)
     for launch in force_stages(span, model.arrays.state, model.no_step, model.all_active):
         launch.launch()
+    for known, before in kept:
+        wp.copy(known, before)
 
 
 def assert_equal(model, names, seen):

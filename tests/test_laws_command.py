@@ -66,7 +66,7 @@ def test_laws_of_a_name_shows_that_entry_only(capsys):
         (["Hooke", "--plot", "a"], "a: must end in .svg or .png, got no suffix"),
         (["Hooke", "--plot", "none/a.svg"], "none/a.svg: none does not exist"),
         (["Hooke", "--plot", "file/a.svg"], "file/a.svg: file is not a folder"),
-        (["Hooke", "--plot", "folder.svg"], "folder.svg: is a folder; the picture needs the name of a file"),
+        (["Hooke", "--plot", "folder.svg"], "folder.svg: is a folder; give the name of a file"),
         (["--plot", "a.svg"], "--plot needs the NAME of a law or friction, or --compare NAME NAME …"),
         (["--compare", "Hooke", "Hertz"], "--compare draws a picture: say where by --plot FILE"),
         (

@@ -77,3 +77,13 @@ def test_importing_the_package_loads_nothing_slow(tmp_path):
     code = "import sys, warpcontact; print([m for m in ('warp', 'numpy', 'xarray', 'pxr') if m in sys.modules])"
     result = run(code, tmp_path)
     assert result.stdout.strip() == "[]", result.stderr
+
+
+def test_importing_what_a_simulation_needs_loads_nothing_that_it_may_not_need(tmp_path):
+    code = (
+        "import sys, warpcontact as wc; wc.Scene, wc.Simulation, wc.Template, wc.laws, wc.frictions, wc.load_mesh;"
+        "slow = ('xarray', 'pandas', 'scipy', 'zarr', 'pydantic', 'matplotlib', 'trimesh', 'pxr');"
+        "print([m for m in slow if m in sys.modules])"
+    )
+    result = run(code, tmp_path)
+    assert result.stdout.strip().splitlines()[-1] == "[]", result.stderr

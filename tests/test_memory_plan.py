@@ -616,3 +616,39 @@ def test_the_estimate_is_what_the_process_grows_by(kind, envs, steps, looks, dev
     assert result.returncode == 0, result.stderr
     grown, estimate = map(int, result.stdout.split()[-2:])
     assert estimate == pytest.approx(grown, rel=0.15)
+
+
+PEAK = """
+import re, sys
+import warp as wp
+wp.config.log_level = wp.LOG_ERROR
+import warpcontact as wc
+
+example, folder, envs, *changes = sys.argv[1:]
+experiment = wc.Experiment.from_toml(example, changes=changes)
+planned = experiment.plan(envs=int(envs), device="cpu").peak
+experiment.run(folder, envs=int(envs), device="cpu", progress=False)
+print(planned, 1024 * int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("envs", "changes"),
+    [
+        (50_000, ("record={ series = false }", 'outcome.peak={ type = "Max", of = "touch.normal_force" }')),
+        (10_000, ("record.every=1e-3",)),
+    ],
+    ids=["outcomes", "series"],
+)
+def test_the_process_has_at_its_peak_what_is_planned(envs, changes, tmp_path):
+    """Within 15 %, libraries and all; a first process compiles, which takes more and has nothing to do with it."""
+    if available.used() is None:
+        pytest.skip("this system does not tell how much memory a process has")
+    for count in (10, envs):
+        words = [sys.executable, "-c", PEAK, str(EXAMPLE), str(tmp_path / str(count)), str(count)]
+        words += ["duration=0.01", *changes]
+        result = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert result.returncode == 0, result.stderr
+    planned, peak = map(int, result.stdout.split()[-2:])
+    assert planned == pytest.approx(peak, rel=0.15), (planned / 2**20, peak / 2**20)

@@ -114,3 +114,14 @@ def test_a_run_without_series_has_a_picture_of_its_outcomes(device, tmp_path):
     }
     run = wc.Experiment.from_dict(fall).run(tmp_path / "out", device=device)
     assert run.files["picture"].read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("first", "width", "offset"),
+    [(0.0, 3e-9, " (×1e−9)"), (1e9, 1e2, " (+1e9)"), (-1e9, 1e2, " (−1e9)"), (0.0, 5.0, "")],
+)
+def test_factor_and_summand_of_the_ticks_stand_in_the_label(first, width, offset, outcome, drawn):
+    outcome["peak"][:] = first + np.linspace(0.0, width, ENVS)
+    axes = drawn(outcome).axes[0]
+    assert axes.get_xlabel() == f"largest force [N]{offset}"
+    assert not axes.xaxis.offsetText.get_visible()

@@ -94,6 +94,22 @@ def test_restitution_and_work_are_those_of_a_damped_law(restitution):
     np.testing.assert_allclose(found["work"], lost, rtol=4.0 * OMEGA * DT)
 
 
+def test_a_contact_that_begins_without_an_approach_has_no_restitution():
+    model = model_of(wc.laws.Hooke(stiffness=STIFFNESS), 3)
+    start = model["ball.position"].copy()
+    start[:, 2] -= 0.01 + 1e-3  # a millimetre deep
+    model["ball.position"] = start
+    # At rest, going out, going in.
+    model["ball.linear_velocity"] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.1], [0.0, 0.0, -0.1]]
+    sim = wc.Simulation(model, DT, outcomes={key: ELASTIC[key] for key in ("restitution", "deepest")})
+    sim.step(STEPS)
+    assert not (sim.model.reading("touch.penetration") > 0.0).any()
+    assert (sim.outcomes()["deepest"] > 0.9e-3).all()
+    found = sim.outcomes()["restitution"].values
+    assert np.isnan(found[:2]).all()
+    assert found[2] > 1.0  # it began compressed
+
+
 def recorded(quantities, envs=3, steps=400, dt=2.0e-4, **options):
     law = wc.laws.HuntCrossley(stiffness=1.0e5, exponent=1.5, restitution=0.6)
     friction = wc.frictions.Tanh(mu=0.4, velocity_scale=1e-2)

@@ -78,6 +78,21 @@ def test_the_nearest_record_is_drawn(run):
             source.nearest(np.array(wrong))
 
 
+def test_what_is_not_drawn_is_not_read(tmp_path):
+    study = STUDY | {"record": {"every": 0.01, "readings": [*STUDY["record"]["readings"], "ball.kinetic_energy"]}}
+    folder = tmp_path / "run"
+    whole = wc.render(wc.Experiment.from_dict(study).run(folder, device="cpu"), time=0.1, **SMALL)
+    for name, is_drawn in (("ball.kinetic_energy", False), ("touch.point", True)):
+        for path in (folder / "data.zarr/series" / name / "c").rglob("*"):
+            if path.is_file():
+                path.write_bytes(path.read_bytes()[:-1] + b"x")  # its check sum is compared when it is read
+        if is_drawn:
+            with pytest.raises(wc.StoreError):
+                wc.render(wc.open_run(folder), time=0.1, **SMALL)
+        else:
+            np.testing.assert_array_equal(wc.render(wc.open_run(folder), time=0.1, **SMALL), whole)
+
+
 def test_the_command_says_what_it_drew(run, tmp_path, capsys):
     assert command(run, "-o", tmp_path / "a.png", "--env", 1, "--time", 0.1) == 0
     assert capsys.readouterr().out == f"environment 1 at 0.1 s: {tmp_path / 'a.png'}\n"
@@ -92,10 +107,11 @@ def test_colours_tell_the_value_of_each_environment(run):
     plain = wc.render(run, env=range(3), together=True, **SMALL)
     colored = wc.render(run, env=range(3), color_by="ball.mass", labels=False, **SMALL)
     assert (plain != colored).any()
-    with pytest.raises(
-        ValueError, match=r"color_by must be one number for each environment, got 'mass'; there are: .*ball\.mass"
-    ):
+    refused = r"color_by must be one number for each environment, got "
+    with pytest.raises(ValueError, match=refused + r"'mass'; did you mean 'ball\.mass'\?"):
         wc.render(run, env=range(3), color_by="mass", **SMALL)
+    with pytest.raises(ValueError, match=refused + r"'weight'; there are: .*ball\.mass"):
+        wc.render(run, env=range(3), color_by="weight", **SMALL)
 
 
 def test_a_gif_plays_as_long_as_what_it_shows(run, tmp_path, capsys):
@@ -112,6 +128,49 @@ def test_a_gif_plays_as_long_as_what_it_shows(run, tmp_path, capsys):
     # Records 10 ms apart are shown for 50 ms: pictures that are the same become one that is shown for longer.
     assert sum(durations) == 1030
     assert 5 < len(durations) <= 21
+
+
+def test_pictures_of_a_gif_are_written_as_they_are_made(tmp_path):
+    """What changes in a corner, nothing, and everything; of colours that the film has."""
+    colors = np.random.default_rng(0).integers(0, 64, (100, 3), dtype=np.uint8) * 4
+    numbers = np.random.default_rng(1).integers(0, 100, (40, 96, 128))
+    numbers[1:4] = numbers[0]
+    numbers[2:4, 90:, 120:] += 1
+    expected = colors[numbers % 100]
+    sizes = []
+
+    def pictures():
+        for picture in expected:
+            sizes.append((tmp_path / "a.gif.partial").stat().st_size)
+            yield picture
+
+    writers.write_gif(tmp_path / "a.gif", pictures(), 40, 25.0, [expected[0]])
+    # But for the one at hand, and for what a file keeps back.
+    assert sizes[-1] > 0.9 * (tmp_path / "a.gif").stat().st_size
+    with Image.open(tmp_path / "a.gif") as image:
+        assert (image.n_frames, image.info["loop"]) == (38, 0)
+        waits, shown = [], []
+        for number in range(38):
+            image.seek(number)
+            waits.append(image.info["duration"])
+            shown.append(np.asarray(image.convert("RGB")).astype(int))
+    assert waits == [80, 80, *[40] * 36]
+    distinct = expected[[0, 2, *range(4, 40)]]
+    assert np.abs(np.array(shown) - distinct).max() <= 8  # where the palette has a neighbour instead
+
+
+@pytest.mark.parametrize(("count", "fps"), [(80, 0.1), (1, 1 / 800)])
+def test_a_gif_that_stands_still_for_longer_than_it_can_count(count, fps, tmp_path):
+    picture = np.full((32, 48, 3), 100, dtype=np.uint8)
+    writers.write_gif(tmp_path / "a.gif", [picture] * count, count, fps, [picture])
+    with Image.open(tmp_path / "a.gif") as image:
+        waits = []
+        for number in range(image.n_frames):
+            image.seek(number)
+            waits.append(image.info["duration"])
+            np.testing.assert_allclose(np.asarray(image.convert("RGB")), 100, atol=4)
+    assert sum(waits) == 800_000
+    assert len(waits) == 2
 
 
 def test_the_pictures_of_a_gif_are_those_of_the_records(run, tmp_path):

@@ -5,15 +5,17 @@ import math
 import numpy as np
 import pytest
 import warp as wp
+import xarray as xr
 from drawings import PLATE, balls, camera, covered, drawing, figure
 from warpcontact.kernels.rendering.world import CONE, CYLINDER
 
 from warpcontact.frames import placed
 from warpcontact.rendering import sheet
 from warpcontact.rendering.camera import MARGIN, direction, framed, spheres_to_see
-from warpcontact.rendering.items import from_z, of_curve, of_figure, of_touch
+from warpcontact.rendering.items import of_curve, of_figure, of_touch
 from warpcontact.rendering.look import Look
-from warpcontact.rendering.show import Show, coloring_of
+from warpcontact.rendering.show import Coloring, Show
+from warpcontact.replay.colors import Scale, number_of_each
 from warpcontact.replay.drawing import Curve, Touch
 
 RED = np.array([0.9, 0.1, 0.1])
@@ -83,14 +85,6 @@ def test_arrows_are_as_long_as_forces_and_shrink_with_them():
     assert heads.scales[2, 0] < 1e-3 * heads.scales[0, 0]
 
 
-def test_rotations_of_the_z_axis_reach_every_direction():
-    directions = np.random.default_rng(0).normal(size=(50, 3))
-    directions[:2] = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    turned = placed(np.broadcast_to((0.0, 0.0, 1.0), (50, 1, 3)), np.zeros((50, 3)), from_z(directions))[:, 0]
-    np.testing.assert_allclose(turned, directions, atol=1e-12)
-
-
 def test_curves_are_tubes_and_broken_ones_are_not_there():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 1, 0]])
     curve = Curve("rope", RED, points[None, None], np.ones((1, 1), dtype=bool))
@@ -141,11 +135,23 @@ def test_too_many_panels_are_refused():
 
 
 def test_colours_go_from_the_lowest_to_the_highest_value():
-    coloring = coloring_of("mass", np.array([3.0, np.nan, 1.0, 2.0]))
-    np.testing.assert_allclose(coloring.colors[[2, 3, 0]], sheet.scale_colors(np.array([0.0, 0.5, 1.0])))
+    coloring = Coloring.of("mass", np.array([3.0, np.nan, 1.0, 2.0]))
+    np.testing.assert_allclose(coloring.colors[[2, 3, 0]], Scale(0.0, 1.0).colors(np.array([0.0, 0.5, 1.0])))
     np.testing.assert_allclose(coloring.colors[1], 0.5)  # grey where there is none
-    same = coloring_of("mass", np.array([2.0, 2.0]))
+    same = Coloring.of("mass", np.array([2.0, 2.0]))
     assert (same.colors[0] == same.colors[1]).all()
+
+
+def test_a_parameter_of_a_set_is_one_number_where_its_items_agree():
+    values = np.array([[1.0, 1.0], [np.nan, np.nan], [2.0, 2.0]])
+    array = xr.DataArray(values, dims=("env", "item"), coords={"env": [3, 5, 9]})
+    np.testing.assert_array_equal(number_of_each(array), values[:, 0])
+    array[1, 0] = 1.0
+    assert number_of_each(array) is None
+    assert number_of_each(xr.DataArray(values, dims=("env", "axis"))) is None
+    over_time = number_of_each(xr.DataArray(values, dims=("env", "time")))
+    assert over_time.dims == ("time", "env")
+    assert number_of_each(xr.DataArray(["a", "b"], dims="env")) is None
 
 
 def test_labels_are_written_where_they_are_asked_for():
@@ -158,6 +164,27 @@ def test_labels_are_written_where_they_are_asked_for():
     assert changed[:40, :120].any()
     assert changed[90:, :80].any()
     assert not changed[45:85].any()
+
+
+@pytest.mark.parametrize("width", [60, 100, 160, 320, 1280])
+def test_labels_leave_room_for_what_is_seen(width):
+    height = width * 9 // 16
+    picture = np.full((height, width, 3), 200, dtype=np.uint8)
+    sheet.write(picture, [(0, 0, width, height)], ["environment 7"], "0.400 s")
+    sheet.write_scale(picture, "touch.law.restitution", Scale(0.1, 0.9))
+    changed = (picture != 200).any(axis=-1)
+    texts, scale = changed[:, : width // 2], changed[:, width // 2 :]
+    assert (texts.any() and scale.any()) == (width > 100)  # letters of fewer pixels cannot be read
+    assert not texts[:, int(0.5 * width) :].any()
+    assert not scale[height // 2 :].any()
+
+
+def test_a_scale_has_room_for_a_name_of_any_length():
+    picture = np.full((180, 320, 3), 200, dtype=np.uint8)
+    sheet.write_scale(picture, "n" * 10_000, Scale(-1.23e-5, 4.56e10))
+    changed = (picture != 200).any(axis=-1)
+    assert changed.any()
+    assert not changed[:, :150].any()
 
 
 @pytest.mark.parametrize(
@@ -194,8 +221,8 @@ def test_a_background_of_ones_own_fills_what_nothing_covers(device):
     assert covered(picture).all()
 
 
-def test_far_ground_fades_into_the_background(device):
-    ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, 0.0], 1000.0)
+def test_a_plane_without_end_fades_into_the_background(device):
+    ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, 0.0], 1000.0, kind="plane")
     look = Look(
         size=(32, 512),
         device=device,
@@ -209,6 +236,29 @@ def test_far_ground_fades_into_the_background(device):
     assert 0 < horizon < 256
     assert column[horizon] > 240  # no edge
     assert column[-1] < 150
+
+
+@pytest.mark.parametrize("kind", ["surface", "plane"])
+def test_ground_far_below_what_moves_is_seen(kind, device):
+    # As low as a ball is seen after a short drop: rays meet it ten halves of the view away.
+    ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, -5.0], 1000.0, kind=kind)
+    look = Look(size=(32, 32), device=device, background="white", look_at=(0.0, 0.0, 0.0), distance=5.0)
+    bottom = Show(drawing([ground]), look).picture(0)[-1].astype(int)
+    assert bottom.max() < 150
+
+
+def test_a_mesh_never_fades(device):
+    # A hill at the far end of large ground, sixty halves of the view away.
+    hill = figure(PLATE, (0.2, 0.2, 0.2), [-80.0, 0.0, 0.0], 4.0, turns=(0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)))
+    look = Look(
+        size=(64, 64),
+        device=device,
+        background="white",
+        view_from=(0.0, 0.0),
+        look_at=(0.0, 0.0, 0.0),
+        distance=5.0,
+    )
+    assert Show(drawing([hill]), look).picture(0)[32, 32].max() < 150
 
 
 def test_the_camera_of_a_stage_is_that_of_its_view():

@@ -114,6 +114,11 @@ def test_bands_over_time_are_quantiles_of_what_was_recorded(text):
     assert all(len(line) == len(series[0]["x"]) == 101 for line in series[0]["lines"].values())
 
 
+def test_loops_of_a_set_say_of_which_point_they_are(text):
+    told = "normal force over penetration of one point of 8, in each environment that with the largest force"
+    assert told in " ".join(report_runs.Parsed(text).text.split())
+
+
 def test_the_same_run_gives_the_same_file(crate, text, tmp_path):
     assert written(crate.folder, tmp_path / "again.html") == text
 
@@ -148,7 +153,8 @@ def test_the_command_writes_it_beside_the_run_or_where_it_is_told(crate, tmp_pat
     [
         (["--envs", "6"], "environment 6 has no results to report; there are: 0 to 5"),
         (["-o", "report.pdf"], "path must end in .html or .htm, got 'report.pdf'"),
-        (["-o", "nowhere/report.html"], "nowhere"),
+        (["-o", "nowhere/report.html"], "nowhere/report.html: nowhere does not exist"),
+        (["-o", "."], "path must end in .html"),
     ],
 )
 def test_wrong_words_are_named(words, message, crate, capsys, monkeypatch, tmp_path):

@@ -14,7 +14,7 @@ from warpcontact.contact_coupling_report import CouplingReport
 from warpcontact.health import Health
 from warpcontact.replay.drawing import Shape
 from warpcontact.replay.triangles import ball
-from warpcontact.run_report import chart, couplings, ended, environments, markup, meshes, outcomes, words
+from warpcontact.run_report import chart, couplings, ended, environments, markup, meshes, outcomes, series, words
 from warpcontact.run_report.choice import choose
 from warpcontact.run_report.columns import columns_of
 from warpcontact.run_report.packing import Pack
@@ -174,6 +174,31 @@ def test_axes_have_a_few_marks_in_their_places(low, high):
     assert min(places) >= chart.LEFT - 0.1
     assert max(places) <= chart.WIDTH - chart.RIGHT + 0.1
     assert len({text for _, text in marks}) == len(marks)  # each tells something else
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "precision", "scale"),
+    [
+        (-3e-17, 2e-17, 2.2e-16, 5.0),  # of energies of 5 J
+        (2e-16, 2e-16, 2.2e-16, 1.0),
+        (1.0, 1.0 + 4e-16, 2.2e-16, 1.0),
+        (0.1, 0.1 + 1e-8, 1.2e-7, 0.1),
+        (-2e-5, -2e-5, 1.2e-7, 0.0),
+    ],
+)
+def test_what_is_only_rounding_looks_flat(low, high, precision, scale):
+    axis = chart.vertical(*series.visible(low, high, precision, scale), "J")
+    drawn = axis.place(np.array([low, high]))
+    assert np.ptp(drawn) < 0.05  # of a pixel
+    assert chart.TOP < drawn.min() <= drawn.max() < chart.HEIGHT - chart.BOTTOM
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "precision", "scale"),
+    [(0.0, 1e-9, 1.2e-7, 10.0), (1.0, 1.0001, 1.2e-7, 1.0), (1e-17, 3e-17, 2.2e-16, 3e-17), (0.0, 1.0, 0.0, 1.0)],
+)
+def test_what_is_more_than_rounding_fills_its_chart(low, high, precision, scale):
+    assert series.visible(low, high, precision, scale) == (low, high)
 
 
 def test_curves_have_gaps_where_nothing_is_known():

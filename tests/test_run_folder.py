@@ -13,6 +13,8 @@ import xarray as xr
 
 import warpcontact as wc
 from warpcontact import checkpoint
+from warpcontact.cli import main
+from warpcontact.experiment.committed import CommittedStore
 from warpcontact.experiment.records import Commit
 
 WORDS = ("--shard", 4, "--device", "cpu", "--checkpoint", 0)
@@ -241,6 +243,28 @@ def test_chunks_that_vanish_after_opening_are_no_empty_values(whole, copied):
         run.series["touch.gap"].load()
 
 
+def test_a_digest_reads_each_file_once_and_is_the_same_in_smaller_pieces(whole, monkeypatch):
+    read = []
+    content = CommittedStore._content
+
+    def counted(store, key):
+        if store.root.parent == whole:  # a read of another folder that failed may still go on
+            read.append(key)
+        return content(store, key)
+
+    monkeypatch.setattr(CommittedStore, "_content", counted)
+    run = wc.open_run(whole)
+    digest = run.digest()
+    chunks = [
+        key for key in read if "/c/" in key and key.split("/")[1] not in ("env", "time", "axis", "component")
+    ]
+    assert len(chunks) > 10
+    assert len(chunks) == len(set(chunks))
+    for size in (1, 100, 1000, 4000):
+        monkeypatch.setattr("warpcontact.experiment.run.READ_AT_ONCE", size)
+        assert run.digest() == digest
+
+
 def test_a_missing_checkpoint_is_named_and_its_shard_begins_anew(whole, part, copied):
     folder = copied(part)
     name = runs.records(folder)[1]["checkpoint"]
@@ -263,7 +287,12 @@ def test_a_missing_checkpoint_is_named_and_its_shard_begins_anew(whole, part, co
     ],
 )
 def test_a_damaged_checkpoint_lets_its_shard_begin_anew(damage, whole, part, copied):
+    """Also where the record is of an earlier version, which told nothing of its content."""
     folder = copied(part)
+    record = folder / "commit" / "shard_000001.json"
+    content = json.loads(record.read_text())
+    del content["checkpoint_sha256"]
+    record.write_text(json.dumps(content))
     path = folder / "checkpoint" / runs.records(folder)[1]["checkpoint"]
     arrays, header = checkpoint.read(path)
     if damage == "cut off":
@@ -283,6 +312,21 @@ def test_a_damaged_checkpoint_lets_its_shard_begin_anew(damage, whole, part, cop
         wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
     assert runs.hashes(folder) == runs.hashes(whole)
     assert runs.leftovers(folder) == []
+
+
+def test_a_checkpoint_of_another_content_is_named_and_its_shard_begins_anew(whole, part, copied):
+    folder = copied(part)
+    path = folder / "checkpoint" / runs.records(folder)[1]["checkpoint"]
+    arrays, header = checkpoint.read(path)
+    name = next(name for name, values in arrays.items() if values.dtype.kind == "f" and values.size)
+    checkpoint.write(path, arrays | {name: arrays[name] + 1.0}, header)
+    wc.open_run(folder)
+    with pytest.raises(wc.StoreError, match=rf"{path}: was changed since it was committed; --resume lets"):
+        wc.open_run(folder, verify=True)
+    with pytest.warns(RuntimeWarning, match=rf"shard_000001 begins anew: {path}: was changed since it was commit"):
+        wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
+    assert runs.hashes(folder) == runs.hashes(whole)
+    wc.open_run(folder, verify=True)
 
 
 def test_a_checkpoint_of_objects_runs_no_code(tmp_path):
@@ -346,6 +390,11 @@ def test_a_damaged_record_is_named(content, whole, copied):
             r"checkpoint must be the name of a file shard_000001-<steps>\.npz, got '\.\./\.\./secret\.npz'",
         ),
         ({"finished": False, "checkpoint": None}, "checkpoint must be the name of a file"),
+        ({"checkpoint_sha256": "0" * 64}, "checkpoint_sha256 must be null in a finished shard, got '0+"),
+        (
+            {"finished": False, "checkpoint": "shard_000001-000000000050.npz", "checkpoint_sha256": "0"},
+            "checkpoint_sha256 must be null, or a SHA-256 in 64 hexadecimal digits, got '0'",
+        ),
         ({"files": []}, r"files must be a table, got \[\]"),
         ({"more": 1}, "must have the entries shard, steps"),
     ],
@@ -497,6 +546,39 @@ def test_an_unfinished_run_shows_what_is_committed(whole, part):
     assert run.digest() != wc.open_run(whole).digest()
 
 
+@pytest.mark.parametrize("begun", [True, False])
+def test_a_run_without_anything_committed_says_so(begun, part, copied, tmp_path, capsys):
+    folder = copied(part)
+    for path in (folder / "commit").glob("shard_*.json"):
+        path.unlink()
+    if begun:  # a checkpoint of the beginning, and no records yet
+        shutil.copy(part / "commit" / "shard_000001.json", folder / "commit")
+        change(folder / "commit" / "shard_000001.json", frames=0, steps=0, files={})
+    goes_on = f"warpcontact run --resume --out {folder} goes on with"
+    for words in (["export", folder, "--usd", tmp_path / "a.usda"], ["render", folder, "-o", tmp_path / "a.png"]):
+        assert main([str(word) for word in words]) == 2
+        told = capsys.readouterr().err
+        assert f"{folder}: nothing over time is committed yet in this run; {goes_on} it" in told
+    assert main(["export", str(folder), "--csv", str(tmp_path / "a.csv")]) == 0
+    assert f"is finished yet: the table has no rows; {goes_on} the run" in capsys.readouterr().err
+
+
+def test_results_are_read_without_a_model(whole, tmp_path, monkeypatch):
+    settings = wc.open_run(whole).experiment.settings
+
+    def build(*_, **__):
+        raise AssertionError("a model is built, which compiles kernels")
+
+    monkeypatch.setattr(wc.Scene, "build", build)
+    run = wc.open_run(whole)
+    assert run.settings == settings
+    assert [contact.name for contact in run.recording.scene.contacts] == ["touch"]
+    assert wc.convergence(run, "end_time")["estimate"].sizes["n"] > 1
+    assert wc.quantile_fan(run, "touch.gap").sizes["quantile"] == 5
+    assert run.table().sizes["env"] == run.settings.envs
+    assert "touch" in wc.report(run, tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_tables_go_to_files_and_come_back(whole, tmp_path):
     pd = pytest.importorskip("pandas")
     run = wc.open_run(whole)
@@ -509,7 +591,8 @@ def test_tables_go_to_files_and_come_back(whole, tmp_path):
     with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     for name, column in frame.reset_index().items():
-        assert [float(row[name]) for row in rows] == column.tolist()
+        read = str if column.dtype == "category" else float
+        assert [read(row[name]) for row in rows] == column.tolist()
     pytest.importorskip("pyarrow")
     run.to_parquet(tmp_path / "table.parquet")
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "table.parquet"), frame)

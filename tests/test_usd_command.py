@@ -1,5 +1,8 @@
 """``warpcontact export DIR --usd FILE``: environments, clips and colours of a run in a folder."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from pxr import Usd
@@ -69,6 +72,13 @@ def test_spacing(folder, tmp_path):
     np.testing.assert_array_equal(value(stage, "/World/env_1", "xformOp:translate"), [2, 0, 0])
 
 
+@pytest.mark.parametrize("kind", ["csv", "usd"])
+def test_a_pipe_reads_what_was_asked_for_alone(folder, tmp_path, kind):
+    path = tmp_path / f"a.{kind}"
+    words = [sys.executable, "-m", "warpcontact", "export", str(folder), f"--{kind}", str(path)]
+    assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == f"{path}\n"
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -76,6 +86,10 @@ def test_spacing(folder, tmp_path):
         (["--csv", "a.csv", "--color-by", "x"], "--color-by is of --usd"),
         (["--usd", "a.usdc", "--clips", "0"], "clip_frames must be a whole number of records, at least 1, got 0"),
         (["--usd", "a.usdc", "--color-by", "stop"], "color_by must be something that was recorded, got 'stop'"),
+        (["--usd", "a.usdc", "--color-by", "end_tme"], "got 'end_tme'; did you mean 'end_time'?"),
+        (["--usd", "no/a.usdc"], "no/a.usdc: no does not exist"),
+        (["--csv", "no/a.csv"], "no/a.csv: no does not exist"),
+        (["--csv", "."], ".: is a folder; give the name of a file"),
         (["--usd", "a.obj"], "must end in .usd, .usda, .usdc, .usdz"),
         (["--usd", "a.usdc", "--envs", "77"], "environment 77 is not in the recording"),
     ],

@@ -216,12 +216,33 @@ def test_of_very_many_environments_some_that_are_evenly_spread(recording, tmp_pa
     )
 
 
+def test_a_parameter_of_a_set_colours_where_its_items_agree(recording, tmp_path):
+    friction = xr.DataArray(
+        [[0.1] * 3, [0.4] * 3, [0.2] * 3, [np.nan] * 3],
+        dims=("env", "item"),
+        coords={"env": recording["env"]},
+        name="feet.friction.mu",
+    )
+    stage = export(recording, tmp_path, envs=1, color_by=friction)
+    numbers = value(stage, "/World/Ensemble/ball", "primvars:warpcontact:feet:friction:mu")
+    np.testing.assert_array_equal(numbers, [0.1, 0.4, 0.2, np.nan])
+    friction[1, 2] = 0.5
+    with pytest.raises(ValueError, match="of float64 along env, item; items of a set must agree"):
+        export(recording, tmp_path, envs=1, color_by=friction)
+
+
+def test_colours_do_not_take_the_name_of_what_instances_have(recording, tmp_path):
+    number = xr.DataArray(np.arange(4.0), coords={"env": recording["env"]}, name="environment")
+    with pytest.raises(ValueError, match="another name than 'environment', which instances have already"):
+        export(recording, tmp_path, color_by=number)
+
+
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
         ({"ensemble": "all"}, ValueError, "ensemble must be True, False or 'auto', got 'all'"),
         ({"ensemble": True, "spacing": (1, 0)}, ValueError, "in place: leave spacing 0"),
-        ({"color_by": "touch.gab"}, ValueError, "recorded, got 'touch.gab'; there are: .*touch.gap"),
+        ({"color_by": "touch.gab"}, ValueError, "recorded, got 'touch.gab'; did you mean 'touch.gap'\\?"),
         ({"color_by": "ball.position"}, ValueError, "one number for each environment, got 'ball.position' of"),
         ({"color_by": 3}, TypeError, "name or an xarray.DataArray, got int"),
     ],

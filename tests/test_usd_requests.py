@@ -105,6 +105,7 @@ def spoiled(recording, name, index, number):
         (None, {"spacing": (1, -1)}, ValueError, "spacing.*-1"),
         (None, {"spacing": 2.0}, ValueError, "spacing must be 2 numbers"),
         (None, {"force_scale": 0.0}, ValueError, "force_scale"),
+        (None, {"color_by": "peek"}, ValueError, r"got .peek.*run\.outcome\[name\]"),
         (None, {"scene": "scene"}, TypeError, "scene must be a wc.Scene"),
         (lambda r: r.isel(time=slice(3)), {}, ValueError, "pass scene="),
         (lambda r: r.to_dict(), {}, TypeError, "recording must be .* got dict"),

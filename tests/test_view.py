@@ -1,6 +1,7 @@
 """The live view without a browser: what its pages do by their inputs, who may connect, how it ends."""
 
 import contextlib
+import logging
 import os
 import signal
 import socket
@@ -371,6 +372,29 @@ def test_the_page_is_on_this_machine_alone(run):
         assert not listens("127.0.0.2", port)
         assert show.server.request_share_url() is None
     assert not listens("127.0.0.1", port)
+
+
+def test_connections_that_ask_for_nothing_are_not_told_of(run, monkeypatch):
+    # Browsers open some ahead; other servers of the same library still tell.
+    from websockets.exceptions import InvalidMessage
+
+    logger, records = logging.getLogger("websockets.server"), []
+    handler = logging.Handler()
+    handler.emit = records.append
+    # Viser leaves a filter of its own there with the first page of a process.
+    monkeypatch.setattr(logger, "filters", [])
+    monkeypatch.setattr(logger, "handlers", [handler])
+    with viewing(run) as show:
+        for said in (b"", b"GET", b"no request\r\n\r\n"):
+            with socket.create_connection(("127.0.0.1", show.server.get_port()), timeout=5.0) as connection:
+                connection.sendall(said)
+                connection.shutdown(socket.SHUT_WR)
+                while connection.recv(1024):
+                    pass
+        assert not records
+        logger.error("opening handshake failed", exc_info=InvalidMessage("of another"))
+        assert len(records) == 1
+    assert not logger.filters
 
 
 def test_pages_of_others_may_not_connect(run):

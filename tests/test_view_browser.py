@@ -137,10 +137,11 @@ def test_arrows_and_colours_are_seen(open_page):
         until(lambda: show.stage.gaps)
         colored = picture(page)
         ball = np.abs(colored - bare).max(axis=2) > 0.1
-        # It touches: from blue to yellow.
+        # It touches: from blue to pale red.
         before, after = np.median(bare[ball], axis=0), np.median(colored[ball], axis=0)
         assert before[2] > before[0]
         assert after[0] > after[2]
+        page.wait_for("document.body.innerText.includes('−0.00')")  # the legend
         check_harmless(page, show.server.url)
 
 

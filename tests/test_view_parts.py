@@ -5,26 +5,31 @@ import pytest
 from viewing import ball_on_ground
 
 import warpcontact as wc
+from warpcontact.replay.colors import GAPS, gap_colors
 from warpcontact.replay.drawing import Shape
-from warpcontact.viewer.page import LONGEST, is_own, message, shortened, table
-from warpcontact.viewer.stage import by_color, gap_colors, is_same
+from warpcontact.viewer.page import LONGEST, gap_legend, is_own, message, shortened, table
+from warpcontact.viewer.stage import by_color, is_same
 from warpcontact.viewer.values import ParameterText, spoken
 
 HOSTILE = ("<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "[a](javascript:alert(1))", "🦀\u202e\0")
 
 
-def test_gaps_are_red_inside_yellow_in_touch_blue_away_and_grey_where_unknown():
-    inside, touching, away, unknown = gap_colors(np.array([-1.0, 0.0, 10.0, np.nan]), 1.0).astype(int)
-    assert inside[0] > 200
-    assert inside[1:].max() < 50
-    assert touching[:2].min() > 180
-    assert touching[2] < 80
-    assert away[2] > 200
-    assert away[0] < 80
+def test_gaps_are_red_inside_pale_in_touch_blue_away_and_grey_where_unknown():
+    inside, touching, away, unknown = gap_colors(np.array([-1.0, 0.0, 10.0, np.nan]), 0.02, 0.5)
+    assert inside[0] > 0.65 > 0.2 > inside[1:].max()
+    assert touching.min() > 0.95
+    assert away[2] > 0.65 > 0.15 > away[0]
     assert len(set(unknown.tolist())) == 1
     # Between them there is no jump: a step of a thousandth of the way is not seen.
-    along = gap_colors(np.linspace(-0.1, 1.0, 20_000), 1.0).astype(int)
-    assert np.abs(np.diff(along, axis=0)).max() <= 2
+    along = gap_colors(np.linspace(-0.1, 1.0, 20_000), 0.02, 0.5)
+    assert np.abs(np.diff(along, axis=0)).max() <= 2 / 255
+
+
+def test_the_legend_of_gaps_has_its_colours_and_ends():
+    legend = gap_legend(0.004, 0.2)
+    assert all(f"rgb{color}" in legend for _, color in GAPS)
+    assert "−0.004 m" in legend
+    assert "0.2 m" in legend
 
 
 def test_a_shape_of_several_colours_is_drawn_with_all_its_faces():

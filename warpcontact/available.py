@@ -9,6 +9,7 @@ HOST = "host"
 
 # Where Linux tells.
 _MEMINFO = Path("/proc/meminfo")
+_STATUS = Path("/proc/self/status")
 _CGROUP = Path("/proc/self/cgroup")
 _CGROUPS = Path("/sys/fs/cgroup")
 
@@ -54,13 +55,9 @@ def _host() -> int | None:
 
 def _free() -> int | None:
     """Returns the memory that is free or can be freed; where a system tells no more, all that it has."""
-    try:
-        for line in _MEMINFO.read_text().splitlines():
-            key, _, value = line.partition(":")
-            if key == "MemAvailable":
-                return 1024 * int(value.split()[0])
-    except (OSError, ValueError, IndexError):
-        pass
+    free = _told(_MEMINFO, "MemAvailable")
+    if free is not None:
+        return free
     for name in ("SC_AVPHYS_PAGES", "SC_PHYS_PAGES"):
         try:
             pages, size = os.sysconf(name), os.sysconf("SC_PAGE_SIZE")
@@ -68,6 +65,23 @@ def _free() -> int | None:
             continue
         if pages > 0 and size > 0:
             return pages * size
+    return None
+
+
+def used() -> int | None:
+    """Returns what this process has of the memory of the machine [bytes], ``None`` if the system does not tell."""
+    return _told(_STATUS, "VmRSS")
+
+
+def _told(path: Path, name: str) -> int | None:
+    """Returns a number of kB in a file of Linux [bytes]."""
+    try:
+        for line in path.read_text().splitlines():
+            key, _, value = line.partition(":")
+            if key == name:
+                return 1024 * int(value.split()[0])
+    except (OSError, ValueError, IndexError):
+        pass
     return None
 
 

@@ -70,7 +70,11 @@ def read(path: Path) -> tuple[Arrays, dict[str, Any]]:
     except FileNotFoundError:
         raise
     except _UNREADABLE as error:
-        raise CheckpointError(f"{path}: is no whole checkpoint: {error}") from None
+        # NumPy tells how to run the code in a file, also of one that is no archive.
+        why = str(error).partition(" when allow_pickle")[0]
+        if not zipfile.is_zipfile(path):
+            why = "it is no .npz file of arrays, or was cut off"
+        raise CheckpointError(f"{path}: is no whole checkpoint: {why}") from None
     if schema != SCHEMA:
         raise CheckpointError(
             f"{path}: is of schema {schema!r}, by {header.get('program')}; this version reads schema {SCHEMA}"

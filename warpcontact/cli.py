@@ -117,6 +117,13 @@ def _parser() -> argparse.ArgumentParser:
             "--duration", type=float, metavar="S", help="simulated seconds instead of those in the file"
         )
         command.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="PATH=VALUE",
+            help="a value instead of that in the file, such as body.ball.mass=2.0; may be given several times",
+        )
+        command.add_argument(
             "--device",
             default="auto",
             metavar="D",
@@ -280,7 +287,7 @@ def _experiment(arguments: argparse.Namespace) -> "Experiment":
     from warpcontact.experiment import Experiment
 
     _say(f"reading {arguments.file}")
-    experiment = Experiment.from_toml(arguments.file, on_stage=_say)
+    experiment = Experiment.from_toml(arguments.file, changes=arguments.set, on_stage=_say)
     for option in ("envs", "duration"):
         value = getattr(arguments, option)
         with _blaming(f"--{option} {value}", experiment.source):
@@ -362,6 +369,10 @@ def _laws(arguments: argparse.Namespace) -> int:
 
 
 def _of_folder(arguments: argparse.Namespace) -> int:
+    import warp as wp
+
+    # Standard output has what was asked for, and nothing about kernels and devices.
+    wp.config.log_level = wp.LOG_ERROR
     try:
         arguments.work(arguments)
     except ValueError as error:

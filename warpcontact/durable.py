@@ -11,6 +11,27 @@ from typing import Any, BinaryIO
 PARTIAL = ".partial"
 
 
+def check_place(path: Path) -> None:
+    """Raises an error unless a file can be written at ``path``, which is tried.
+
+    Raises:
+        ValueError: If it is a folder or in none that exists, or cannot be written; names it.
+    """
+    if path.is_dir():
+        raise ValueError(f"{path}: is a folder; give the name of a file")
+    if not path.parent.is_dir():
+        wrong = "is not a folder" if path.parent.exists() else "does not exist"
+        raise ValueError(f"{path}: {path.parent} {wrong}")
+    place = Path(os.path.realpath(path))  # a link stays, whether or not there is what it leads to
+    there = place.exists()
+    try:
+        place.open("ab").close()
+        if not there:
+            place.unlink()
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Opens a file beside ``path`` that takes its place, on the disk, when the block ends without an error."""
@@ -20,15 +41,22 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """Yields the name of a file beside ``path``, to be written, that takes its place when the block ends well."""
+    """Yields the name of a file beside ``path``, to be written, that takes its place when the block ends well.
+
+    Raises:
+        OSError: If it cannot be written; names ``path``, of which the user knows.
+    """
     partial = path.with_name(f"{path.name}{PARTIAL}")
     try:
         yield partial
         with partial.open("rb") as file:
             os.fsync(file.fileno())
         partial.replace(path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            partial.unlink()
+        if isinstance(error, OSError) and error.filename == str(partial):
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise
     sync_folder(path.parent)
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array, look_up
@@ -17,12 +16,13 @@ from warpcontact.footprint import Footprint, require, total
 from warpcontact.health import Health
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
-from warpcontact.piles.touching import touching
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
 from warpcontact.stepping import stepping_footprint
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from warpcontact.model import Model, State
 
 
@@ -347,7 +347,7 @@ class Environments(ABC):
             ]
         )
 
-    def touching(self, name: str) -> xr.Dataset:
+    def touching(self, name: str) -> "xr.Dataset":
         """Returns which pairs of a mutual contact touch at the current state.
 
         Args:
@@ -363,6 +363,8 @@ class Environments(ABC):
             KeyError: If there is no such mutual contact.
             RuntimeError: If a list of partners was too short.
         """
+        from warpcontact.piles.touching import touching
+
         look_up("mutual contact", name, {contact.name: contact for contact in self.scene.mutual_contacts})
         self.evaluate()
         self.check_piles()

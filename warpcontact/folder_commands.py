@@ -1,6 +1,8 @@
 """The commands ``status`` and ``export``: what is in the folder of a run."""
 
 import argparse
+import sys
+from pathlib import Path
 from typing import Any
 
 # How many environments an animation has that nobody asked for otherwise.
@@ -74,15 +76,24 @@ def export(arguments: argparse.Namespace) -> None:
     """Writes what was asked for.
 
     Raises:
-        ValueError: If the folder holds no whole run, or not what was asked for.
-        OSError: If the file cannot be written.
+        ValueError: If the folder holds no whole run, or not what was asked for, or the file cannot be written.
+        OSError: If writing fails.
     """
+    from warpcontact.durable import check_place
     from warpcontact.experiment.run import open_run
 
-    run = open_run(arguments.folder)
     for option in ("envs", "clips", "color_by", "spacing"):
         if getattr(arguments, option) is not None and not arguments.usd:
             raise ValueError(f"--{option.replace('_', '-')} is of --usd; a table has all environments")
+    file = arguments.csv or arguments.parquet or arguments.usd
+    check_place(Path(file))
+    run = open_run(arguments.folder)
+    if not arguments.usd and not run.outcome.sizes["env"]:
+        print(
+            f"warning: no environment of {run.folder} is finished yet: the table has no rows; "
+            f"warpcontact run --resume --out {run.folder} goes on with the run",
+            file=sys.stderr,
+        )
     if arguments.csv:
         run.to_csv(arguments.csv)
     elif arguments.parquet:
@@ -92,16 +103,20 @@ def export(arguments: argparse.Namespace) -> None:
             raise ValueError(f"--parquet: {error}") from None
     else:
         from warpcontact.usd import export_usd
+        from warpcontact.usd.coloring import named_number
 
         recording = run.recording
+        run.check_series()
         numbers = recording["env"].values[:ANIMATED].tolist() if arguments.envs is None else arguments.envs
-        name = arguments.color_by
+        name, color_by = arguments.color_by, None
+        if name is not None:
+            color_by = run.outcome[name] if name in run.outcome else named_number(recording, name, run.outcome)
         export_usd(
             recording,
             arguments.usd,
             envs=numbers,
             clip_frames=arguments.clips,
-            color_by=run.outcome.get(name, name),
+            color_by=color_by,
             spacing=arguments.spacing or (0.0, 0.0),
         )
-    print(arguments.csv or arguments.parquet or arguments.usd)
+    print(file)

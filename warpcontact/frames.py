@@ -1,6 +1,7 @@
 """Poses on the host."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warpcontact.checks import Array
 
@@ -28,3 +29,19 @@ def product(first: Array, second: Array) -> Array:
 def inverse(orientation: Array) -> Array:
     """Returns the quaternions (…, 4) of the rotations back."""
     return orientation * np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def shortest_rotations(start: ArrayLike, directions: Array) -> Array:
+    """Returns the quaternions (…, 4) of the shortest rotations of an axis onto directions.
+
+    Args:
+        start: The axis, one of x, y and z, (3,).
+        directions: Unit vectors (…, 3); the one opposite to ``start`` is reached by half a turn about the axis
+            after it, in the order x, y, z.
+    """
+    start = np.asarray(start, dtype=np.float64)
+    # Half the angle from the sum of both; 1e-12 is what rounding leaves of it where they are opposite.
+    whole = 1.0 + directions @ start
+    quaternions = np.concatenate([np.cross(start, directions), whole[..., None]], axis=-1)
+    quaternions[whole < 1.0e-12] = (*np.roll(start, 1), 0.0)
+    return quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)

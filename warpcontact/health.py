@@ -1,7 +1,7 @@
 """Which environments failed and were frozen, why and when, and which were stopped."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ class Health:
         causes: Why each of these failed, a ``Cause``.
         times: What its clock says: that of the state it is held at [s].
         stopped: Numbers of the environments that a stop condition holds.
+        conditions: How many of these by which condition, by its name, where it is known.
     """
 
     envs: int
@@ -34,6 +35,7 @@ class Health:
     causes: Sequence[Cause]
     times: NDArray[np.float64]
     stopped: NDArray[np.int_]
+    conditions: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -42,10 +44,11 @@ class Health:
         cause: NDArray[np.int_],
         time: NDArray[np.float64],
         numbers: NDArray[np.int_] | None = None,
+        conditions: Mapping[str, int] | None = None,
     ) -> "Health":
         """Reads the status, the causes and the clocks of all environments (envs,).
 
-        ``numbers`` are those of the environments, if not from 0.
+        ``numbers`` are those of the environments, if not from 0, ``conditions`` how many were stopped by which.
         """
         numbers = np.arange(len(status)) if numbers is None else numbers
         frozen = np.flatnonzero(status == ENV_FROZEN)
@@ -55,6 +58,7 @@ class Health:
             causes=tuple(Cause(int(one)) for one in cause[frozen]),
             times=time[frozen],
             stopped=numbers[status == ENV_STOPPED],
+            conditions=conditions or {},
         )
 
     @property
@@ -64,7 +68,8 @@ class Health:
 
     def __str__(self) -> str:
         active = self.envs - len(self.frozen) - len(self.stopped)
-        stopped = f"; {len(self.stopped)} are stopped" if len(self.stopped) else ""
+        by = ", ".join(f"{name} {count}" for name, count in self.conditions.items())
+        stopped = f"; {len(self.stopped)} are stopped{f' ({by})' if by else ''}" if len(self.stopped) else ""
         if self.good:
             every = "all" if not stopped else f"{active} of"
             return f"{every} {self.envs} environments are active{stopped}"

@@ -34,11 +34,11 @@ def look_span(
 ) -> Span:
     """Returns the environments that are looked at.
 
-    Forces are told of what may touch alone, unless a reading is of what is far away: that is searched for anew,
-    to the last digit. What is known of distances saves work for forces; on a GPU it does for steps alone.
+    Forces are told of what may touch alone, unless a reading is of what is far away: all is looked at then, and
+    what is far is searched for, to the last digit. On a GPU steps alone leave out what cannot touch.
     """
     cached = model.device.is_cpu and needs.isdisjoint(OF_FAR)
-    return kind(model, first, count, cached, ordered=True, hard=hard, complete=not cached)
+    return kind(model, first, count, cached, ordered=True, hard=hard)
 
 
 def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> list[wp.Launch]:

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from warpcontact.durable import check_place
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -23,20 +25,9 @@ def check_path(path: Any, suffixes: Sequence[str] = SUFFIXES) -> Path:
         ValueError: If the suffix is not allowed, it is a folder or in none that exists, or cannot be written.
     """
     file = Path(path)
-    if file.is_dir():
-        raise ValueError(f"{path}: is a folder; the picture needs the name of a file")
     if file.suffix.lower() not in suffixes:
         raise ValueError(f"{path}: must end in {' or '.join(suffixes)}, got {file.suffix or 'no suffix'}")
-    if not file.parent.is_dir():
-        wrong = "is not a folder" if file.parent.exists() else "does not exist"
-        raise ValueError(f"{path}: {file.parent} {wrong}")
-    there = file.exists()
-    try:
-        file.open("ab").close()
-        if not there:
-            file.unlink()
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be written: {error.strerror or error}") from None
+    check_place(file)
     return file
 
 

@@ -115,9 +115,6 @@ def run(arguments: argparse.Namespace) -> None:
     """
     file = Path(arguments.out)
     _check_words(arguments, file)
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
     from warpcontact.experiment.run import open_run
 
     try:

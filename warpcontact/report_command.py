@@ -32,9 +32,6 @@ def run(arguments: argparse.Namespace) -> None:
         ValueError: If the folder holds no whole run, or an option is not allowed.
         OSError: If the file cannot be written.
     """
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
     from warpcontact.run_report import report
 
     print(report(arguments.folder, arguments.file, envs=arguments.envs))

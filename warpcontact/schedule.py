@@ -37,11 +37,11 @@ class Span:
         model: The model.
         first: Their first environment.
         count: How many.
-        cached: Whether what is known of distances saves work.
+        cached: Whether what is known of distances saves work: gap, normal and point are not told of what is far
+            away then, which steps do without.
         ordered: Whether wrenches are summed in one order, the same in every run.
         queued: Whether threads share out contacts by what they need, not by blocks: for many threads.
         hard: The contacts that are solved for impulses and have no force; ``None``: all have theirs.
-        complete: Whether gap, normal and point are told of what is far away as well, which steps do without.
     """
 
     model: "Model"
@@ -51,7 +51,6 @@ class Span:
     ordered: bool
     queued: bool = False
     hard: "HardContacts | None" = None
-    complete: bool = False
 
     def prepare(
         self,
@@ -115,7 +114,7 @@ def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> li
         launches += span.prepare(
             near.kernel(real, model.follows),
             model.blocks.count,
-            [status, a.model, state, a.history, span.cached, span.complete, a.cache, a.contacts, a.near],
+            [status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near],
         )
     for couplings in model.couplings:
         launches += couplings.force_stages(span, state, status)

@@ -5,11 +5,10 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-import xarray as xr
 from numpy.typing import ArrayLike
 
 from warpcontact import checkpoint, checks
@@ -24,16 +23,20 @@ from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.looks import in_parts
 from warpcontact.model import Model, State
-from warpcontact.outcomes.report import events_of, outcomes_of
 from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.parameters import rounded
 from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
-from warpcontact.recorder import Recorder, Recording
 from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
 from warpcontact.slices import Buffers, Frames, Slice, Times
 from warpcontact.stepping import on_cpu, slice_size, stepping_footprint
 from warpcontact.whole_steps import frame_count, recorded_steps
+
+# Labelled data, and what reads and writes it, takes as long to import as all the rest; who only steps has no need.
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from warpcontact.recorder import Recorder, Recording
 
 # Steps between two looks at the progress bar, whole graphs; on a GPU, which queues them, so many at most. And how
 # long they may take [s]: fewer do when they take twice that.
@@ -216,7 +219,7 @@ class Simulation:
             looks=looks,
         )
 
-    def outcomes(self) -> xr.Dataset:
+    def outcomes(self) -> "xr.Dataset":
         """Returns the outcomes so far, the current state included (env[, item][, axis]).
 
         Beside them ``status``, ``cause`` of being frozen, ``end_time``, the time of each environment, how many
@@ -226,9 +229,11 @@ class Simulation:
             RuntimeError: If another simulation of the model has taken over.
         """
         self._require_watch()
+        from warpcontact.outcomes.report import outcomes_of
+
         return outcomes_of(self.model, self.watch, self._observers)
 
-    def events(self) -> xr.Dataset:
+    def events(self) -> "xr.Dataset":
         """Returns when contacts were made and lost, up to the last step (env, event).
 
         Raises:
@@ -236,6 +241,8 @@ class Simulation:
             RuntimeError: If another simulation of the model has taken over.
         """
         self._require_watch()
+        from warpcontact.outcomes.report import events_of
+
         return events_of(self.model, self.watch, self._observers)
 
     def _require_watch(self) -> None:
@@ -305,8 +312,10 @@ class Simulation:
             self.advised = True
             for sentence in self.advice():
                 warnings.warn(sentence, ContactWarning, stacklevel=3)
-        for part in model.parts:
+        for part, buffers in zip(model.parts, self._buffers, strict=True):
             part.untouched = False
+            if buffers.hard is not None:
+                buffers.hard.wake()
         revisions = tuple(part.revision for part in model.parts)
         prepared, crew = self._prepared
         if crew is None or prepared != revisions:
@@ -366,7 +375,7 @@ class Simulation:
         poses: bool = True,
         parameters: Sequence[str] = (),
         progress: Any = None,
-    ) -> Recording:
+    ) -> "Recording":
         """Simulates for ``duration`` and returns what was recorded, the state at the start included.
 
         Args:
@@ -394,6 +403,8 @@ class Simulation:
         if isinstance(record, str):
             raise TypeError(f"record must be a list of readings, got the string {record!r}")
         self._attach()
+        from warpcontact.recorder import Recorder
+
         recorder = Recorder(
             self.model, record, frames=frame_count(steps, stride), poses=poses, parameters=parameters
         )
@@ -428,7 +439,7 @@ class Simulation:
         )
 
     def advance(
-        self, recorder: Recorder, steps: int, stride: int, *, start: float, done: int = 0, taken: int = 0
+        self, recorder: "Recorder", steps: int, stride: int, *, start: float, done: int = 0, taken: int = 0
     ) -> Iterator[int]:
         """Steps and takes frames; yields how many steps are done, at the begin and after each piece of them.
 
@@ -467,7 +478,7 @@ class Simulation:
             elif took > 2.0 * PIECE and ahead > SHORTEST_PIECE:
                 ahead //= 2
 
-    def _record(self, recorder: Recorder, frames: int, every: int, start: float, done: int) -> None:
+    def _record(self, recorder: "Recorder", frames: int, every: int, start: float, done: int) -> None:
         """Takes ``frames`` times ``every`` steps after the first ``done``, and a frame after each of these."""
         first = recorder.taken
 

@@ -76,6 +76,8 @@ class Buffers:
         self.other = self.layout.struct("stepping", model.types.State, per_env(model.body_count))
         self.hard = integrator.declare(model, self.layout)
         self.observer = Observer(model, watch, self.layout, self.hard) if watch else None
+        if self.hard is not None:
+            self.hard.watched = self.observer is not None
         # Kept alive: the times share their memory.
         self._lengths = SimpleNamespace()
         part = dt / parts

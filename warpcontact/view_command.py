@@ -42,9 +42,6 @@ def run(arguments: argparse.Namespace) -> None:
         ValueError: If viser is not there, the target is none, or an option is not allowed.
         OSError: If a file cannot be read.
     """
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
     from warpcontact.viewer import view
 
     device = arguments.device.split(",") if "," in arguments.device else arguments.device

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.special import ellipe, ellipkm1
 from warpcontact.kernels.formula import check_values, parameter
 from warpcontact.kernels.laws.base import Law
 
@@ -74,14 +73,15 @@ def elliptic_stiffness(
         # Nearly a circle: of the mean curvature, to the square of what they differ by. The integrals cancel here.
         return 4.0 / 3.0 * effective * math.sqrt(2.0 / (1.0 / short + 1.0 / long))
 
+    from scipy.optimize import elementwise  # takes half a second, and few ask
+    from scipy.special import ellipe, ellipkm1
+
     def excess(axis_ratio: np.ndarray) -> np.ndarray:
         # K of 1 − m: of a long ellipse m is 1 to almost all digits.
         first, second = ellipkm1(axis_ratio**-2), ellipe(1.0 - axis_ratio**-2)
         return (axis_ratio**2 * second - first) / (first - second) - ratio
 
     # The ratio of the axes lies between the root and the first power of that of the radii.
-    from scipy.optimize import elementwise  # takes half a second, and few ask
-
     axes = elementwise.find_root(excess, (1.0 + 1.0e-9, 2.0 * ratio))
     complement = float(axes.x) ** -2
     combined = 1.0 / (1.0 / short + 1.0 / long)

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.special import lambertw
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.laws.base import Law, power
 
@@ -17,6 +16,8 @@ def restitution_of_damping_factor(factor: np.ndarray) -> np.ndarray:
 
     e = [1 + W₀(−(1+d) exp(−(1+d)))]/d.
     """
+    from scipy.special import lambertw  # takes longer than most of this package, and few ask
+
     factor = np.asarray(factor, dtype=np.float64)
     safe = np.maximum(factor, 1.0e-8)  # below, e = 1 − 2d/3 is 1 to the last digit that W leaves
     with np.errstate(divide="ignore"):

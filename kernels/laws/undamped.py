@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gamma
 
 
 def greatest_penetration(
@@ -26,6 +25,8 @@ def contact_time(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
     """Duration [s] of an impact, arguments as for ``greatest_penetration``: π √(m/K) for n = 1."""
+    from scipy.special import gamma  # slow to import
+
     n = np.asarray(exponent, dtype=np.float64)
     factor = 2.0 * np.sqrt(np.pi) * gamma(1.0 + 1.0 / (n + 1.0)) / gamma(0.5 + 1.0 / (n + 1.0))
     return np.asarray(factor * greatest_penetration(stiffness, n, mass, speed) / np.asarray(speed))

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.interpolate import Akima1DInterpolator
 from warpcontact.kernels.formula import ROWS, parameter
 from warpcontact.kernels.motions.base import Motion
 from warpcontact.kernels.types import PRESCRIBED
@@ -136,6 +135,8 @@ class Table(Motion):
 
     def samples(self) -> np.ndarray:
         """Returns a row for each time: the time, and the polynomials that begin there."""
+        from scipy.interpolate import Akima1DInterpolator  # slow to import
+
         times = np.asarray(self.times, dtype=np.float64)
         rows = np.zeros((len(times), COLUMNS))
         rows[:, 0] = times

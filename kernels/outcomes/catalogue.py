@@ -268,6 +268,8 @@ class Count(Outcome):
 class Restitution(OfContact):
     """Speed at the end of the first contact over that at its begin, −δ̇_end/δ̇_begin; NaN: no such contact ended.
 
+    It is also NaN where that contact did not begin with an approach, as of a point that rests at the start.
+
     The speeds are those of the first and of the last state in contact, at most a step inside: what the force did
     to them there is of second order in the step, what gravity did of first order.
     """
@@ -290,7 +292,7 @@ class Restitution(OfContact):
 
     @wp.func
     def result(m: Any, time: Any):
-        if m[0] == wp.float64(2.0):
+        if m[0] == wp.float64(2.0) and m[1] > wp.float64(0.0):
             return -m[2] / m[1]
         return wp.float64(wp.nan)
 

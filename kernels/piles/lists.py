@@ -309,22 +309,16 @@ def carry_impulses(real: type) -> wp.Kernel:
     """
     p = pile_structs(real)
     Shapes, Lists, Grid = p.Shapes, p.Lists, p.Grid
-    Memory = record_structs(real).Memory
+    Memories = record_structs(real).Memories
 
     @wp.func
-    def forget(memory: Memory, env: int, number: int):
+    def forget(memory: Memories, env: int, number: int):
         # No step has this number.
-        memory.stamp[env, number] = 0
+        memory[env, number].stamp = 0
 
     @wp.func
-    def move(memory: Memory, env: int, source: int, target: int):
-        memory.impulse[env, target] = memory.impulse[env, source]
-        memory.couple[env, target] = memory.couple[env, source]
-        memory.normal[env, target] = memory.normal[env, source]
-        memory.approach_speed[env, target] = memory.approach_speed[env, source]
-        memory.slip_speed[env, target] = memory.slip_speed[env, source]
-        memory.mode[env, target] = memory.mode[env, source]
-        memory.stamp[env, target] = memory.stamp[env, source]
+    def move(memory: Memories, env: int, source: int, target: int):
+        memory[env, target] = memory[env, source]
         forget(memory, env, source)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -335,7 +329,7 @@ def carry_impulses(real: type) -> wp.Kernel:
         lists: Lists,
         grid: Grid,
         first: wp.int32,  # number of the contact of the first record
-        memory: Memory,
+        memory: Memories,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task // work.items

@@ -39,7 +39,7 @@ class Grid:
 
 @wp.struct
 class Backdrop:
-    """What is behind everything, and where things fade into it; colours are linear RGB."""
+    """What is behind everything, and where planes without end fade into it; colours are linear RGB."""
 
     top: wp.vec3
     bottom: wp.vec3
@@ -162,8 +162,10 @@ def seen(
     hit = trace(world, eye, ray, FAR)
     if hit.item >= 0:
         p_W = eye + hit.t * ray
-        # The middle of the view is the origin.
-        fog = wp.smoothstep(backdrop.fade_from, backdrop.fade_to, wp.length(p_W))
+        fog = wp.float32(0.0)
+        if world.endless[hit.item] != wp.uint8(0):
+            # The middle of the view is the origin.
+            fog = wp.smoothstep(backdrop.fade_from, backdrop.fade_to, wp.length(p_W))
         if fog < 1.0:
             surface = lit(world, light, grid, hit, p_W, ray, at_sun, at_sky, True)
             color = (1.0 - fog) * surface + fog * behind

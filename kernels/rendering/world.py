@@ -22,6 +22,7 @@ class World:
     scale: wp.array(dtype=wp.vec3)  # [item] none is 0
     color: wp.array(dtype=wp.vec3)  # [item] linear RGB
     ruled: wp.array(dtype=wp.uint8)  # [item] 1: with lines of a grid where it is level
+    endless: wp.array(dtype=wp.uint8)  # [item] 1: fades into the background far away
     mesh: wp.array(dtype=wp.uint64)  # [shape] wp.Mesh
     first_normal: wp.array(dtype=wp.int32)  # [shape] where in ``normals`` its corners begin; −1: faces are flat
     first_color: wp.array(dtype=wp.int32)  # [shape] where in ``colors`` its faces begin; −1: that of the item

@@ -7,10 +7,22 @@ import numpy as np
 import xarray as xr
 
 from warpcontact import checks
-from warpcontact.analysis.results import MISSING, Figures, frozen, numbers, refuse, rest_of, variable
+from warpcontact.analysis.results import (
+    MISSING,
+    STOPPED,
+    Figures,
+    end_times,
+    frozen,
+    numbers,
+    refuse,
+    rest_of,
+    variable,
+)
 
 # Times are taken together up to this size of what they are computed from [bytes].
 BLOCK = 256 * 2**20
+# By which part a clock may differ from the time of a record; one step of the longest run is more.
+ROUNDING = 1.0e-9
 
 
 def quantile_fan(
@@ -19,6 +31,7 @@ def quantile_fan(
     quantiles: Sequence[float] = (0.05, 0.25, 0.5, 0.75, 0.95),
     *,
     missing: str = "refuse",
+    stopped: str = "hold",
 ) -> xr.DataArray:
     """Returns quantiles of a reading over the environments, at each time.
 
@@ -30,14 +43,18 @@ def quantile_fan(
         quantiles: From 0 to 1, rising.
         missing: What becomes of environments that are frozen or, at a time, without a finite value: ``"refuse"``
             them, or ``"drop"`` the frozen ones, and others at those times.
+        stopped: What becomes of environments after a stop condition held them: ``"hold"`` them as they were, which
+            is what the series has of them, or ``"drop"`` them, so that each counts up to its stop only.
 
     Returns:
-        Quantiles (quantile, time, …), NaN where no environment is left, with the attributes of the reading.
+        Quantiles (quantile, time, …), NaN where no environment is left, with the attributes of the reading. The
+        attribute ``stopped`` is the argument, and ``stopped_environments`` how many a condition held.
 
     Raises:
         ValueError: If there is no such series, the quantiles are none, or some environments cannot be used.
     """
     checks.choice("missing", missing, MISSING)
+    checks.choice("stopped", stopped, STOPPED)
     levels = np.asarray(quantiles, dtype=np.float64)
     if levels.ndim != 1 or not levels.size or not (levels >= 0.0).all() or not (levels <= 1.0).all():
         raise ValueError(f"quantiles must be numbers from 0 to 1, got {quantiles!r}")
@@ -46,6 +63,7 @@ def quantile_fan(
     array = variable(run.series, reading, "reading", "time", "env")
     envs = numbers(array)
     halted = np.isin(envs, frozen(run.outcome))
+    ends = end_times(run.outcome, envs)
     dims, shape, coords = rest_of(array, "env")
     found = np.empty((len(levels), *shape))
     one_time = array.sizes["env"] * int(np.prod(shape[1:])) * found.itemsize
@@ -59,6 +77,10 @@ def quantile_fan(
         finite = np.isfinite(values)
         always = np.asarray(finite.all(axis=(0, *range(2, values.ndim))))
         refuse(envs, halted, always, reading, missing)
+        if stopped == "drop":
+            # The record of the very moment at which it was stopped counts, however the clocks were rounded.
+            late = array["time"].values[times, None] > ends * (1.0 + ROUNDING)
+            finite &= ~late.reshape(*late.shape, *(1,) * (values.ndim - 2))
         if finite.all() and not halted.any():
             found[:, times] = np.quantile(values, levels, axis=1)
             continue
@@ -67,5 +89,9 @@ def quantile_fan(
             warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
             found[:, times] = np.nanquantile(values[:, ~halted], levels, axis=1) if (~halted).any() else np.nan
     return xr.DataArray(
-        found, dims=("quantile", *dims), coords={"quantile": levels, **coords}, name=reading, attrs=array.attrs
+        found,
+        dims=("quantile", *dims),
+        coords={"quantile": levels, **coords},
+        name=reading,
+        attrs=array.attrs | {"stopped": stopped, "stopped_environments": int(np.isfinite(ends).sum())},
     )

@@ -40,5 +40,8 @@ def write_fan(path: str | PathLike[str], fan: xr.DataArray, title: str | None = 
     axes.set(xlabel="time [s]", ylabel=str(fan.name) if unit == "-" else f"{fan.name} [{unit}]")
     axes.set_title(str(fan.name) if title is None else title)
     axes.margins(x=0.0)
-    axes.legend(title="quantiles", fontsize="small")
+    count = fan.attrs.get("stopped_environments", 0)
+    after = {"hold": "stay as they were", "drop": "count up to their stop"}.get(fan.attrs.get("stopped", ""), "")
+    note = f"\n{count} stopped environments\n{after}" if count else ""
+    axes.legend(title=f"quantiles{note}", title_fontsize="small", fontsize="small")
     save(figure, file)

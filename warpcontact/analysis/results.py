@@ -11,8 +11,10 @@ from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.experiment.errors import suggestion
 from warpcontact.experiment.schema import Settings
+from warpcontact.flags import words_of
 
 MISSING = ("refuse", "drop")
+STOPPED = ("hold", "drop")
 # Environments that are named in a message.
 NAMED = 5
 
@@ -21,7 +23,8 @@ class Figures(Protocol):
     """What was found, whatever was asked.
 
     Attributes:
-        outcome: Summaries (env, …) by name; ``status``, if it is there, tells by its flags which are frozen.
+        outcome: Summaries (env, …) by name; ``status``, if it is there, tells by its flags which are frozen and
+            which stopped, and ``end_time`` when these were.
         series: Readings (time, env, …) by name.
     """
 
@@ -47,7 +50,11 @@ class Results(Figures, Protocol):
 
 
 def variable(data: xr.Dataset, name: str, what: str, *dims: str) -> xr.DataArray:
-    """Returns a variable of numbers with ``dims`` first, or raises ``ValueError`` naming ``what`` it should be."""
+    """Returns a variable of numbers with ``dims``, ``"env"`` among them, first.
+
+    Raises:
+        ValueError: If there is none, naming ``what`` it should be, or no environment has a value yet.
+    """
     known = [str(key) for key, array in data.data_vars.items() if set(dims) <= set(array.dims)]
     if name not in known:
         hint = suggestion(name, known) or f"; there are: {', '.join(known) or 'none'}"
@@ -55,18 +62,32 @@ def variable(data: xr.Dataset, name: str, what: str, *dims: str) -> xr.DataArray
     array = data[name]
     if array.dtype.kind not in "biuf":
         raise ValueError(f"{what} must be one of numbers, got {name!r} with {array.dtype}")
+    if not array.sizes["env"]:
+        state = "begun" if "time" in dims else "finished"
+        raise ValueError(f"{what} {name!r} is of no environment yet: none is {state}; resume the run")
     return array.transpose(*dims, ...)
 
 
 def frozen(outcome: xr.Dataset) -> NDArray[np.int64]:
     """Returns the numbers of the environments that are frozen, as far as ``outcome`` tells."""
+    return _in_state(outcome, "FROZEN")[0]
+
+
+def end_times(outcome: xr.Dataset, envs: NDArray[np.int64]) -> Array:
+    """Returns when each of ``envs`` was stopped [s], (env,), as far as ``outcome`` tells; infinite: it was not."""
+    at, places = _in_state(outcome, "STOPPED")
+    ends = dict(zip(at.tolist(), outcome["end_time"].values[places].tolist(), strict=True)) if len(at) else {}
+    return np.array([ends.get(env, np.inf) for env in envs.tolist()], dtype=np.float64)
+
+
+def _in_state(outcome: xr.Dataset, state: str) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """Returns the numbers of the environments in a state, as far as ``outcome`` tells, and their places."""
     status = outcome.get("status")
-    if status is None or "flag_meanings" not in status.attrs:
-        return np.empty(0, dtype=np.int64)
-    codes = np.atleast_1d(status.attrs["flag_values"])
-    words = str(status.attrs["flag_meanings"]).upper().split()
-    found = [code for code, word in zip(codes, words, strict=True) if word == "FROZEN"]
-    return numbers(status)[np.isin(status.values, found)]
+    if status is None:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.intp)
+    found = [code for code, word in words_of(status).items() if word.upper() == state]
+    places = np.flatnonzero(np.isin(status.values, found))
+    return numbers(status)[places], places
 
 
 def numbers(array: xr.DataArray) -> NDArray[np.int64]:

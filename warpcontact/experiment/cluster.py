@@ -1,14 +1,14 @@
 """Shards as tasks of Ray, on this machine or on a cluster that shares the folder of the run.
 
-Ray places tasks and says which were lost; what counts is in the folder. A shard whose worker was killed is run
-again, from its last commit, and no other.
+Ray places tasks, no more on a machine than its memory holds, and says which were lost; what counts is in the
+folder. A shard whose worker was killed is run again, from its last commit, and no other.
 """
 
 import socket
 import time
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,10 +16,12 @@ from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, Bar, told
 from warpcontact.experiment.store import Commit, Shard, StoreError
+from warpcontact.footprint import USABLE, MemoryShortage, environments, readable
 from warpcontact.quarantine import QuarantineError
 
 if TYPE_CHECKING:
     from warpcontact.experiment.execute import Job, Runs
+    from warpcontact.experiment.plan import Plan
     from warpcontact.experiment.shards import ShardRunner
 
 # Cores that a shard gets on the CPU, at most: more of them are better used by more shards.
@@ -28,6 +30,12 @@ CORES = 4
 ANSWER = 10.0
 # Shards for each place that runs them, so that none waits long for the last.
 SHARDS_PER_PLACE = 4
+# Python, the libraries and the kernels of a worker, a process of its own; measured [bytes].
+WORKER = 450 * 2**20
+# Ray puts what tasks return into memory of its own: here next to nothing, and its default is a third of all.
+RETURNED = 128 * 2**20
+#: Devices that a run on a cluster can be asked for.
+DEVICES = ("auto", "cpu", "cuda", "cuda:0")
 
 
 @dataclass(frozen=True)
@@ -39,23 +47,54 @@ class Place:
         cores: Cores for each shard.
         gpus: GPUs for each shard, 0 or 1.
         places: How many shards run at once.
+        memory: What each takes of the memory of its machine [bytes], once that is known.
     """
 
     ray: Any
     cores: int
     gpus: int
     places: int
+    memory: int = 0
+
+    def for_shards_of(self, plan: "Plan", say: Callable[[str], None]) -> "Place":
+        """Returns the same with as many places as there is memory for.
+
+        Args:
+            plan: How the shards run.
+            say: Is told if these are fewer.
+
+        Raises:
+            MemoryShortage: If no machine has room for one.
+        """
+        each = int((plan.footprint.host_bytes + WORKER) / USABLE)
+        places, there, most = 0, 0, 0
+        for machine in (node["Resources"] for node in self.ray.nodes() if node["Alive"]):
+            slots = int(machine.get("GPU", 0)) if self.gpus else int(machine.get("CPU", 0)) // self.cores
+            room = int(machine.get("memory", 0))
+            places += slots
+            there += min(slots, room // each)
+            most = max(most, room if slots else 0)
+        one = f"a shard of {environments(plan.shard)}, with Python and its libraries, takes {readable(each)}"
+        if not there:
+            message = f"--ray: {one} of a machine, and Ray has {readable(most)} at most; take a smaller shard"
+            raise MemoryShortage(message, each, most)
+        # Cores that are left over on several machines make no place.
+        places = min(places, self.places)
+        if there < min(places, plan.shards):
+            say(f"running {there} at once, and not {places}, for want of memory: {one}")
+        return replace(self, places=min(self.places, there), memory=each)
 
     def shard_size(self, envs: int) -> int:
         """Returns how many of ``envs`` environments a shard has that nobody asked for otherwise, at most."""
         return -(-envs // (SHARDS_PER_PLACE * self.places))
 
-    def runs(self, job: "Job", device: str | Sequence[str]) -> "Runs":
+    def runs(self, job: "Job", device: str) -> "Runs":
         """Returns what runs shards of ``job`` as tasks."""
         # A worker sees the GPUs that it was given, and no other.
-        where = ("cuda:0" if device in ("auto", "cuda") else device) if self.gpus else "cpu"
+        where = ("cuda:0" if device == "auto" else device) if self.gpus else "cpu"
         gpus = 0 if device == "cpu" else self.gpus
-        task = self.ray.remote(num_cpus=self.cores, num_gpus=gpus, max_retries=0)(run_shard)
+        asked = {"num_cpus": self.cores, "num_gpus": gpus, "memory": self.memory, "max_retries": 0}
+        task = self.ray.remote(**asked)(run_shard)
 
         def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> dict[str, str]:
             folder = str(job.folder.resolve())
@@ -63,6 +102,22 @@ class Place:
             return _Tasks(self.ray, task, words, list(left), bar, Path(folder)).run()
 
         return run
+
+
+def one_device(device: str | Sequence[str], source: str) -> str:
+    """Returns the device on which one shard would run here.
+
+    Raises:
+        ExperimentError: If shards cannot be given such a device.
+    """
+    if not isinstance(device, str) or device not in DEVICES:
+        given = device if isinstance(device, str) else list(device)
+        allowed = ", ".join(map(repr, DEVICES))
+        problem = (
+            f"device must be one of {allowed} with Ray, which gives each shard a GPU of its own, got {given!r}"
+        )
+        raise ExperimentError(source, [problem])
+    return "cuda:0" if device == "cuda" else device
 
 
 def connect(address: bool | str) -> Place:
@@ -83,7 +138,7 @@ def connect(address: bool | str) -> Place:
             options["address"] = address
         else:
             # Nobody else is to reach what was started for this run alone.
-            options |= {"address": "local", "_node_ip_address": "127.0.0.1"}
+            options |= {"address": "local", "_node_ip_address": "127.0.0.1", "object_store_memory": RETURNED}
         try:
             if isinstance(address, str):
                 _check_answers(address)

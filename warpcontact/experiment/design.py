@@ -1,7 +1,7 @@
 """What varies between environments, as one description of which any environments are computed alone."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Protocol
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.experiment.distributions import Marginal
-from warpcontact.experiment.sampling import BLOCK, Correlation, Sampler
+from warpcontact.experiment.distributions import LARGEST, SMALLEST, Marginal, Normal
+from warpcontact.experiment.sampling import BLOCK, Correlation, Middle, Sampler
 
 
 class Entry(Protocol):
@@ -179,7 +179,34 @@ class Design:
     @property
     def row_bytes(self) -> int:
         """What the values of an environment take [bytes]."""
-        return sum(values.nbytes for values in self.rows(0, 1).values())
+        drawn = (entry for entry in self.entries.values() if isinstance(entry, Drawn))
+        columns = max((entry.column + len(entry.numbers) for entry in drawn), default=0)
+        # A Latin hypercube would be drawn whole for its first row.
+        row = replace(self, sampler=Middle(columns)).rows(0, 1)
+        return sum(values.nbytes for values in row.values())
+
+    def of(self, names: Collection[str]) -> "Design":
+        """Returns the design of these parameters alone, and of those that they follow."""
+        entries = {name: self.entries[name] for name in names}
+        followed = {
+            source for entry in entries.values() if isinstance(entry, SphereInertia) for source in entry.sources
+        }
+        return replace(
+            self, entries={name: e for name, e in self.entries.items() if name in entries or name in followed}
+        )
+
+    def ends(self, name: str) -> Array | None:
+        """Returns two values between which all lie, number by number, that any environments draw.
+
+        ``None``: that is not known. In the form of values of two environments.
+        """
+        entry = self.entries[name]
+        if not isinstance(entry, Drawn):
+            return None
+        if isinstance(entry.marginal, Normal) and any(entry.column in one.columns for one in self.correlations):
+            return None  # sums of normal numbers go beyond what one number can be
+        units = np.repeat([[SMALLEST], [LARGEST]], entry.column + len(entry.numbers), axis=1)
+        return self.forms[name].applied(entry.values(units, {}))
 
     def rows(self, first: int, stop: int) -> dict[str, Array]:
         """Returns the values in environments ``first`` to ``stop``, without the last.

@@ -337,4 +337,4 @@ def _show(run: Run, job: Job) -> None:
         export_usd(
             recording, run.folder / files_of.ANIMATION, envs=range(usd_envs), ensemble=False, progress=False
         )
-    write_picture(run.folder / files_of.PICTURE, recording, settings.name, list(job.design.names))
+    write_picture(run.folder / files_of.PICTURE, recording, settings.name, list(job.design.names), run.health)

@@ -1,7 +1,7 @@
 """Experiments: a scene, what varies between its environments, how long, and what is recorded."""
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from warpcontact.experiment import cluster
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FileMesh
+from warpcontact.experiment.changes import changed_by
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
 from warpcontact.experiment.execute import Job, check_resumable, here, proceed, start
@@ -25,6 +26,7 @@ from warpcontact.experiment.plan import Plan, make_plan, recording_size
 from warpcontact.experiment.probe import Probe, probe
 from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.run import Run
+from warpcontact.experiment.sampling import Sobol
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
 from warpcontact.experiment.variation import Variation, truncated
@@ -82,21 +84,31 @@ class Experiment:
 
     @classmethod
     def from_toml(
-        cls, path: str | PathLike[str], *, on_stage: Callable[[str], None] | None = None
+        cls,
+        path: str | PathLike[str],
+        *,
+        changes: Iterable[str] = (),
+        on_stage: Callable[[str], None] | None = None,
     ) -> "Experiment":
         """Reads an experiment file; the names of other files in it are relative to its folder.
 
         Args:
             path: The file.
+            changes: What is to be as if it stood there, such as ``'body[0].mass=2.0'``,
+                ``'template.rubber.law.stiffness=1e6'`` or ``'variation."ball.mass"={ uniform = [1, 2] }'``.
             on_stage: Called with a few words when a stage that may take long begins, and before a file with laws
                 of the user is loaded, which runs it.
 
         Raises:
-            ExperimentError: If it cannot be read, with line and column if it is no TOML; or if anything is wrong
-                with the experiment, with the keys of all problems.
+            ExperimentError: If it cannot be read, with line and column if it is no TOML; if a change leads
+                nowhere; or if anything is wrong with the experiment, with the keys of all problems.
+            TypeError: If ``changes`` is one text.
         """
+        if isinstance(changes, str):
+            raise TypeError(f"changes must be a list of texts PATH=VALUE, got the string {changes!r}")
         path = Path(path)
-        return cls({"name": path.stem} | load_toml(path), path.parent, source=str(path), on_stage=on_stage)
+        content = changed_by({"name": path.stem} | load_toml(path), changes)
+        return cls(content, path.parent, source=str(path), on_stage=on_stage)
 
     @classmethod
     def from_dict(
@@ -215,6 +227,8 @@ class Experiment:
         notices = Notices(on_warning)
         say = on_stage or _say_nothing
         with notices.listening(), experiment._own.blamed(), contextlib.ExitStack() as alone:
+            if ray:
+                device = cluster.one_device(device, experiment.source)
             summary = None
             if resume:
                 if folder.is_dir():
@@ -223,6 +237,7 @@ class Experiment:
             else:
                 files_of.check_new(folder, overwrite, copy.files)
             experiment._tell_of_meshes(notices)
+            experiment._tell_of_sampling(notices)
             draft = experiment.draft(device)
             place = cluster.connect(ray) if ray else None
             if summary is not None:
@@ -233,6 +248,8 @@ class Experiment:
             plan.require()
             if summary is not None:
                 plan = plan.resumed(summary)
+            if place is not None:
+                place = place.for_shards_of(plan, say)
             job = Job(
                 settings=experiment.settings,
                 scene=experiment.scene(),
@@ -249,14 +266,14 @@ class Experiment:
             if summary is not None:
                 check_resumable(summary, job)
             if place is not None and summary is not None:
-                return proceed(job, place.runs(job, device))
+                return proceed(job, place.runs(job, str(device)))
             say(f"building {plan.shard} environments")
             runner = job.runner(draft.build(plan.shard))
             if summary is None:
                 start(runner, job, alone)
             if place is not None:
                 del runner, draft  # whoever runs shards needs the room
-                return proceed(job, place.runs(job, device))
+                return proceed(job, place.runs(job, str(device)))
             return proceed(job, here(runner, job))
 
     def _tell_of_meshes(self, notices: Notices) -> None:
@@ -264,6 +281,15 @@ class Experiment:
             for mesh in surface.meshes.values():
                 if isinstance(mesh, FileMesh):
                     notices.add_mesh(mesh.file, self._loaded[f"surface[{i}]", mesh].report)
+
+    def _tell_of_sampling(self, notices: Notices) -> None:
+        envs = self.settings.envs
+        if isinstance(self.design.sampler, Sobol) and envs & (envs - 1):
+            below = 1 << envs.bit_length() - 1
+            notices.add(
+                f"sampling.method = 'sobol' with {envs} environments: Sobol' points fill their space evenly if "
+                f"there is a power of two of them; next to it: {below} and {2 * below}"
+            )
 
     def plan(
         self,

@@ -23,6 +23,8 @@ from warpcontact.status import EnvironmentStatus
 MOST = 6
 COLUMNS = 3
 QUANTILES = (0.05, 0.5, 0.95)
+# Of the summand of ticks, as matplotlib writes it.
+_SIGNS = "+-\N{MINUS SIGN}"
 
 
 def write_outcome_picture(path: Path, outcome: xr.Dataset, title: str) -> bool:
@@ -50,7 +52,7 @@ def write_outcome_picture(path: Path, outcome: xr.Dataset, title: str) -> bool:
         axes = figure.add_subplot(rows, columns, i + 1)
         _draw_histogram(axes, values[~frozen])
         axes.set_title(name)
-        axes.set_xlabel(label, fontsize="small")
+        axes.set_xlabel(f"{label}{_offset_of_ticks(axes)}", fontsize="small")
         if i % columns == 0:
             axes.set_ylabel("environments")
     save(figure, path)
@@ -65,6 +67,17 @@ def _numbers(outcome: xr.Dataset) -> Iterator[tuple[str, str, NDArray[np.float64
         unit = array.attrs.get("units", "-")
         about = str(array.attrs.get("long_name", name))
         yield str(name), about if unit == "-" else f"{about} [{unit}]", array.values.astype(np.float64)
+
+
+def _offset_of_ticks(axes: Axes) -> str:
+    """Returns factor and summand of the ticks, for their label, and hides them where they would cover it."""
+    formatter = axes.xaxis.get_major_formatter()
+    formatter.format_ticks(axes.xaxis.get_majorticklocs().tolist())
+    axes.xaxis.offsetText.set_visible(False)
+    offset = formatter.get_offset()
+    if offset and offset[0] not in _SIGNS:
+        offset = f"×{offset}"
+    return f" ({offset})" if offset else ""
 
 
 def _draw_histogram(axes: Axes, values: NDArray[np.float64]) -> None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from warpcontact.experiment.ground import Ground, draw_from_above, draw_section, grounds_of, legend_entries
 from warpcontact.experiment.store import CHUNK
+from warpcontact.health import Health
 from warpcontact.picture_file import save
 from warpcontact.recorder import Recording
 from warpcontact.scene import Body, Scene
@@ -43,14 +44,17 @@ ENOUGH_OF_COUPLINGS = 0.25
 NARROWEST = 0.3
 
 
-def write_picture(path: Path, recording: Recording, title: str, varied: list[str]) -> None:
+def write_picture(path: Path, recording: Recording, title: str, varied: list[str], health: Health) -> None:
     """Draws a recording with the poses of the bodies.
+
+    Environments that are stopped or frozen are drawn as they were to the end, and counted in the title.
 
     Args:
         path: The .png file.
         recording: From ``Simulation.run``, with the parameters that varied.
         title: Title of the picture.
         varied: Names of the parameters that varied; the first that is one number colours the tracks.
+        health: Which environments are stopped or frozen.
     """
     envs, times = recording.sizes["env"], recording["time"].values
     plane, lower, upper = _extent(recording)
@@ -64,7 +68,13 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
     size = (13.0, 4.0 + 10.8 * height / width) if wide else (13.0, 6.8)
     figure = Figure(figsize=size, dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(f"{title}: {envs} environments, {times[-1]:g} s, {recording.attrs['precision']}")
+    held = [
+        f"{len(numbers)} {state}"
+        for state, numbers in (("stopped", health.stopped), ("frozen", health.frozen))
+        if len(numbers)
+    ]
+    after = f"; {' and '.join(held)}, shown as they were to the end" if held else ""
+    figure.suptitle(f"{title}: {envs} environments, {times[-1]:g} s, {recording.attrs['precision']}{after}")
     if wide:
         grid = figure.add_gridspec(2, 2, height_ratios=(size[1] - 3.7, 2.9))
         places = grid[0, :], grid[1, 0], grid[1, 1]

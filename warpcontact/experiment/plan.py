@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from warpcontact.available import HOST, Room
+from warpcontact.available import HOST, Room, used
 from warpcontact.draft import Draft, PartDraft
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
@@ -33,6 +33,9 @@ BLOCK = 64 * 2**20
 # Pieces of a recording that are in memory at once while it is compressed, and for its picture; measured.
 WRITTEN_AT_ONCE = 8
 DRAWN_AT_ONCE = 2
+# What a run loads beside: kernels, what draws its picture, and with series what writes its animation; measured.
+LOADED = 40 * 2**20
+LOADED_FOR_SERIES = 104 * 2**20
 # A shard is rounded to this many significant bits, so that the pieces of a recording are parts of it.
 BITS = 6
 
@@ -48,6 +51,8 @@ class Plan:
         footprint: What these take of memory, or what one would that does not fit.
         recording: Size of the whole recording, before it is compressed [bytes].
         rooms: What there is of memory, where it is known.
+        process: What Python and its libraries take of the host beside that, most of it already [bytes]; ``None``:
+            the system does not tell.
     """
 
     envs: int
@@ -56,6 +61,12 @@ class Plan:
     footprint: Footprint
     recording: int
     rooms: tuple[Room, ...]
+    process: int | None = None
+
+    @property
+    def peak(self) -> int | None:
+        """The most that the process has of the host, all kernels being compiled; ``None``: nobody knows."""
+        return None if self.process is None else self.process + self.footprint.host_bytes
 
     @property
     def shards(self) -> int:
@@ -75,6 +86,8 @@ class Plan:
 
     def __str__(self) -> str:
         lines = [str(self.footprint)]
+        if self.peak is not None:
+            lines.append(f"with Python and its libraries the process has {readable(self.peak)} at most")
         for room in self.rooms:
             lines.append(f"available: {readable(room.size)} of {room.name}; {readable(usable(room))} can be used")
         lines.append(f"on disk: up to {readable(self.recording)}, before compression")
@@ -140,7 +153,16 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
     if shard is None and most:
         chosen = shard_size(most, settings.envs)
     block = block_of(size, chosen or 1, frames)
-    return Plan(settings.envs, chosen, block, footprint(chosen or 1), size.on_host(settings.envs, frames), rooms)
+    loaded, own = LOADED_FOR_SERIES if frames else LOADED, used()
+    return Plan(
+        settings.envs,
+        chosen,
+        block,
+        footprint(chosen or 1),
+        size.on_host(settings.envs, frames),
+        rooms,
+        None if own is None else own + loaded,
+    )
 
 
 def block_of(size: RecordingSize, envs: int, frames: int) -> int:

@@ -13,7 +13,7 @@ from warpcontact.experiment.catalogue import Section
 from warpcontact.experiment.errors import ExperimentError, Problems, key_path, shown, suggestion
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import LISTS, SECTIONS, Settings, VariationSettings, table_at
-from warpcontact.experiment.variation_settings import grid_size
+from warpcontact.experiment.variation_settings import MOST_ENVS, grid_size
 
 # What a value must be, by the type of pydantic's error.
 _KINDS = {
@@ -156,9 +156,13 @@ def read_settings(raw: Mapping[str, Any], own: OwnFiles, problems: Problems) -> 
                 problems.names[f"{section}[{i}]"] = entry["name"]
     try:
         settings = Settings.model_validate(dict(raw), context=own)
-        if "envs" not in raw:
-            settings = settings.model_copy(update={"envs": grid_size(settings.variation)})
-        return Parts.of_settings(settings)
+        if "envs" in raw:
+            return Parts.of_settings(settings)
+        size = grid_size(settings.variation)
+        if size > MOST_ENVS:
+            problems.add("variation", f": grid must have at most {MOST_ENVS} combinations, got {size}")
+            size = 1
+        return Parts.of_settings(settings.model_copy(update={"envs": size}))
     except ValidationError as failure:
         errors = failure.errors(include_url=False)
     places = {error["loc"] for error in errors}
@@ -189,6 +193,8 @@ def _explain(error: Any, raw: Mapping[str, Any], own: OwnFiles, problems: Proble
         problems.add(path, f"{error['ctx']['error']}{_several(location[0]) if several else ''}")
     elif kind == "greater_than_equal":
         problems.add(path, f"must be at least {error['ctx']['ge']}, got {shown(value)}")
+    elif kind == "less_than_equal":
+        problems.add(path, f"must be at most {error['ctx']['le']}, got {shown(value)}")
     elif kind in _KINDS:
         what = f"a list of tables, [[{path}]]" if path in SECTIONS or path in LISTS else _KINDS[kind]
         listed = location[0] == "variation" and isinstance(value, list | tuple)

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,7 @@ class Commit:
         wall_time: How long it was stepped, over all attempts [s].
         files: Size [bytes] and SHA-256 of each file of the store that belongs to it, by its path.
         frozen: How many of its environments are frozen.
+        checkpoint_sha256: SHA-256 of that file; ``None``: it is finished, or of an earlier version.
     """
 
     shard: int
@@ -59,6 +60,7 @@ class Commit:
     wall_time: float = 0.0
     files: Files = field(default_factory=dict)
     frozen: int = 0
+    checkpoint_sha256: str | None = None
 
     @classmethod
     def read(cls, path: Path) -> "Commit":
@@ -68,10 +70,10 @@ class Commit:
             StoreError: If it is cut off, or holds what no run writes; names the entry, the value and what is
                 allowed.
         """
-        content = _content(path, [one.name for one in fields(cls)])
+        content = _content(path, [one.name for one in fields(cls)], {"checkpoint_sha256": None})
         number = int(path.stem.rpartition("_")[2])
         finished = content["finished"] is True
-        checkpoint, time = content["checkpoint"], content["wall_time"]
+        checkpoint, time, sha = content["checkpoint"], content["wall_time"], content["checkpoint_sha256"]
         goes_on = isinstance(checkpoint, str) and re.fullmatch(rf"{path.stem}-\d{{12,}}\.npz", checkpoint)
         is_time = isinstance(time, int | float) and not isinstance(time, bool) and 0.0 <= time < float("inf")
         rules = {
@@ -83,6 +85,10 @@ class Commit:
                 "null in a finished shard" if finished else f"the name of a file {path.stem}-<steps>.npz",
             ),
             "wall_time": (is_time, "a time of at least 0 s"),
+            "checkpoint_sha256": (
+                sha is None or (not finished and isinstance(sha, str) and bool(_SHA.fullmatch(sha))),
+                "null in a finished shard" if finished else "null, or a SHA-256 in 64 hexadecimal digits",
+            ),
         }
         for key, (holds, allowed) in rules.items():
             if not holds:
@@ -112,25 +118,33 @@ def made_in(folder: Path) -> Files:
 
 def measured(root: Path, names: Iterable[str]) -> Files:
     """Returns what a record says of files below ``root``."""
-    contents = ((name, (root / name).read_bytes()) for name in names)
-    return {name: (len(content), hashlib.sha256(content).hexdigest()) for name, content in contents}
+    return {name: ((root / name).stat().st_size, digest(root / name)) for name in names}
 
 
-def is_unchanged(path: Path, size: int, sha: str) -> bool:
-    """Whether a file is there, with this content."""
+def digest(path: Path) -> str:
+    """Returns the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def is_unchanged(path: Path, size: int | None, sha: str) -> bool:
+    """Whether a file is there, with this content; its size tells faster, where it is known, that it is not."""
     try:
-        return path.stat().st_size == size and hashlib.sha256(path.read_bytes()).hexdigest() == sha
+        return size in (None, path.stat().st_size) and digest(path) == sha
     except FileNotFoundError:
         return False
 
 
-def _content(path: Path, entries: Iterable[str]) -> dict[str, Any]:
+def _content(path: Path, entries: Iterable[str], later: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Returns the entries of a record; ``later`` stands for those that earlier versions did not write."""
     try:
         content = json.loads(path.read_bytes())
     except FileNotFoundError:
         raise StoreError(f"{path}: is missing, which says what counts") from None
     except (OSError, ValueError, RecursionError) as error:
         raise StoreError(f"{path}: is no whole record of a commit: {error}") from None
+    if isinstance(content, dict):
+        content = {**(later or {}), **content}
     if not isinstance(content, dict) or set(content) != set(entries):
         got = sorted(content) if isinstance(content, dict) else content
         raise StoreError(f"{path}: must have the entries {', '.join(entries)}, got {shown(got)}")

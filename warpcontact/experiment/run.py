@@ -16,9 +16,14 @@ from numpy.typing import NDArray
 
 from warpcontact.contact_coupling_report import CouplingReport, report_of
 from warpcontact.experiment import folder as files_of
-from warpcontact.experiment.errors import ExperimentError, shown
+from warpcontact.experiment.assemble import Assembler
+from warpcontact.experiment.errors import ExperimentError, Problems, shown
+from warpcontact.experiment.own import OwnFiles
+from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, StoreError
-from warpcontact.experiment.store import CHUNK, ORDER, Ledger, Shard, shards_of
+from warpcontact.experiment.schema import Settings
+from warpcontact.experiment.store import ORDER, Ledger, Shard, shards_of
+from warpcontact.flags import words_of
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
 from warpcontact.scene import Scene
@@ -27,7 +32,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from warpcontact.experiment.experiment import Experiment
-    from warpcontact.experiment.schema import Settings
+
+# A digest reads pieces of arrays of up to this size [bytes].
+READ_AT_ONCE = 256 * 2**20
 
 
 @dataclass(frozen=True)
@@ -47,20 +54,29 @@ class Run:
 
     @functools.cached_property
     def scene(self) -> Scene:
-        """What ran."""
-        return self.experiment.scene() if self._scene is None else self._scene
+        """What ran. Files with laws of its own are run to read it; no model is built."""
+        if self._scene is not None:
+            return self._scene
+        problems = Problems()
+        scene = Assembler(Parts.of_settings(self.settings), self.folder, {}).scene(problems)
+        problems.stop(str(self.folder / files_of.EXPERIMENT))
+        return scene
 
     @functools.cached_property
     def experiment(self) -> "Experiment":
-        """The experiment that ran. Files with laws of its own are run to read it."""
+        """The experiment that ran, checked as one that is to run again: with a model, which compiles kernels."""
         from warpcontact.experiment.experiment import Experiment
 
         return Experiment.from_toml(self.folder / files_of.EXPERIMENT)
 
-    @property
-    def settings(self) -> "Settings":
-        """All settings of the experiment."""
-        return self.experiment.settings
+    @functools.cached_property
+    def settings(self) -> Settings:
+        """All settings of the experiment. Files with laws of its own are run to read them; no model is built."""
+        path, problems = self.folder / files_of.EXPERIMENT, Problems()
+        settings = read_settings(load_toml(path), OwnFiles(self.folder, lambda stage: None), problems).settings
+        problems.stop(str(path))
+        assert settings is not None  # they are there if there are no problems
+        return settings
 
     @functools.cached_property
     def _commits(self) -> dict[int, Commit]:
@@ -114,12 +130,27 @@ class Run:
         recording.scene = self.scene
         return recording
 
+    def check_series(self) -> None:
+        """Raises ``ValueError`` if nothing over time is committed yet that could be drawn or exported."""
+        if not any(commit.frames for commit in self._commits.values()):
+            raise ValueError(
+                f"{self.folder}: nothing over time is committed yet in this run; "
+                f"warpcontact run --resume --out {self.folder} goes on with it"
+            )
+
     @property
     def health(self) -> Health:
-        """Which environments are frozen, of those that are finished."""
+        """Which environments are frozen and which stopped, of those that are finished."""
         outcome = self.outcome
         status, cause, time, numbers = (outcome[name].values for name in ("status", "cause", "end_time", "env"))
-        return Health.of(status, cause, time, numbers)
+        conditions: dict[str, int] = {}
+        if "stopped_by" in outcome:
+            codes, counts = np.unique(outcome["stopped_by"].values, return_counts=True)
+            words = words_of(outcome["stopped_by"])
+            conditions = {
+                words[code]: int(n) for code, n in zip(codes.tolist(), counts, strict=True) if code in words
+            }
+        return Health.of(status, cause, time, numbers, conditions)
 
     @property
     def reports(self) -> tuple[CouplingReport, ...]:
@@ -154,19 +185,30 @@ class Run:
         return xr.merge([params.drop_vars(both), outcome], join="exact", combine_attrs="drop_conflicts")
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """Returns one row for each finished environment: its parameters and outcomes, vectors by component."""
+        """Returns one row for each finished environment: its parameters and outcomes, vectors by component.
+
+        Codes, such as that of ``status``, are categories by their words; where there is none, as of ``stopped_by``
+        in an environment that no condition stopped, the value is missing.
+        """
         import pandas as pd
 
         table = self.table()
-        columns: dict[str, NDArray[Any]] = {}
+        columns: dict[str, Any] = {}
         for name, array in table.data_vars.items():
+            words = words_of(array)
             for labels, values in _columns(array):
-                columns[".".join([str(name), *labels])] = values
+                key = ".".join([str(name), *labels])
+                columns[key] = values
+                if words:
+                    places = [list(words).index(code) if code in words else -1 for code in values.tolist()]
+                    columns[key] = pd.Categorical.from_codes(places, list(words.values()))
         return pd.DataFrame(columns, index=pd.Index(table["env"].values, name="env"))
 
     def to_csv(self, path: str | PathLike[str]) -> None:
-        """Writes that table as comma-separated values, numbers with all their digits."""
+        """Writes that table as comma-separated values, numbers with all their digits, missing words as nothing."""
         frame = self.to_dataframe()
+        coded = frame.select_dtypes("category").astype(object)
+        frame[coded.columns] = coded.where(coded.notna(), None)
         with Path(path).open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(["env", *frame.columns])
@@ -197,10 +239,8 @@ class Run:
             for name in sorted(map(str, data.data_vars)):
                 array = data[name].transpose("env", ...)
                 total.update(f"{group}/{name}{array.dtype}{array.shape}".encode())
-                rows = max(1, CHUNK * array.sizes["env"] // max(1, array.nbytes))
-                for first in range(0, array.sizes["env"], rows):
-                    values = array.isel(env=slice(first, first + rows)).values
-                    total.update(np.ascontiguousarray(values).tobytes())
+                for own in _in_chunks(data[name]):
+                    total.update(np.ascontiguousarray(array.isel(env=own).values).tobytes())
         return total.hexdigest()
 
     def check(self) -> None:
@@ -319,3 +359,18 @@ def _columns(array: xr.DataArray) -> Iterator[tuple[list[str], NDArray[Any]]]:
             for dim, i in zip(axes, place, strict=True)
         ]
         yield labels, values[(slice(None), *place)]
+
+
+def _in_chunks(array: xr.DataArray) -> Iterator[slice]:
+    """Iterates over environments of a stored array, those of whole chunks at once if they fit.
+
+    Chunks of an array that is so long in time that they do not are read several times, for parts of them.
+    """
+    envs = array.sizes["env"]
+    chunk = dict(zip(array.dims, array.encoding["chunks"], strict=True))["env"]
+    most = max(1, READ_AT_ONCE * envs // max(1, array.nbytes))
+    whole = most // chunk * chunk
+    step = whole or -(-chunk // -(-chunk // most))
+    for first in range(0, envs, whole or chunk):
+        stop = min(first + (whole or chunk), envs)
+        yield from (slice(k, min(k + step, stop)) for k in range(first, stop, step))

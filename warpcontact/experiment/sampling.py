@@ -45,6 +45,22 @@ class Sampler(Protocol):
 
 
 @dataclass(frozen=True)
+class Middle:
+    """One half in place of each number: where it is the form of values that matters.
+
+    Args:
+        columns: How many columns there are.
+    """
+
+    columns: int
+
+    def blocks(self, start: int) -> Iterator[Array]:
+        """See ``Sampler``."""
+        while True:
+            yield np.full((BLOCK, self.columns), 0.5)
+
+
+@dataclass(frozen=True)
 class Random:
     """Independent random numbers, of each parameter from a generator of its own.
 

@@ -28,6 +28,7 @@ from warpcontact.experiment.catalogue import (
 from warpcontact.experiment.integration import IntegratorSettings
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.variation_settings import (
+    MOST_ENVS,
     CorrelationSettings,
     SamplingSettings,
     SolidSphere,
@@ -365,7 +366,7 @@ class Settings(Section):
     """A whole experiment file."""
 
     name: Annotated[str, q.title] = "experiment"
-    envs: int = Field(default=1, ge=1)
+    envs: int = Field(default=1, ge=1, le=MOST_ENVS)
     duration: Annotated[float, q.time] = Field(description="simulated time [s]")
     dt: Annotated[float, q.time] = Field(description="time step [s]")
     crossing_steps: int = Field(default=1, ge=1)

@@ -24,6 +24,7 @@ from warpcontact.experiment.design import Design
 from warpcontact.experiment.observation import watching
 from warpcontact.experiment.plan import kept
 from warpcontact.experiment.progress import Beacon
+from warpcontact.experiment.records import digest
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
 from warpcontact.recorder import Recorder
@@ -210,6 +211,8 @@ class ShardRunner:
         """Puts the model where ``commit`` left it; from the start where its checkpoint does not fit."""
         path = self.folder / CHECKPOINTS / str(commit.checkpoint)
         try:
+            if commit.checkpoint_sha256 is not None and digest(path) != commit.checkpoint_sha256:
+                raise checkpoint.CheckpointError(f"{path}: was changed since it was committed")
             arrays, header = checkpoint.read(path)
             own = self.origin(shard, commit.steps)
             if theirs := {key: header.get(key) for key in own if header.get(key) != own[key]}:
@@ -323,8 +326,9 @@ class _Attempt:
         pending = self.recorder.taken if self.runner.frames.count else 0
         arrays |= {f"frame/{key}": values[:pending] for key, values in self.recorder.frames().items()}
         arrays["times"] = self.recorder.times[:pending]
-        checkpoint.write(self.runner.folder / CHECKPOINTS / name, arrays, self.runner.origin(self.shard, done))
-        self.commit.steps, self.commit.checkpoint = done, name
+        path = self.runner.folder / CHECKPOINTS / name
+        checkpoint.write(path, arrays, self.runner.origin(self.shard, done))
+        self.commit.steps, self.commit.checkpoint, self.commit.checkpoint_sha256 = done, name, digest(path)
         self._commit()
         self.last = time.perf_counter()
         self.took = self.last - begin
@@ -340,7 +344,8 @@ class _Attempt:
         for sentence in self.remarks.new():
             warnings.warn(sentence, RuntimeWarning, stacklevel=4)
         self.commit.frozen = runner.frozen(self.shard)
-        self.commit.steps, self.commit.checkpoint, self.commit.finished = runner.frames.steps, None, True
+        self.commit.steps, self.commit.finished = runner.frames.steps, True
+        self.commit.checkpoint = self.commit.checkpoint_sha256 = None
         self._commit()
         self.staging.remove()
         return self.commit

@@ -246,6 +246,9 @@ class Ledger:
         path = self.folder / CHECKPOINTS / str(commit.checkpoint)
         if checkpoints and commit.checkpoint is not None and not path.is_file():
             return f"{path}: is missing, and was committed; --resume lets its shard begin anew"
+        sha = commit.checkpoint_sha256
+        if contents and checkpoints and sha is not None and not is_unchanged(path, None, sha):
+            return f"{path}: was changed since it was committed; --resume lets its shard begin anew"
         return self._problem_of(commit.files, f"shard_{commit.shard:06d}", contents)
 
     def _problem_of(self, files: Files, shard: str, contents: bool) -> str | None:

@@ -45,12 +45,7 @@ _WHOLE = ("value", "values", "uniform", "linspace", "grid", "distribution")
 
 def truncated(variation: Mapping[str, VariationSettings], envs: int) -> dict[str, VariationSettings]:
     """Returns ``variation`` for the first ``envs`` environments: listed values beyond them are left out."""
-    return {
-        name: entry.model_copy(update={"values": entry.values[:envs]})
-        if isinstance(entry.values, tuple)
-        else entry
-        for name, entry in variation.items()
-    }
+    return _with_values(variation, tuple, lambda values: values[:envs])
 
 
 def relocated(
@@ -244,12 +239,15 @@ class Variation:
         return source if source in self.variation else parameter.read(1)
 
     def _check_all(self, design: Design) -> None:
-        """Checks the values in all environments, of each parameter up to the first that is wrong."""
-        pending = [name for name in design.names if not isinstance(design.entries[name], Same)]
+        """Checks the values in all environments, of each parameter up to the first that is wrong.
+
+        What is drawn between ends that are allowed is not drawn: of very many environments that takes long.
+        """
+        pending = [name for name in design.names if not self._is_within(design, name)]
         for first in range(0, self.envs, CHECKED_AT_ONCE):
             if not pending:
                 return
-            rows = design.rows(first, min(first + CHECKED_AT_ONCE, self.envs))
+            rows = design.of(pending).rows(first, min(first + CHECKED_AT_ONCE, self.envs))
             wrong: set[str] = set()
             # What is wrong with a mass is not wrong with the inertia that follows from it.
             for name in sorted(pending, key=lambda name: isinstance(design.entries[name], SphereInertia)):
@@ -258,6 +256,20 @@ class Variation:
                 if follows or not self._check(_path(name), self.model.find_parameter(name), rows[name], first):
                     wrong.add(name)
             pending = [name for name in pending if name not in wrong]
+
+    def _is_within(self, design: Design, name: str) -> bool:
+        """Whether no value of a parameter can be wrong, as it is checked already or lies between allowed ones."""
+        if isinstance(design.entries[name], Same):
+            return True
+        parameter, ends = self.model.find_parameter(name), design.ends(name)
+        # What is converted, such as a tensor, may be wrong between values that are right.
+        if ends is None or parameter.convert is not None:
+            return False
+        try:
+            parameter.parse(ends, len(ends))
+        except ValueError:
+            return False
+        return True
 
     def _check_one(self, path: str, parameter: Parameter, value: Array) -> bool:
         """Checks one value for all environments: what has a row for each of several is none."""

@@ -16,6 +16,10 @@ from warpcontact.experiment.sampling import METHODS
 SYMMETRY = 1.0e-9
 
 
+#: The most environments; they are numbered in 32 bits.
+MOST_ENVS = 2**31 - 1
+
+
 class SolidSphere(Section):
     """Inertia of a uniform solid sphere, (2/5) m r²."""
 

@@ -15,7 +15,7 @@ from warpcontact.picture_file import check_path
 from warpcontact.rendering.look import Look, LookOptions, environment_numbers
 from warpcontact.rendering.painter import Picture
 from warpcontact.rendering.records import Source
-from warpcontact.rendering.show import Show, coloring_of
+from warpcontact.rendering.show import Coloring, Show
 from warpcontact.rendering.writers import GIF_FASTEST, write_gif, write_mp4
 from warpcontact.scene import Scene
 
@@ -124,7 +124,7 @@ def shoot(
     drawing = source.drawing(records, envs)
     coloring = None
     if look.color_by is not None:
-        coloring = coloring_of(look.color_by, source.numbers(look.color_by, drawing.envs))
+        coloring = Coloring.of(look.color_by, source.numbers(look.color_by, drawing.envs))
     show = Show(drawing, look, coloring, [records.index(number) for number in overview])
     order = np.searchsorted(records, shown)
 

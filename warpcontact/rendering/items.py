@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.frames import placed
+from warpcontact.frames import placed, shortest_rotations
 from warpcontact.kernels.rendering.world import CONE, CYLINDER, MESH, SPHERE
 from warpcontact.replay.drawing import Curve, Figure, Shape, Touch
 from warpcontact.replay.triangles import ball
@@ -38,6 +38,7 @@ class Items:
         scales: (n, 3), all above 0.
         colors: RGB as displayed, (n, 3) in 0…1.
         ruled: Whether lines of a grid are on them where they are level.
+        endless: Whether they are parts of planes without end, z = 0, which fade into the background far away.
     """
 
     kind: int
@@ -47,6 +48,7 @@ class Items:
     scales: Array
     colors: Array
     ruled: bool = False
+    endless: bool = False
 
     def boxes(self) -> tuple[Array, Array]:
         """Returns middles and halves of the sides of boxes around them, along the world's axes, (n, 3) [m]."""
@@ -104,7 +106,9 @@ def of_figure(
     good = np.broadcast_to(figure.there[row], finite.shape) & finite & (scales > 0.0).all(axis=1)
     count = int(good.sum())
     colors = np.broadcast_to(figure.color if color is None else color, (count, 3))
-    return Items(kind, shape, positions[good], rotations[good], scales[good], colors, ruled)
+    return Items(
+        kind, shape, positions[good], rotations[good], scales[good], colors, ruled, figure.kind == "plane"
+    )
 
 
 def of_curve(curve: Curve, record: int, row: int, width: float) -> list[Items]:
@@ -146,19 +150,9 @@ def _between(kind: int, starts: Array, lengths: Array, radius: Array | float, co
     radii = np.broadcast_to(radius, size.shape)
     good = (size > 0.0) & (radii > 0.0)
     starts, lengths, size, radii = starts[good], lengths[good], size[good], radii[good]
-    rotations = from_z(lengths / size[:, None])
+    rotations = shortest_rotations((0.0, 0.0, 1.0), lengths / size[:, None])
     scales = np.stack([radii, radii, size], axis=-1)
     return Items(kind, None, starts, rotations, scales, np.broadcast_to(color, starts.shape))
-
-
-def from_z(directions: Array) -> Array:
-    """Returns rotations of the z axis to unit vectors (n, 3), as x, y, z, w."""
-    x, y, z = directions.T
-    # Half the angle by that of the vector with the z axis added; straight down: about x.
-    down = 1.0 + z < 1.0e-12
-    quaternions = np.stack([-y, x, np.zeros_like(x), 1.0 + z], axis=-1)
-    quaternions[down] = (1.0, 0.0, 0.0, 0.0)
-    return quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
 
 
 def same_everywhere(figure: Figure) -> bool:

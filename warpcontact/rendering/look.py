@@ -59,7 +59,8 @@ class Look:
         force_scale: Length of arrows [m/N]; ``None``: the largest force is 1.5 sizes of the largest body long, if
             there is room for that.
         together: Whether to show several environments in one picture, in place of one beside the other.
-        color_by: A parameter or an outcome with one number for each environment, to colour what moves by.
+        color_by: A parameter or an outcome with one number for each environment, or one for all items of a set in
+            it, to colour what moves by.
         labels: Whether to write numbers of several environments, the time of a film and the scale of ``color_by``.
         background: ``"light"``, ``"white"``, ``"dark"`` or a colour such as ``"#20242c"``.
         samples: Most rays of a pixel; it takes fewer where they see the same.

@@ -13,7 +13,7 @@ from warpcontact.crew import available_threads
 from warpcontact.kernels.rendering.paint import View, paint
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light
 from warpcontact.rendering.camera import Camera, direction
-from warpcontact.rendering.items import Items
+from warpcontact.rendering.items import Items, turned_axes
 from warpcontact.rendering.stage import Stage
 from warpcontact.replay.colors import linear
 
@@ -21,7 +21,8 @@ Picture = NDArray[np.uint8]
 
 # The sun, from the left of the eye and above [rad], and the radius of its disc at distance 1.
 _ASIDE, _HEIGHT, _SPREAD = math.radians(45.0), math.radians(50.0), 0.035
-# Distances from the target at which things begin to fade into the background, and have, in halves of the view.
+# Distances from the target at which planes without end begin to fade into the background, and have, in halves of
+# the view or, if that is more, in distances of the target from them: what is below it is seen farther away.
 _FADE = (3.0, 12.0)
 # Lines of the grid in half of the view from top to bottom, about.
 _LINES = 3.0
@@ -42,7 +43,6 @@ class Painter:
         self._stage = stage
         self._backdrop = Backdrop()
         self._backdrop.top, self._backdrop.bottom = (wp.vec3(*row) for row in linear(background).tolist())
-        self._backdrop.fade_from, self._backdrop.fade_to = _FADE
         self._threads = available_threads() if threads is None else threads
 
     def paint(
@@ -70,6 +70,8 @@ class Painter:
         view, light = _view(camera, unit, width, height, samples), light_of(camera)
         pixels = wp.empty((width * height, 3), dtype=wp.uint8, device=device)
         grid = _grid(camera, height)
+        away = max([1.0, *(_farthest(group, camera.target) / unit for group in items if group.endless)])
+        self._backdrop.fade_from, self._backdrop.fade_to = (away * distance for distance in _FADE)
         inputs = [view, *(world.struct for world in worlds), light, grid, self._backdrop]
         paint.module.load(device)
         rows = height if device.is_cuda else _ROWS
@@ -95,6 +97,12 @@ def _view(camera: Camera, unit: float, width: int, height: int, samples: int) ->
     view.tangent = math.tan(0.5 * camera.angle)
     view.width, view.height, view.samples = width, height, samples
     return view
+
+
+def _farthest(planes: Items, point: Array) -> float:
+    """Returns the greatest distance of a point from planes z = 0 in their own frames [m]."""
+    normals = turned_axes(planes.rotations)[:, 2]
+    return float(np.abs(((point - planes.positions) * normals).sum(axis=1)).max(initial=0.0))
 
 
 def _grid(camera: Camera, height: int) -> Grid:

@@ -8,7 +8,9 @@ import numpy as np
 import xarray as xr
 
 from warpcontact.checks import Array
+from warpcontact.experiment.errors import suggestion
 from warpcontact.experiment.run import Run
+from warpcontact.replay.colors import number_of_each
 from warpcontact.replay.drawing import Drawing
 from warpcontact.scene import Scene
 
@@ -37,6 +39,7 @@ class Source:
         run = recording if isinstance(recording, Run) else None
         if run is not None:
             recording = run.recording
+            run.check_series()
         if not isinstance(recording, xr.Dataset):
             raise TypeError(
                 f"recording must be what Simulation.run or wc.open_run returns, got {type(recording).__name__}"
@@ -91,14 +94,15 @@ class Source:
             ValueError: If there is none of that name with one number for each environment.
         """
         tables = [self.recording] if self.run is None else [self.recording, self.run.outcome]
-        found: dict[str, xr.DataArray] = {}
-        for table in tables:
-            for key, array in table.data_vars.items():
-                if array.dims == ("env",) and array.dtype.kind in "biuf":
-                    found[str(key)] = array
-        if name not in found:
-            raise ValueError(
-                f"color_by must be one number for each environment, got {name!r}; "
-                f"there are: {', '.join(sorted(found)) or 'none'}"
-            )
-        return found[name].reindex(env=list(envs)).values.astype(np.float64)
+        named = [table.data_vars[name] for table in reversed(tables) if name in table.data_vars]
+        found = next((one for one in map(_number_of_each, named) if one is not None), None)
+        if found is None:
+            variables = [(str(key), one) for table in tables for key, one in table.data_vars.items()]
+            there = sorted({key for key, one in variables if _number_of_each(one) is not None})
+            hint = suggestion(name, there) or f"; there are: {', '.join(there) or 'none'}"
+            raise ValueError(f"color_by must be one number for each environment, got {name!r}{hint}")
+        return found.reindex(env=list(envs)).values.astype(np.float64)
+
+
+def _number_of_each(array: xr.DataArray) -> xr.DataArray | None:
+    return None if "time" in array.dims else number_of_each(array)

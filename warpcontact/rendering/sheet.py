@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.checks import Array
+from warpcontact import hostile
+from warpcontact.replay.colors import Scale
 
 Place = tuple[int, int, int, int]
 
@@ -16,9 +17,12 @@ GAP = 3
 GAP_COLOR = (255, 255, 255)
 # Width by height that panels come as close to as they can.
 _SHAPE = 1.4
-# Height of letters, by that of a picture, and their least height [pixels].
-_LETTERS, _SMALLEST = 0.034, 13
-_GREY = (0.5, 0.5, 0.5)
+# Height of letters, by that of a picture; their least height where there is room, and what can be read [pixels].
+_LETTERS, _SMALLEST, _READABLE = 0.034, 13, 7
+# Texts take at most this part of the width of a panel.
+_WIDEST = 0.45
+# Letters of the name of a scale.
+_LONGEST = 24
 
 
 def places(count: int, width: int, height: int) -> list[Place]:
@@ -56,13 +60,19 @@ def places(count: int, width: int, height: int) -> list[Place]:
 
 
 def write(picture: NDArray[np.uint8], panels: list[Place], texts: list[str], last: str) -> None:
-    """Writes a text into the upper left corner of each panel, and ``last`` into the lower left of the first."""
+    """Writes a text into the upper left corner of each panel, and ``last`` into the lower left of the first.
+
+    Panels without room for what can be read have none.
+    """
     from PIL import Image, ImageDraw
 
     if not any(texts) and not last:
         return
+    letters = _letters(panels[0], [*texts, last])
+    if letters < _READABLE:
+        return
     image = Image.fromarray(picture)
-    draw, letters = ImageDraw.Draw(image), _letters(panels[0])
+    draw = ImageDraw.Draw(image)
     for (left, top, _, bottom), text in zip(panels, texts, strict=True):
         edge = letters // 2
         ink = _ink(picture, left, top, letters)
@@ -74,39 +84,38 @@ def write(picture: NDArray[np.uint8], panels: list[Place], texts: list[str], las
     picture[:] = np.asarray(image)
 
 
-def write_scale(picture: NDArray[np.uint8], name: str, values: Array) -> None:
-    """Draws the scale of colours in the upper right corner: from the lowest to the highest value."""
+def write_scale(picture: NDArray[np.uint8], name: str, scale: Scale) -> None:
+    """Draws the scale of colours in the upper right corner: from the lowest to the highest number."""
     from PIL import Image, ImageDraw
 
     height, width = picture.shape[:2]
-    letters = _letters((0, 0, width, height))
-    long, thick, edge = width // 5, max(letters // 2, 4), letters
+    low, high = (scale.low, scale.high) if scale.low <= scale.high else (math.nan, math.nan)
+    name, ends = hostile.shortened(hostile.in_one_line(name), _LONGEST, middle=True), (f"{low:.3g}", f"{high:.3g}")
+    letters = _letters((0, 0, width, height), [name, "  ".join(ends)])
+    if letters < _READABLE:
+        return
+    font = _font(letters)
+    long = max(width // 5, math.ceil(font.getlength("  ".join(ends))))
+    thick, edge = max(letters // 2, 4), letters
     right, top = width - edge, edge // 2
     ink = _ink(picture, right - long, top, letters)
-    bar = scale_colors(np.linspace(0.0, 1.0, long))
+    bar = Scale(0.0, 1.0).colors(np.linspace(0.0, 1.0, long))
     below = top + int(1.5 * letters)
     picture[below : below + thick, right - long : right] = (255.0 * bar + 0.5).astype(np.uint8)
     image = Image.fromarray(picture)
-    draw, font = ImageDraw.Draw(image), _font(letters)
-    finite = values[np.isfinite(values)]
-    low, high = (finite.min(), finite.max()) if len(finite) else (math.nan, math.nan)
+    draw = ImageDraw.Draw(image)
     draw.text((right, top), name, fill=ink, font=font, anchor="ra")
-    draw.text((right - long, below + thick + edge // 4), f"{low:.3g}", fill=ink, font=font)
-    draw.text((right, below + thick + edge // 4), f"{high:.3g}", fill=ink, font=font, anchor="ra")
+    draw.text((right - long, below + thick + edge // 4), ends[0], fill=ink, font=font)
+    draw.text((right, below + thick + edge // 4), ends[1], fill=ink, font=font, anchor="ra")
     picture[:] = np.asarray(image)
 
 
-def scale_colors(part: Array) -> Array:
-    """Returns the colours of 0 … 1 on the scale, RGB as displayed, (…, 3); grey for NaN."""
-    import matplotlib as mpl
-
-    colors = mpl.colormaps["viridis"](np.nan_to_num(part))[..., :3]
-    return np.where(np.isnan(part)[..., None], _GREY, colors)
-
-
-def _letters(panel: Place) -> int:
+def _letters(panel: Place, texts: list[str]) -> int:
+    """Returns how high letters are, so that there is room for each of these texts in a panel [pixels]."""
     left, top, right, bottom = panel
-    return max(_SMALLEST, round(_LETTERS * min(bottom - top, right - left)))
+    wanted = max(_SMALLEST, round(_LETTERS * min(bottom - top, right - left)))
+    longest = max(_font(wanted).getlength(text) for text in texts)
+    return int(wanted * min(1.0, _WIDEST * (right - left) / max(longest, 1.0)))
 
 
 def _ink(picture: NDArray[np.uint8], left: int, top: int, letters: int) -> tuple[int, int, int]:

@@ -1,6 +1,5 @@
 """Pictures of a drawing, one record after the other, all from the same place and in the same light."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +12,7 @@ from warpcontact.rendering.items import Items, of_curve, of_figure, of_touch
 from warpcontact.rendering.look import Look
 from warpcontact.rendering.painter import Painter, Picture
 from warpcontact.rendering.stage import Stage
+from warpcontact.replay.colors import Scale
 from warpcontact.replay.drawing import Drawing
 
 # Width of arrows and lines, in sizes of the largest body, and the least and the most in halves of the view.
@@ -28,13 +28,19 @@ class Coloring:
 
     Attributes:
         name: What the number is.
-        values: The number of each environment, (env,).
+        scale: From the lowest to the highest of them.
         colors: RGB as displayed, (env, 3).
     """
 
     name: str
-    values: Array
+    scale: Scale
     colors: Array
+
+    @classmethod
+    def of(cls, name: str, values: Array) -> "Coloring":
+        """Returns the colours of the number of each environment, (env,); grey where there is none."""
+        scale = Scale().widened(values)
+        return cls(name, scale, scale.colors(values))
 
 
 class Show:
@@ -100,7 +106,7 @@ class Show:
             texts = names if len(self._panels) > 1 else [""]
             sheet.write(whole, self._places, texts, "" if time is None else f"{time:.3f} s")
             if self._coloring is not None:
-                sheet.write_scale(whole, self._coloring.name, self._coloring.values)
+                sheet.write_scale(whole, self._coloring.name, self._coloring.scale)
         return whole
 
     def _items(self, record: int, rows: list[int], width: float) -> list[tuple[Items, bool]]:
@@ -166,11 +172,3 @@ def _force_scale(drawing: Drawing, records: Sequence[int]) -> float:
     """Returns the metres per newton that make the largest force in some records as long as the drawing has it."""
     largest, of_all = (_largest(drawing, some) for some in (records, range(len(drawing.times))))
     return drawing.force_scale * of_all / largest if largest > 0.0 else drawing.force_scale
-
-
-def coloring_of(name: str, values: Array) -> Coloring:
-    """Returns colours from the lowest to the highest of ``values`` (env,); grey where there is none."""
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
-    part = (values - low) / (high - low) if high > low else np.where(np.isfinite(values), 0.5, math.nan)
-    return Coloring(name, values, sheet.scale_colors(part))

@@ -89,6 +89,7 @@ class Stage:
             "scale": scales / unit,
             "color": linear(items.colors),
             "ruled": np.full(count, items.ruled),
+            "endless": np.full(count, items.endless),
             "lower": (centres - halves - room - origin) / unit,
             "upper": (centres + halves + room - origin) / unit,
         }
@@ -127,6 +128,7 @@ class PlacedWorld:
             "scale": wp.vec3,
             "color": wp.vec3,
             "ruled": wp.uint8,
+            "endless": wp.uint8,
         }
         for name, dtype in types.items():
             setattr(self.struct, name, wp.array(columns[name], dtype=dtype, device=device))

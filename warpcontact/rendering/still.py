@@ -13,7 +13,7 @@ from warpcontact.picture_file import check_path
 from warpcontact.rendering.look import Look, LookOptions, environment_numbers
 from warpcontact.rendering.painter import Picture
 from warpcontact.rendering.records import Source
-from warpcontact.rendering.show import Show, coloring_of
+from warpcontact.rendering.show import Coloring, Show
 from warpcontact.scene import Scene
 
 STILL = (".png",)
@@ -87,7 +87,7 @@ def still(
     drawing = source.drawing(records, envs)
     coloring = None
     if look.color_by is not None:
-        coloring = coloring_of(look.color_by, source.numbers(look.color_by, drawing.envs))
+        coloring = Coloring.of(look.color_by, source.numbers(look.color_by, drawing.envs))
     show = Show(drawing, look, coloring, [records.index(number) for number in overview])
     picture = show.picture(records.index(record))
     if file is not None:

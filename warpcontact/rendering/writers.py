@@ -1,12 +1,15 @@
 """Files that pictures of a film go to, one after the other."""
 
 import shutil
+import struct
 import subprocess
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpcontact.durable import replaced
 from warpcontact.rendering.painter import Picture
@@ -17,6 +20,10 @@ GIF_FASTEST = 50.0
 _TICK = 0.01
 # Colours of a GIF, one fewer than there can be: the last stands for what did not change.
 _COLORS = 255
+# Most ticks of a picture.
+_LONGEST = 2**16 - 1
+# Extension of GIF that lets a film begin again.
+_ENDLESS = b"!\xff\x0bNETSCAPE2.0\x03\x01\0\0\0"
 
 
 def write_gif(path: Path, pictures: Iterable[Picture], count: int, fps: float, tastes: Sequence[Picture]) -> None:
@@ -30,20 +37,61 @@ def write_gif(path: Path, pictures: Iterable[Picture], count: int, fps: float, t
         tastes: Some pictures, of one size, to choose colours by.
     """
     from PIL import Image
+    from PIL.GifImagePlugin import getdata
 
     palette = Image.fromarray(_spread(np.concatenate(tastes))).quantize(_COLORS, method=Image.Quantize.MEDIANCUT)
+    colors = bytes(palette.getpalette() or ())
     # Each picture ends at the tick nearest to its time: rounding does not add up.
-    ticks = np.diff([round(number / fps / _TICK) for number in range(count + 1)])
+    ticks = np.diff([round(number / fps / _TICK) for number in range(count + 1)]).tolist()
     frames = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
-    with replaced(path) as part:
-        next(frames).save(
-            part,
-            format="gif",
-            save_all=True,
-            append_images=frames,
-            duration=(1000.0 * _TICK * ticks).tolist(),
-            loop=0,
-        )
+    with replaced(path) as part, part.open("wb") as file:
+        for number, (frame, wait) in enumerate(_changes(map(np.asarray, frames), ticks)):
+            if not number:
+                height, width = frame.indices.shape
+                file.write(b"GIF89a" + struct.pack("<HHBBB", width, height, 0xF7, 0, 0) + colors.ljust(768, b"\0"))
+                file.write(_ENDLESS)
+            indices = frame.indices
+            for told in range(0, wait, _LONGEST):
+                ticks_of_it = min(wait - told, _LONGEST)
+                about = {"duration": 1000.0 * _TICK * ticks_of_it, "transparency": _COLORS, "disposal": 1}
+                file.writelines(getdata(Image.fromarray(indices), frame.corner, **about))
+                # What is shown for longer than a picture can be goes on as a pixel of nothing new.
+                indices = np.full((1, 1), _COLORS, dtype=np.uint8)
+        file.write(b";")
+
+
+@dataclass(frozen=True, eq=False)
+class _Change:
+    """A part of a picture that is not as before.
+
+    Attributes:
+        indices: Numbers of colours, (height, width); ``_COLORS`` where nothing changed.
+        corner: Where its upper left pixel is, column and row.
+    """
+
+    indices: NDArray[np.uint8]
+    corner: tuple[int, int]
+
+
+def _changes(pictures: Iterable[NDArray[np.uint8]], ticks: Iterable[int]) -> Iterator[tuple[_Change, int]]:
+    """Yields the first picture, then what changes from one to the next, each with the ticks that it is shown."""
+    before: NDArray[np.uint8] | None = None
+    change, shown = _Change(np.zeros((0, 0), dtype=np.uint8), (0, 0)), 0
+    for picture, wait in zip(pictures, ticks, strict=True):
+        if before is None:
+            before, change, shown = picture, _Change(picture, (0, 0)), wait
+            continue
+        changed = picture != before
+        if not changed.any():
+            shown += wait
+            continue
+        yield change, shown
+        rows, columns = (np.flatnonzero(changed.any(axis=axis)) for axis in (1, 0))
+        top, left = int(rows[0]), int(columns[0])
+        part = np.s_[top : rows[-1] + 1, left : columns[-1] + 1]
+        own = np.where(changed[part], picture[part], np.uint8(_COLORS))
+        before, change, shown = picture, _Change(own, (left, top)), wait
+    yield change, shown
 
 
 def write_mp4(path: Path, pictures: Iterable[Picture], fps: float, size: tuple[int, int]) -> None:

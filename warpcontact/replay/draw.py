@@ -165,7 +165,8 @@ def _by_size(content: Content, form: FormPlacement, poses: tuple[Array, Array]) 
     kind, sizes, shape = form.shape.kind, form.sizes, form.positions.shape[:2]
 
     def figure(what: Shape, scales: Array, there: Any) -> Figure:
-        return Figure(form.shape.name, "shape", what, form.color, *poses, scales, there)
+        drawn_as = "plane" if issubclass(kind, Plane) else "shape"
+        return Figure(form.shape.name, drawn_as, what, form.color, *poses, scales, there)
 
     everywhere = np.ones(shape, dtype=bool)
     if issubclass(kind, _ROUND):

@@ -36,7 +36,7 @@ class Figure:
 
     Attributes:
         name: Element of the scene that it shows.
-        kind: ``"surface"``, ``"sphere"``, ``"shape"`` or ``"point"``.
+        kind: ``"surface"``, ``"sphere"``, ``"shape"``, ``"plane"`` (a part of one without end) or ``"point"``.
         shape: What is placed.
         color: RGB in 0…1.
         positions: Origins of the frame of the shape, (time, env, item, 3), world [m].

@@ -71,12 +71,12 @@ class Ensemble:
         if ensemble is False or (ensemble == "auto" and set(labels.tolist()) <= set(chosen)):
             return None
         if ensemble is True:
-            return cls(Replay.of(recording, scene, labels.tolist(), load=False))
+            return cls(Replay.of(recording, scene, labels.tolist()))
         each = recording.sizes["time"] * sum(body.count for body in scene.bodies)
-        found = cls(Replay.of(recording, scene, _evenly(labels, MOST_POSES // max(1, each)), load=False))
+        found = cls(Replay.of(recording, scene, _evenly(labels, MOST_POSES // max(1, each))))
         if max(len(look.examples) for look in found.looks) > MOST_LOOKS:
             fewer = _evenly(np.array(found.replay.envs), MOST_LOOKS)
-            found = cls(Replay.of(recording, scene, fewer, load=False))
+            found = cls(Replay.of(recording, scene, fewer))
         return found
 
     def poses(self, body: Body, first: int, stop: int) -> tuple[Array, Array]:

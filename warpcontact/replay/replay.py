@@ -39,12 +39,10 @@ class Replay:
     rate: float
 
     @classmethod
-    def of(
-        cls, recording: xr.Dataset, scene: Scene | None, envs: int | Iterable[int] | None, *, load: bool = True
-    ) -> "Replay":
+    def of(cls, recording: xr.Dataset, scene: Scene | None, envs: int | Iterable[int] | None) -> "Replay":
         """Chooses environments of a recording; arguments and errors as for ``export_usd``.
 
-        Without ``load`` a recording in a file stays there until ``part`` reads some records of it.
+        Of a recording in a file what is asked for is read, once; ``part`` reads all of some records.
         """
         if not isinstance(recording, xr.Dataset):
             raise TypeError(f"recording must be what Simulation.run returns, got {type(recording).__name__}")
@@ -70,7 +68,7 @@ class Replay:
         codes, rate = _time_codes(times)
         return cls(
             scene=scene,
-            data=recording.isel(env=rows).load() if load else recording.isel(env=rows),
+            data=recording.isel(env=rows),
             envs=[int(labels[row]) for row in rows],
             times=times,
             codes=codes,
@@ -87,6 +85,11 @@ class Replay:
         """Returns the environments at ``rows`` of these."""
         return replace(self, data=self.data.isel(env=rows), envs=[self.envs[row] for row in rows])
 
+    def variable(self, name: str) -> xr.DataArray:
+        """Returns a variable of the recording, in memory."""
+        self.data.variables[name].load()
+        return self.data[name]
+
     def pose(self, body: Body) -> tuple[Array, Array]:
         """Returns positions (time, env, 3) [m] and unit quaternions (time, env, 4) as x, y, z, w, all finite.
 
@@ -94,7 +97,7 @@ class Replay:
         """
         found = []
         for key in ("position", "orientation"):
-            values = self.data[f"{body.name}.{key}"].transpose("time", "env", ...).values.astype(np.float64)
+            values = self.variable(f"{body.name}.{key}").transpose("time", "env", ...).values.astype(np.float64)
             kind, shortest = ("position", -1.0) if key == "position" else ("rotation", 0.0)
             length = np.linalg.norm(values, axis=-1)
             bad = np.argwhere(~(np.isfinite(length) & (length > shortest)))
@@ -118,7 +121,7 @@ class Replay:
         name, shape = f"{contact.name}.radius", (len(self.envs), contact.count)
         if name not in self.data:
             return np.array(np.broadcast_to(contact.radius, shape))
-        values = self.data[name].transpose("env", ...).values.astype(np.float64)
+        values = self.variable(name).transpose("env", ...).values.astype(np.float64)
         if values.shape not in (shape, shape[:1]):
             raise ValueError(f"{name} must have shape {shape[:1]} or {shape}, got {values.shape}")
         bad = values[~(np.isfinite(values) & (values >= 0.0))]
@@ -130,7 +133,7 @@ class Replay:
         """Returns variable ``name``, (env, *shape), or ``None`` if it was not recorded."""
         if name not in self.data:
             return None
-        values = self.data[name].transpose("env", ...).values.astype(np.float64)
+        values = self.variable(name).transpose("env", ...).values.astype(np.float64)
         if values.shape != (len(self.envs), *shape):
             raise ValueError(f"{name} must have shape {(len(self.envs), *shape)}, got {values.shape}")
         return values
@@ -168,14 +171,14 @@ class Replay:
 
     def series(self, name: str) -> NDArray[Any] | None:
         """Returns reading ``name``, (time, env, …), or ``None`` if it was not recorded."""
-        return self.data[name].transpose("time", "env", ...).values if name in self.data else None
+        return self.variable(name).transpose("time", "env", ...).values if name in self.data else None
 
     def of_element(self, element: str) -> Iterator[tuple[str, xr.DataArray]]:
         """Iterates over what was recorded of an element as (quantity, values)."""
-        for name, values in self.data.data_vars.items():
-            owner, _, quantity = str(name).partition(".")
+        for name in map(str, self.data.data_vars):
+            owner, _, quantity = name.partition(".")
             if owner == element and quantity:
-                yield quantity, values
+                yield quantity, self.variable(name)
 
 
 def _chosen(envs: int | Iterable[int] | None, labels: NDArray[Any]) -> list[int]:

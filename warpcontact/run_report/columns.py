@@ -8,6 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact.flags import words_of
+from warpcontact.replay.colors import number_of_each
+
 # Numbers of a variable in each environment that have columns; sets of bodies and points have more.
 MOST = 12
 # A variable of at most this size is read once, and not once for each of its numbers [bytes].
@@ -76,16 +79,5 @@ def _is_shown(array: xr.DataArray) -> bool:
 
 def _alike(array: xr.DataArray) -> xr.DataArray:
     """Returns what the items of a set have in common, if they are the same in each environment, and else all."""
-    axes = [dim for dim in array.dims if dim != "env"]
-    if len(axes) != 1 or axes[0] in array.coords or array.nbytes > AT_ONCE:
-        return array
-    one = array.isel({axes[0]: 0})
-    return one if bool((array == one).all()) else array
-
-
-def words_of(array: xr.DataArray) -> dict[int, str]:
-    """Returns what the codes of an array mean; none: they are no codes."""
-    if "flag_meanings" not in array.attrs:
-        return {}
-    codes = np.atleast_1d(array.attrs.get("flag_values", ()))
-    return dict(zip(map(int, codes), str(array.attrs["flag_meanings"]).split(), strict=False))
+    found = number_of_each(array) if array.nbytes <= AT_ONCE else None
+    return array if found is None else found

@@ -3,8 +3,8 @@
 import numpy as np
 import xarray as xr
 
+from warpcontact.flags import words_of
 from warpcontact.health import Health
-from warpcontact.run_report.columns import words_of
 from warpcontact.run_report.markup import Markup, element, joined, name, table
 from warpcontact.run_report.words import count, quantity, several
 from warpcontact.status import Cause

@@ -104,7 +104,8 @@ def _telling(columns: Iterable[Column], *, parameters: bool) -> list[tuple[Colum
 def _content(column: Column, values: NDArray[Any]) -> dict[str, Any]:
     listed: list[Any]
     if column.words:
-        listed = [int(value) for value in values]
+        # A code without a word says that there is nothing, as of a condition that stopped no environment.
+        listed = [int(value) if int(value) in column.words else None for value in values]
     else:
         listed = [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]
     return {

@@ -19,7 +19,10 @@ NUMBERS = 8_000_000
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """What one environment does in a contact, (record,): penetration [m] and normal force [N]."""
+    """What one environment does in a contact, (record,): penetration [m] and normal force [N].
+
+    Of a set it is the item with the largest force.
+    """
 
     env: int
     penetration: Array
@@ -45,8 +48,10 @@ def section(series: xr.Dataset | None, chosen: list[int]) -> Markup | None:
     if series is None or not pairs:
         return None
     there = [env for env in chosen if env in series["env"].values]
-    drawn = [(pair[0], _loops(series.sel(env=there), *pair[1:])) for pair in pairs[:CHARTS]]
-    pictures = [_picture(title, loops) for title, loops in drawn if loops]
+    drawn = [(*pair, _loops(series.sel(env=there), *pair[1:])) for pair in pairs[:CHARTS]]
+    pictures = [
+        _picture(title, loops, series[force].isel(time=0, env=0).size) for title, _, force, loops in drawn if loops
+    ]
     told = [f"Normal force over penetration at the records of {several(len(there), 'environment')}."]
     told.append("Records farther apart than a contact lasts show dots, not its loop: [record] every sets it.")
     if len(pairs) > CHARTS:
@@ -81,7 +86,7 @@ def _loops(series: xr.Dataset, depth: str, force: str) -> list[Loop]:
     return found
 
 
-def _picture(title: str, loops: list[Loop]) -> Markup:
+def _picture(title: str, loops: list[Loop], items: int) -> Markup:
     depths = np.concatenate([loop.penetration for loop in loops])
     forces = np.concatenate([loop.force for loop in loops])
     deepest, largest = float(np.nanmax(depths)), float(np.nanmax(forces))
@@ -99,13 +104,14 @@ def _picture(title: str, loops: list[Loop]) -> Markup:
                 data_env=loop.env,
             )
         )
-    about = (
-        f"Normal force over penetration of {title}: up to {quantity(largest, 'N')}, {quantity(deepest, 'm')} deep"
-    )
+    what = "normal force over penetration"
+    if items > 1:
+        what += f" of one point of {items}, in each environment that with the largest force"
+    about = f"{title}, {what}: up to {quantity(largest, 'N')}, {quantity(deepest, 'm')} deep"
     caption = element(
         "figcaption",
         element("strong", name(title, 40), " ", element("span", f"[{y.label}]", class_="unit")),
-        element("span", "normal force over penetration"),
+        element("span", what),
     )
     force, depth = quantity(y.factor * largest, y.label), quantity(x.factor * deepest, x.label)
     told = f"{several(len(loops), 'environment')} in contact; largest force {force}, {depth} deep"

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from warpcontact.replay.colors import GAPS
 from warpcontact.replay.drawing import Drawing, Shape
 from warpcontact.run_report.choice import Choice
 from warpcontact.run_report.markup import short
@@ -149,6 +150,7 @@ def _described(drawing: Drawing) -> tuple[dict[str, Any], dict[str, Any]]:
         ],
         "deepest": max(0.0, -float(every.min(initial=0.0))),
         "gaps": bool(len(every)),
+        "gapColors": GAPS,
         "largestForce": max(
             (float(np.linalg.norm(touch.forces, axis=-1).max(initial=0.0)) for touch in drawing.touches),
             default=0.0,

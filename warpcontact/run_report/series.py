@@ -8,8 +8,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.analysis.fan import quantile_fan
+from warpcontact.flags import words_of
+from warpcontact.health import Health
 from warpcontact.run_report import chart
-from warpcontact.run_report.columns import words_of
 from warpcontact.run_report.markup import Markup, element, joined, name
 from warpcontact.run_report.words import count, several
 
@@ -20,6 +21,8 @@ POINTS = 200
 SAMPLE = 4096
 SAMPLED_BYTES = 128 * 2**20
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+# Steps of its precision by which rounding alone moves a number in a simulation, and no law does.
+ROUNDING = 16.0
 
 # What is drawn of the items of a set, by the last word of the name of the reading; of others their mean.
 _SMALLEST = ("gap", "distance", "minimum_distance")
@@ -51,6 +54,38 @@ class Curves:
     picture: Markup
     lines: dict[str, list[int | None]]
     places: list[int]
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What a chart shows of a reading.
+
+    Attributes:
+        label: Its name, with the component.
+        meaning: What it is.
+        unit: Its unit.
+        precision: Relative distance of its numbers.
+        seconds: Time of each record [s].
+        fan: Quantiles over the environments, (level, time).
+        lines: Of the chosen environments, (time, env).
+        chosen: Their numbers.
+        single: Whether there is no other.
+    """
+
+    label: str
+    meaning: str
+    unit: str
+    precision: float
+    seconds: NDArray[np.float64]
+    fan: NDArray[np.float64]
+    lines: NDArray[np.float64]
+    chosen: list[int]
+    single: bool
+
+    @property
+    def magnitude(self) -> float:
+        """The largest quantile."""
+        return float(np.abs(self.fan).max(initial=0.0, where=np.isfinite(self.fan)))
 
 
 def thinned(size: int, most: int) -> NDArray[np.int64]:
@@ -92,18 +127,31 @@ def curves_of(outcome: xr.Dataset, series: xr.Dataset, chosen: list[int]) -> tup
     numbers = series["env"].values
     there = [env for env in chosen if env in numbers]
     times = thinned(series.sizes["time"], POINTS)
-    found = [_curves(outcome, series, reading, axis, there, times) for reading, axis in every[:CHARTS]]
-    return found, len(every) - len(found)
+    measured = [_measured(outcome, series, reading, axis, there, times) for reading, axis in every[:CHARTS]]
+    scales: dict[str, float] = {}
+    for one in measured:
+        scales[one.unit] = max(scales.get(one.unit, 0.0), one.magnitude)
+    return [_curves(one, scales[one.unit]) for one in measured], len(every) - len(measured)
 
 
-def section(curves: list[Curves], more: int, envs: int, records: int, halted: int) -> Markup:
-    """Returns the section of the page; of ``envs`` environments ``halted`` are frozen, and in no quantile."""
+def section(curves: list[Curves], more: int, envs: int, records: int, health: Health) -> Markup:
+    """Returns the section of the page.
+
+    Args:
+        curves: The charts.
+        more: How many more there could be.
+        envs: Number of environments.
+        records: Number of times.
+        health: Which of the environments are frozen, and in no quantile, and which stopped, and in all.
+    """
     if not curves:
         return element("p", "No reading that is one number was recorded over time.", class_="note")
-    left_out = f", without {several(halted, 'frozen one')}" if halted else ""
+    left_out = f", without {several(len(health.frozen), 'frozen one')}" if len(health.frozen) else ""
     told = [f"{several(records, 'record')} of {several(envs, 'environment')}{left_out}."]
     if envs > 1:
         told.append("Bands: 5 % to 95 % and 25 % to 75 % of the environments; line: median.")
+        if len(health.stopped):
+            told.append(f"{several(len(health.stopped), 'stopped one')} stay in them as they were.")
         told.append("Orange: the environment that the replay shows.")
     if records > POINTS:
         told.append(f"Each curve has {POINTS} of the records.")
@@ -124,14 +172,14 @@ def data(curves: list[Curves]) -> list[dict[str, Any]]:
     return [{"x": one.places, "lines": one.lines} for one in curves]
 
 
-def _curves(
+def _measured(
     outcome: xr.Dataset,
     series: xr.Dataset,
     reading: str,
     axis: str | None,
     chosen: list[int],
     times: NDArray[np.int64],
-) -> Curves:
+) -> _Measured:
     whole = series[reading] if axis is None else series[reading].sel(axis=axis, drop=True)
     whole = whole.isel(time=times)
     per_env = whole.dtype.itemsize * max(1, whole.size // whole.sizes["env"])
@@ -140,34 +188,62 @@ def _curves(
     chosen = chosen[: max(1, SAMPLED_BYTES // per_env)]
     own, _ = _of_items(whole.sel(env=chosen).load(), reading)
     sampled = Sampled(outcome, sample.to_dataset(name=reading))
-    fan = quantile_fan(sampled, reading, LEVELS, missing="drop").values
-    seconds = whole["time"].values.astype(np.float64)
-    lines = own.values.astype(np.float64)
-    unit = str(whole.attrs.get("units", "-"))
-    low, high = _range(fan, lines)
+    return _Measured(
+        label=reading if axis is None else f"{reading}.{axis}",
+        meaning=f"{word} {whole.attrs.get('long_name', '')}".strip(),
+        unit=str(whole.attrs.get("units", "-")),
+        precision=float(np.finfo(whole.dtype).eps) if whole.dtype.kind == "f" else 0.0,
+        seconds=whole["time"].values.astype(np.float64),
+        fan=quantile_fan(sampled, reading, LEVELS, missing="drop").values,
+        lines=own.values.astype(np.float64),
+        chosen=chosen,
+        single=whole.sizes["env"] == 1,
+    )
+
+
+def _curves(one: _Measured, scale: float) -> Curves:
+    """Draws a reading; ``scale``: the largest value of all readings of its unit."""
+    seconds, lines = one.seconds, one.lines
+    low, high = visible(*_range(one.fan, lines), one.precision, scale)
     x = chart.horizontal(float(seconds[0]), float(seconds[-1]), "s")
-    y = chart.vertical(low, high, unit)
-    across, levels = x.place(seconds), y.place(fan)
-    single = whole.sizes["env"] == 1
-    marks = [chart.polyline(across, levels[2], "curve" if single else "median")]
-    if not single:
+    y = chart.vertical(low, high, one.unit)
+    across, levels = x.place(seconds), y.place(one.fan)
+    marks = [chart.polyline(across, levels[2], "curve" if one.single else "median")]
+    if not one.single:
         marks = [
             chart.band(across, levels[0], levels[4], "band"),
             chart.band(across, levels[1], levels[3], "band inner"),
             *marks,
         ]
-    label = reading if axis is None else f"{reading}.{axis}"
-    about = f"{label} over time: median and quantiles over the environments"
+    about = f"{one.label} over time: median and quantiles over the environments"
     drawing = chart.chart(x, y, marks, about, "time", data_t0=seconds[0], data_t1=seconds[-1], data_series=True)
     unit_told = element("span", f"[{y.label}]" if y.label else "", class_="unit")
-    meaning = f"{word} {whole.attrs.get('long_name', '')}".strip()
-    caption = element("figcaption", element("strong", name(label, 40), " ", unit_told), element("span", meaning))
+    heading = element("strong", name(one.label, 40), " ", unit_told)
+    caption = element("figcaption", heading, element("span", one.meaning))
     places = (
         {}
-        if single
-        else {str(env): _tenths(y.place(lines[:, i])) for i, env in enumerate(chosen) if i < lines.shape[1]}
+        if one.single
+        else {str(env): _tenths(y.place(lines[:, i])) for i, env in enumerate(one.chosen) if i < lines.shape[1]}
     )
     return Curves(element("figure", caption, drawing, class_="chart"), places, _whole(across))
+
+
+def visible(low: float, high: float, precision: float, scale: float) -> tuple[float, float]:
+    """Returns the ends of an axis on which what is only rounding looks flat.
+
+    Args:
+        low: The smallest value.
+        high: The largest.
+        precision: Relative distance of numbers.
+        scale: The largest value of any quantity of this unit.
+    """
+    size = max(abs(low), abs(high))
+    # Sums of larger numbers leave their rounding, in double precision at the best.
+    nothing = ROUNDING * float(np.finfo(np.float64).eps) * scale
+    if high - low > max(nothing, ROUNDING * precision * size):
+        return low, high
+    room = 0.05 * (size if size > nothing else scale)
+    return low - room, high + room
 
 
 def _of_items(array: xr.DataArray, reading: str) -> tuple[xr.DataArray, str]:

@@ -77,7 +77,7 @@ def _legend() -> Markup:
     bar = element(
         "div",
         element("span", id="legend-low"),
-        element("span", class_="bar", aria_hidden="true"),
+        element("span", id="legend-bar", class_="bar", aria_hidden="true"),
         element("span", id="legend-high"),
         class_="scale",
     )

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from warpcontact.contact_coupling_report import CouplingReport
-from warpcontact.durable import replacing
+from warpcontact.durable import check_place, replacing
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.records import StoreError
 from warpcontact.experiment.run import Run, open_run
@@ -46,14 +46,16 @@ def report(
         The path.
 
     Raises:
-        ValueError: If the path or an environment is not allowed, or the folder holds no run.
+        ValueError: If the path or an environment is not allowed, the file is in no folder that exists or cannot be
+            written, or the folder holds no run.
         StoreError: If results are missing or were changed.
-        OSError: If the file cannot be written.
+        OSError: If writing fails.
     """
     run = run if isinstance(run, Run) else open_run(run)
     path = run.folder / REPORT if path is None else Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"path must end in {' or '.join(SUFFIXES)}, got {str(path)!r}")
+    check_place(path)
     asked = [envs] if isinstance(envs, int) else envs
     text = _page(run, asked).html()
     with replacing(path) as file:
@@ -95,7 +97,7 @@ def _page(run: Run, asked: Iterable[int] | None) -> Page:
         add(
             "series",
             "Over time",
-            series.section(curves, more_readings, finished, shown.sizes["time"], len(health.frozen)),
+            series.section(curves, more_readings, finished, shown.sizes["time"], health),
         )
         add("loops", "Force over penetration", loops.section(shown, choice.envs))
     add("couplings", "Contact couplings", couplings.section(reports))

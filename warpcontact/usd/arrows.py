@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact.checks import Array
+from warpcontact.frames import shortest_rotations
 from warpcontact.replay.forces import ForceLines
 from warpcontact.usd.author import Samples, integers, long_integers, quaternions, vectors
 from warpcontact.usd.geometry import set_color
@@ -85,16 +86,7 @@ def _shapes(start: Array, vector: Array, radius: float) -> tuple[tuple[Array, Ar
     shafts = np.concatenate([width, width, shaft], axis=-1)
     heads = np.concatenate([HEAD * width, HEAD * width, head], axis=-1)
     scales = np.concatenate([shafts, heads], axis=1)
-    turns = _from_z(along)
+    turns = shortest_rotations((0.0, 0.0, 1.0), along)
     both = np.concatenate([hidden, hidden], axis=1)
     # What nobody sees is the same from frame to frame, which files keep once.
     return (np.where(both, 0.0, middles), np.concatenate([turns, turns], axis=1), scales), both[..., 0]
-
-
-def _from_z(along: Array) -> Array:
-    """Returns the shortest rotations of the z axis to directions (…, 3), x, y, z, w."""
-    x, y, z = np.moveaxis(along, -1, 0)
-    turns = np.stack([-y, x, np.zeros_like(z), 1.0 + z], axis=-1)
-    length = np.linalg.norm(turns, axis=-1, keepdims=True)
-    down = length < 1.0e-6
-    return np.where(down, (1.0, 0.0, 0.0, 0.0), turns / np.where(down, 1.0, length))

@@ -4,14 +4,32 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from warpcontact.checks import Array
+from warpcontact.experiment.errors import suggestion
+from warpcontact.replay.colors import COLORMAP, Scale, number_of_each
+from warpcontact.usd.author import attribute_name
 
-#: Perceptually ordered, and readable for who does not see some colours.
-COLORMAP = "viridis"
-#: Of what has no number.
-MISSING = (0.5, 0.5, 0.5)
+
+def named_number(recording: xr.Dataset, name: str, outcome: xr.Dataset | None = None) -> xr.DataArray:
+    """Returns a variable of a recording.
+
+    Raises:
+        ValueError: If there is none; says what there is with a number for each environment, also of ``outcome``.
+    """
+    if name in recording:
+        return recording[name]
+    tables = [recording] if outcome is None else [recording, outcome]
+    variables = [(str(key), one) for table in tables for key, one in table.data_vars.items()]
+    there = sorted({key for key, one in variables if _could_color(one)})
+    outcomes = "" if outcome is not None else " (an outcome is given as its values, run.outcome[name])"
+    hint = suggestion(name, there) or f"; there are: {', '.join(there) or 'none'}"
+    raise ValueError(f"color_by must be something that was recorded, got {name!r}{hint}{outcomes}")
+
+
+def _could_color(array: xr.DataArray) -> bool:
+    """Whether it may have a number for each environment, by what is known without reading it."""
+    return "env" in array.dims and array.dtype.kind in "biuf" and "axis" not in array.dims
 
 
 class Coloring:
@@ -25,38 +43,35 @@ class Coloring:
         name: Name of the variable.
         unit: Its unit.
         moves: Whether there is a number in each record.
-        low: Smallest finite one; with ``high`` the ends of the colours.
-        high: Largest.
+        scale: The colours of all numbers that were looked through.
     """
 
     def __init__(self, color_by: str | xr.DataArray, recording: xr.Dataset) -> None:
         if isinstance(color_by, str):
-            if color_by not in recording:
-                raise ValueError(
-                    f"color_by must be something that was recorded, got {color_by!r}; there are: "
-                    f"{', '.join(map(str, recording.data_vars))}"
-                )
-            values = recording[color_by]
+            values = named_number(recording, color_by)
         elif isinstance(color_by, xr.DataArray):
             values = color_by
         else:
             raise TypeError(f"color_by must be a name or an xarray.DataArray, got {type(color_by).__name__}")
         self.name = str(values.name or "color")
-        dims = set(values.dims)
-        if dims not in ({"env"}, {"time", "env"}) or values.dtype.kind not in "fiub":
+        # Instances of sets have the number of their environment under this name.
+        if attribute_name(self.name) == attribute_name("environment"):
+            raise ValueError(f"color_by must have another name than {self.name!r}, which instances have already")
+        found = number_of_each(values)
+        if found is None:
             raise ValueError(
-                f"color_by must be one number for each environment, got {self.name!r} of "
-                f"{values.dtype} along {', '.join(map(str, values.dims)) or 'nothing'}"
+                f"color_by must be one number for each environment, got {self.name!r} of {values.dtype} along "
+                f"{', '.join(map(str, values.dims)) or 'nothing'}; items of a set must agree"
             )
-        if "time" in dims and values.sizes["time"] != recording.sizes["time"]:
+        self.moves = "time" in found.dims
+        if self.moves and found.sizes["time"] != recording.sizes["time"]:
             raise ValueError(
                 f"color_by must have the {recording.sizes['time']} records of the recording, got "
-                f"{values.sizes['time']} of {self.name!r}"
+                f"{found.sizes['time']} of {self.name!r}"
             )
-        self.moves = "time" in dims
         self.unit = str(values.attrs.get("units", "-"))
-        self._values = values.transpose("time", "env") if self.moves else values
-        self.low, self.high = np.inf, -np.inf
+        self._values = found
+        self.scale = Scale()
 
     def of(self, envs: list[int], first: int, stop: int) -> Array:
         """Returns the numbers of environments in a range of records, (time or 1, env); NaN where there is none."""
@@ -71,24 +86,11 @@ class Coloring:
 
     def look_through(self, envs: list[int], first: int, stop: int) -> None:
         """Widens the range to the numbers of a range of records."""
-        values = self.of(envs, first, stop)
-        good = values[np.isfinite(values)]
-        if len(good):
-            self.low, self.high = min(self.low, float(good.min())), max(self.high, float(good.max()))
-
-    def colors(self, values: Array) -> NDArray[np.float32]:
-        """Returns the colours of numbers (…), RGB in 0…1, (…, 3)."""
-        import matplotlib as mpl
-
-        span = self.high - self.low
-        part = (values - self.low) / span if span > 0.0 else np.where(np.isfinite(values), 0.5, np.nan)
-        good = np.isfinite(part)
-        colors = mpl.colormaps[COLORMAP](np.where(good, part, 0.0))[..., :3]
-        return np.where(good[..., None], colors, MISSING).astype(np.float32)
+        self.scale = self.scale.widened(self.of(envs, first, stop))
 
     def legend(self) -> dict[str, Any]:
         """Returns what the colours mean."""
         told: dict[str, Any] = {"colorBy": self.name, "unit": self.unit, "colormap": COLORMAP}
-        if self.low <= self.high:
-            told |= {"low": self.low, "high": self.high}
+        if self.scale.low <= self.scale.high:
+            told |= {"low": self.scale.low, "high": self.scale.high}
         return told

@@ -163,7 +163,7 @@ def _color(
     values = np.repeat(coloring.of(ensemble.replay.envs, *records), count, axis=1)
     names, api = Sdf.ValueTypeNames, UsdGeom.PrimvarsAPI(instancer)
     colors = api.CreatePrimvar("displayColor", names.Color3fArray, UsdGeom.Tokens.vertex).GetAttr()
-    shown = [vectors(frame) for frame in coloring.colors(values)]
+    shown = [vectors(frame) for frame in coloring.scale.colors(values)]
     name = attribute_name(coloring.name)
     numbers = api.CreatePrimvar(name, names.DoubleArray, UsdGeom.Tokens.vertex).GetAttr()
     numbers.SetDocumentation(f"{coloring.name} [{coloring.unit}]")

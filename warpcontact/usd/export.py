@@ -46,8 +46,9 @@ def export_usd(
         ensemble: Whether all environments of the recording are shown; ``"auto"``: where there are more than
             ``envs``, and in place, and of very many some that are evenly spread over all.
         color_by: What colours the ensemble, from low to high by viridis: name of a parameter or reading of the
-            recording with one number for each environment, or values with the coordinate ``env``, such as an
-            outcome, or with ``time`` and ``env``. ``None``: the colours of the bodies.
+            recording with one number for each environment, or one for all items of a set in it, or values with
+            the coordinate ``env``, such as an outcome, or with ``time`` and ``env``. ``None``: the colours of the
+            bodies.
         clip_frames: For long recordings: number of records of a value clip. The file then refers to a folder
             beside it, ``<file name>.clips``, with one file for so many records; these are written one after the
             other, with no more than that in memory, and an export that was interrupted goes on behind those that
@@ -68,7 +69,7 @@ def export_usd(
     path = check_path(path)
     frames = None if clip_frames is None else check_frames(clip_frames, path)
     options = (envs, scene, spacing, force_scale, ensemble, color_by)
-    export = Export(recording, *options, load=frames is None)
+    export = Export(recording, *options)
     replay = export.replay
     bar = tqdm(
         total=len(replay.codes) * len(replay.envs),

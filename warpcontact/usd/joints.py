@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from warpcontact.checks import Array
-from warpcontact.frames import inverse, placed, product
+from warpcontact.frames import inverse, placed, product, shortest_rotations
 from warpcontact.kernels.formula import unit_vectors
 from warpcontact.kernels.types import BALL, HINGE, PLANAR, SLIDER, TRANSLATION
 from warpcontact.replay.replay import Replay
@@ -60,7 +60,8 @@ def write_joint(prim: Any, replay: Replay, body: Body, pose: tuple[Array, Array]
     }
     axis = values.get("axis", values.get("normal"))
     place = values.get("anchor", position)
-    turn = np.array([0.0, 0.0, 0.0, 1.0]) if axis is None else _from_x(unit_vectors("axis", axis))
+    along = np.array([1.0, 0.0, 0.0]) if axis is None else unit_vectors("axis", axis)
+    turn = shortest_rotations((1.0, 0.0, 0.0), along)
     back = inverse(orientation)
     inside = placed((place - position)[None], np.zeros(3), back)[0]
     joint = UsdPhysics.Joint(prim)
@@ -68,14 +69,6 @@ def write_joint(prim: Any, replay: Replay, body: Body, pose: tuple[Array, Array]
     joint.CreateLocalRot0Attr(_quaternion(turn))
     joint.CreateLocalPos1Attr(Gf.Vec3f(*inside.tolist()))
     joint.CreateLocalRot1Attr(_quaternion(product(back, turn)))
-
-
-def _from_x(axis: Array) -> Array:
-    """Returns the shortest rotation of the x axis to a direction, x, y, z, w."""
-    if axis[0] < -1.0 + 1.0e-12:
-        return np.array([0.0, 0.0, 1.0, 0.0])
-    turn = np.array([0.0, -axis[2], axis[1], 1.0 + axis[0]])
-    return turn / np.linalg.norm(turn)
 
 
 def _quaternion(values: Array) -> Any:

@@ -100,7 +100,7 @@ def _values(replay: Replay, name: str, default: float) -> Array:
     count = len(replay.envs)
     if name not in replay.data:
         return np.full(count, float(default))
-    recorded: Array = replay.data[name].transpose("env", ...).values.astype(np.float64).reshape(count, -1)
+    recorded: Array = replay.variable(name).transpose("env", ...).values.astype(np.float64).reshape(count, -1)
     return recorded.mean(axis=1)
 
 

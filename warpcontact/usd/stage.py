@@ -57,8 +57,6 @@ class Export:
         force_scale: float | None,
         ensemble: bool | str,
         color_by: str | xr.DataArray | None,
-        *,
-        load: bool,
     ) -> None:
         self.spacing = checks.numbers("spacing", spacing, (2,), limits("m", at_least=0.0))
         if force_scale is not None:
@@ -68,7 +66,7 @@ class Export:
             raise ValueError(f"ensemble must be True, False or 'auto', got {ensemble!r}")
         if ensemble is True and self.spacing.any():
             raise ValueError("ensemble=True shows all environments in place: leave spacing 0 along both axes")
-        self.replay = Replay.of(recording, scene, envs, load=load)
+        self.replay = Replay.of(recording, scene, envs)
         self.coloring = None if color_by is None else Coloring(color_by, recording)
         self.ensemble: Ensemble | None = None
         if not self.spacing.any():

@@ -204,7 +204,7 @@ class Live(Show):
         """Draws the state that was taken last."""
         if self._drawing is not None:
             scale = self._force_scale if np.isfinite(self._force_scale) else self._drawing.force_scale
-            self.stage.show(self._drawing, 0, scale)
+            self.draw(self._drawing, 0, scale)
 
     def _step(self) -> None:
         self.pause()

@@ -2,6 +2,7 @@
 
 import contextlib
 import html
+import logging
 import threading
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -9,9 +10,10 @@ from urllib.parse import urlsplit
 
 import rich
 import viser
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from warpcontact import hostile
+from warpcontact.replay.colors import GAPS
 
 HOST = "127.0.0.1"
 #: Names under which a browser finds it.
@@ -19,6 +21,9 @@ LOCAL = (HOST, "localhost")
 #: What is shown of a name or of a text at most; a page with more of it could not be read.
 LONGEST = 80
 LONGEST_MESSAGE = 2000
+
+# Where the library of its connections says what goes wrong with them.
+_LOGGER = logging.getLogger("websockets.server")
 
 # Of a page that is not ours: the policy of it is violated (RFC 6455, 7.4.1).
 _REFUSED = 1008
@@ -40,6 +45,15 @@ class LocalServer(viser.ViserServer):
             raise ValueError(f"port must be a whole number from 0 to {2**16 - 1}, got {port!r}")
         with _silence():
             super().__init__(host=HOST, port=port, label=shortened(title), verbose=False)
+        thread = self._websock_server._server_thread.ident
+
+        def is_news(record: logging.LogRecord) -> bool:
+            # Browsers open connections ahead and close them unused, which is no fault of anybody.
+            error = record.exc_info[1] if record.exc_info else None
+            return record.thread != thread or not isinstance(error, InvalidHandshake)
+
+        self._is_news = is_news
+        _LOGGER.addFilter(is_news)
         self.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
 
         async def check(connection: Any) -> None:
@@ -66,6 +80,7 @@ class LocalServer(viser.ViserServer):
         """Ends the server and its connections."""
         with _silence():
             super().stop()
+        _LOGGER.removeFilter(self._is_news)
 
 
 def is_own(host: str | None, origin: str | None) -> bool:
@@ -92,6 +107,15 @@ def message(text: str, *, bad: bool = False) -> str:
     color = ";color:#d6336c" if bad else ""
     content = html.escape(text if len(text) <= LONGEST_MESSAGE else f"{text[:LONGEST_MESSAGE]}…")
     return f'<div style="{_STYLE};white-space:pre-wrap;overflow-wrap:anywhere{color}">{content}</div>'
+
+
+def gap_legend(deepest: float, far: float) -> str:
+    """Returns HTML of the colours of gaps, from a depth to a distance [m]."""
+    colors = ", ".join(f"rgb{color}" for _, color in GAPS)
+    bar = f"height:0.6em;border-radius:0.3em;background:linear-gradient(to right, {colors})"
+    ends = f"<span>−{deepest:.3g} m</span><span>0</span><span>{far:.3g} m</span>"
+    line = f'<div style="display:flex;justify-content:space-between">{ends}</div>'
+    return f'<div style="{_STYLE}"><div style="{bar}"></div>{line}</div>'
 
 
 _STYLE = "margin:0 0.9em 0.5em;font-size:0.8em;line-height:1.45"

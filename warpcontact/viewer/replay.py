@@ -128,7 +128,7 @@ class Replay(Show):
         # The last one that is not later; times are multiples of the step, a slider's are rounded.
         slack = 1.0e-6 * max(1.0e-9, float(drawing.times[-1] - drawing.times[0]))
         self.record = max(0, int(np.searchsorted(drawing.times, self._clock + slack, side="right")) - 1)
-        self.stage.show(drawing, self.record, drawing.force_scale)
+        self.draw(drawing, self.record, drawing.force_scale)
         self.time_input.value = self._clock
         self._tell()
 

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from typing import Any
 
 from warpcontact.replay.drawing import Drawing
-from warpcontact.viewer.page import LocalServer, message, table
-from warpcontact.viewer.stage import Stage
+from warpcontact.viewer.page import LocalServer, gap_legend, message, table
+from warpcontact.viewer.stage import DEEP, FAR, Stage
 
 #: Time from picture to picture, at the least [s].
 PICTURE = 1.0 / 30.0
@@ -184,10 +184,11 @@ class Show(ABC):
             )
             self.gaps_input = self.listen(
                 gui.add_checkbox(
-                    "Gaps", self.stage.gaps, hint="red: inside, yellow: in touch, blue: away, grey: unknown"
+                    "Gaps", self.stage.gaps, hint="red: inside, pale: in touch, blue: away, grey: unknown"
                 ),
                 lambda on: self._set_look("gaps", on),
             )
+            self._gap_legend = gui.add_html("")
             self.follow_input = self.listen(
                 gui.add_checkbox("Follow", self.stage.following, hint="the camera moves with the bodies"),
                 lambda on: self._set_look("following", on),
@@ -202,6 +203,14 @@ class Show(ABC):
         seen = self.drawn()
         if seen is not None:
             self.stage.look(*seen)
+
+    def draw(self, drawing: Drawing, record: int, force_scale: float) -> None:
+        """Draws a record of a drawing, and says what its colours mean; arguments as of ``Stage.show``."""
+        self.stage.show(drawing, record, force_scale)
+        legend = ""
+        if self.stage.gaps and any(touch.gaps is not None for touch in drawing.touches):
+            legend = gap_legend(DEEP * drawing.size, FAR * drawing.size)
+        self._gap_legend.content = legend
 
     @abstractmethod
     def redraw(self) -> None:

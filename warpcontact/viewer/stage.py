@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.replay.colors import linear
+from warpcontact.replay.colors import gap_colors, linear
 from warpcontact.replay.drawing import Curve, Drawing, Figure, Shape, Touch
 
 # Lights: of all around, grey from below, and from one side.
@@ -22,31 +22,14 @@ SUN_FROM = (-4.0, -6.0, 10.0)
 ARROW = 0.03
 LINE = 0.02
 SPOT = 0.08
-#: Gap at which the colour of what is away from all surfaces begins, and depth of full red, in sizes.
-FAR = 0.5
-DEEP = 0.02
-
-TOUCHING, AWAY, INSIDE, UNKNOWN = (0.98, 0.8, 0.2), (0.2, 0.4, 0.85), (0.85, 0.1, 0.1), (0.6, 0.6, 0.6)
+#: Ends of the colours of gaps, in sizes: how deep, and how far away.
+DEEP, FAR = 0.02, 1.0
 
 # So many copies are drawn in full; of more, those that are far away are drawn with fewer faces.
 FEW = 64
 # The camera stands in this direction from what it looks at, so many times its radius away.
 FROM = np.array([0.8, -1.5, 0.7]) / np.linalg.norm([0.8, -1.5, 0.7])
 AWAY_BY = 2.6
-
-
-def gap_colors(gaps: Array, size: float) -> NDArray[np.uint8]:
-    """Returns the colours of gaps, RGB (…, 3): red inside, yellow in touch, blue away, grey where unknown.
-
-    Args:
-        gaps: Signed distances [m].
-        size: Length of the largest body [m].
-    """
-    known = np.where(np.isfinite(gaps), gaps, 0.0)[..., None]
-    near, inside = np.clip(known / (FAR * size), 0.0, 1.0), np.clip(-known / (DEEP * size), 0.0, 1.0)
-    touching = np.array(TOUCHING)
-    color = touching + near * (AWAY - touching) + inside * (INSIDE - touching)
-    return (255.0 * np.where(np.isfinite(gaps)[..., None], color, UNKNOWN)).round().astype(np.uint8)
 
 
 def by_color(shape: Shape, color: Array) -> Iterator[tuple[Array, NDArray[Any], Array]]:
@@ -140,7 +123,7 @@ class Stage:
                     and gaps.shape[2:] == figure.there.shape[1:]
                 ):
                     spheres.add(figure.name)
-                    self._place(number, figure, record, gap_colors(gaps[record, 0], drawing.size))
+                    self._place(number, figure, record, _gap_colors(gaps[record, 0], drawing.size))
                 else:
                     self._place(number, figure, record, None)
             for curve, node in zip(drawing.curves, self._curves, strict=True):
@@ -190,7 +173,7 @@ class Stage:
         """Returns those of the pages that are open, and of those that will be."""
         return [self.server.initial_camera, *(one.camera for one in self.server.get_clients().values())]
 
-    def _place(self, number: int, figure: Figure, record: int, colors: NDArray[np.uint8] | None) -> None:
+    def _place(self, number: int, figure: Figure, record: int, colors: Array | None) -> None:
         """Puts a figure where it is; ``colors``: of each item, instead of its own."""
         there = figure.there[0]
         positions, turns = at(figure.positions, record)[there], at(figure.orientations, record)[there]
@@ -208,7 +191,7 @@ class Stage:
             node.visible = bool(there.any())
             if there.any():
                 node.batched_positions, node.batched_wxyzs, node.batched_scales = positions, turns, scales
-                node.batched_colors = _bytes(linear(color if colors is None else colors[there] / 255.0))
+                node.batched_colors = _bytes(linear(color if colors is None else colors[there]))
 
     def _add_figure(self, number: int, figure: Figure, turns: Array, positions: Array, scales: Array) -> _Drawn:
         nodes, colors = [], []
@@ -279,7 +262,7 @@ class Stage:
             # Both at once: a cloud with fewer colours than points is drawn black.
             with self.server.atomic():
                 node.points = at(touch.points, record)[known].astype(np.float32)
-                node.colors = gap_colors(gaps[known], size)
+                node.colors = _bytes(_gap_colors(gaps[known], size))
         node.visible = bool(known.any())
 
 
@@ -299,6 +282,10 @@ def middle(drawing: Drawing, record: int) -> tuple[Array, float]:
     box = np.concatenate(places)
     low, high = box.min(axis=0), box.max(axis=0)
     return 0.5 * (low + high), max(0.6 * float(np.linalg.norm(high - low)), 3.0 * drawing.size)
+
+
+def _gap_colors(gaps: Array, size: float) -> Array:
+    return gap_colors(gaps, DEEP * size, FAR * size)
 
 
 def _bytes(color: Array) -> NDArray[np.uint8]:

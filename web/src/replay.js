@@ -1,4 +1,5 @@
 // The replay: one environment at one time, and what its controls do.
+import { gapBar } from "./colors.js";
 import { boundsOf, momentOf, unpackEnvironment, unpackShapes } from "./environment.js";
 import { Figure, geometryOf } from "./figures.js";
 import { force, length, number } from "./numbers.js";
@@ -218,6 +219,7 @@ class Replay {
     const touches = this.scene.touches.length > 0;
     element("replay-arrows").disabled = !touches;
     element("replay-gaps").disabled = !this.scene.gaps;
+    element("legend-bar").style.background = gapBar(this.scene.gapColors);
     element("legend-low").textContent = length(-this.scene.deepest).replace(/^-/, "−");
     element("legend-high").textContent = length(this.scene.size);
     element("legend-force").textContent = `longest arrow ${force(this.scene.largestForce)}`;

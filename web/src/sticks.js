@@ -119,7 +119,7 @@ export class Touch {
   }
 
   #placeDots(p, g) {
-    const { size, deepest } = this.scene;
+    const { size, deepest, gapColors } = this.scene;
     const color = new Color();
     const radius = 0.032 * size;
     this.touching = 0;
@@ -130,7 +130,7 @@ export class Touch {
       interpolated(FROM, this.points, p, 3 * i);
       const near = Number.isFinite(gap) && gap <= size;
       this.dots.setMatrixAt(i, near ? MATRIX.compose(FROM, TURN.identity(), SCALE.setScalar(radius)) : NOWHERE);
-      this.dots.setColorAt(i, gapColor(color, near ? gap : 0, deepest, size));
+      this.dots.setColorAt(i, gapColor(color, near ? gap : 0, gapColors, deepest, size));
     }
     this.dots.instanceColor.needsUpdate = true;
   }

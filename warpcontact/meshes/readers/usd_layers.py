@@ -43,19 +43,29 @@ def check_layers(path: Path, *, confined: bool) -> None:
 def _open(identifier: str) -> Any:
     from pxr import Sdf, Tf
 
+    path = Path(identifier)
+    if path.is_file() and not path.stat().st_size:
+        raise Unreadable(f"not valid USD: {path.name!r} is empty")
     try:
         layer = Sdf.Layer.FindOrOpen(identifier)
     except Tf.ErrorException as error:
         raise Unreadable(f"not valid USD: {reason(error)}") from error
     if not layer:
-        raise Unreadable(f"not valid USD: {Path(identifier).name!r} cannot be opened")
+        raise Unreadable(f"not valid USD: {path.name!r} cannot be opened")
     return layer
 
 
 def reason(error: Exception) -> str:
-    """Returns what USD says went wrong, without places in its own source and folders of the file."""
+    """Returns the first that USD says went wrong, without names in its own source and folders of the file."""
     said = re.findall(r"(?m)' at line \d+ in file .*? : '(.*?)'?$", str(error)) or [str(error)]
-    return " ".join(re.sub(r"\S*/", "", "; ".join(said)).split())[:200]
+    # What its parser says of a place in a text, which it may say before without the place.
+    placed = (re.search(r"([^/]*):(\d+):(\d+): (.*?)(?: at '| in <|$)", one) for one in said)
+    found = next((one for one in placed if one), None)
+    if found is None:
+        return " ".join(re.sub(r"<?\S*/([^\s/>]*)>?", r"\1", said[0]).split())[:200]
+    file, line, column, text = found.groups()
+    text = "what stands there is not understood" if text.startswith("parse error matching") else text
+    return f"{file}, line {line}, column {column}: {text}"[:200]
 
 
 def _target(layer: Any, asset: str, folder: Path | None) -> str:
