@@ -229,3 +229,17 @@ def committing(self, shard, record, staged):
     left[0] -= 1
 store.Ledger.commit, store.Ledger._publish, store.write_json = committing, publishing, writing
 """
+
+
+def asking_at(number, steps):
+    """Returns what lets a process be sent the signal ``number`` once a shard of it has done so many steps."""
+    return f"""
+import os
+from warpcontact.experiment import shards
+tell = shards.Beacon.tell
+def telling(self, steps):
+    if steps == {steps}:
+        os.kill(os.getpid(), {int(number)})
+    return tell(self, steps)
+shards.Beacon.tell = telling
+"""
