@@ -506,8 +506,17 @@ def test_a_mesh_file_with_another_content_is_another_experiment(tmp_path):
 @pytest.mark.skipif(os.name != "posix", reason="other systems have no locks on folders")
 def test_a_run_in_progress_can_be_read_and_not_continued(whole, tmp_path):
     folder = tmp_path / "out"
-    process = runs.begin(runs.study(tmp_path), "--out", folder, *WORDS, first=runs.EAGER)
+    reference = wc.open_run(whole)
     seen = set()
+
+    def read():
+        values = wc.open_run(folder).series["touch.gap"]
+        there = ~np.isnan(values.values)
+        expected = reference.series["touch.gap"].sel(env=values["env"]).values
+        np.testing.assert_array_equal(values.values[there], expected[there])
+        seen.add(int(there.sum()))
+
+    process = runs.begin(runs.study(tmp_path), "--out", folder, *WORDS, first=runs.EAGER)
     try:
         assert runs.wait_until(lambda: runs.records(folder), process)
         os.kill(process.pid, signal.SIGSTOP)
@@ -515,18 +524,15 @@ def test_a_run_in_progress_can_be_read_and_not_continued(whole, tmp_path):
         for options in ({"resume": True}, {"overwrite": True}):
             with pytest.raises(wc.ExperimentError, match="a process is running and writes there"):
                 experiment.run(folder, device="cpu", **options)
+        read()
         os.kill(process.pid, signal.SIGCONT)
-        reference = wc.open_run(whole)
         while process.poll() is None and len(seen) < 6:
-            run = wc.open_run(folder)  # whatever is committed, moved and removed meanwhile
-            values = run.series["touch.gap"]
-            there = ~np.isnan(values.values)
-            expected = reference.series["touch.gap"].sel(env=values["env"]).values
-            np.testing.assert_array_equal(values.values[there], expected[there])
-            seen.add(int(there.sum()))
+            read()  # whatever is committed, moved and removed meanwhile
     finally:
+        process.send_signal(signal.SIGCONT)
         code, _, err = runs.ended(process)
     assert code == 0, err
+    read()
     assert len(seen) > 1
     assert runs.hashes(folder) == runs.hashes(whole)
 
