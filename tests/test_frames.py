@@ -92,10 +92,11 @@ def test_forces_alone_are_those_of_a_look_at_everything(name, device):
 
 
 @pytest.mark.parametrize(("threads", "size", "graphs"), [(1, 128, True), (3, 2, True), (2, 3, False)])
-@pytest.mark.parametrize("name", ["box of points on terrain", "two bodies"])
-def test_frames_are_what_one_sees_by_stopping(name, threads, size, graphs, device, monkeypatch):
+@pytest.mark.parametrize("name", ["box of points on terrain", "two bodies", "with memory"])
+@pytest.mark.parametrize("keys", [CONTACT, NEUTRAL], ids=["of all", "of what touches"])
+def test_frames_are_what_one_sees_by_stopping(keys, name, threads, size, graphs, device, monkeypatch):
     plain = simulation(name, device)
-    names = [*names_of(plain.model, CONTACT), "body.position", "body.orientation", "body.kinetic_energy"]
+    names = [*names_of(plain.model, keys), "body.position", "body.orientation", "body.kinetic_energy"]
     stopped = simulation(name, device)
     expected = []
     for _ in range(30):
@@ -133,6 +134,21 @@ def test_frames_are_what_one_sees_by_stopping(name, threads, size, graphs, devic
             reading = f"{body.name}.{key}"
             np.testing.assert_array_equal(model.reading(reading), plain.model.reading(reading), err_msg=reading)
     assert sim.steps == plain.steps == 210
+
+
+@pytest.mark.parametrize("every", [1, 2, 5])
+@pytest.mark.parametrize("name", SCENES)
+def test_steps_after_frames_are_those_without(name, every, device):
+    """What a frame tells of contacts the next step does not look for again."""
+    plain, sim = simulation(name, device), simulation(name, device)
+    model = sim.model
+    needs = {need for key in names_of(model, NEUTRAL) for need in model.find_reading(key).needs}
+    sim.step_in_frames(300 // every, every, needs, lambda part, own, number: None)
+    plain.step(300)
+    for body in model.scene.bodies:
+        for key in STATE:
+            reading = f"{body.name}.{key}"
+            np.testing.assert_array_equal(model.reading(reading), plain.model.reading(reading), err_msg=reading)
 
 
 def test_frames_of_what_needs_all_environments_at_once(device):

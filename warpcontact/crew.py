@@ -72,10 +72,12 @@ class Crew:
                 some -= over if over < some and done + some < count else 0
                 ways = frames.cut(done, some)
             for piece in self._slices:
-                for way in set(ways):
-                    piece.capture(way)
                 if frames is not None:
                     piece.ready_look(frames.needs)
+                for way in set(ways):
+                    piece.capture(way)
+                    if frames is not None and piece.ready_after_look(frames.needs):
+                        piece.capture(way, after_look=True)
             start = time.perf_counter()
             with _uninterrupted():
                 self._step_all(some, functools.partial(_step, done=done, ways=ways, frames=frames))
@@ -112,11 +114,13 @@ def _step_each(waiting: Iterator[Slice], work: Callable[[Slice], None]) -> None:
 
 def _step(piece: Slice, *, done: int, ways: list[int], frames: Frames | None) -> None:
     """Takes steps in a slice, ``done`` being those before, and looks at it wherever a frame is due."""
+    looked = False
     for way in ways:
-        piece.step(way)
+        piece.step(way, looked)
         done += way
+        looked = False
         if frames is not None and done % frames.every == 0:
-            piece.look(frames, done // frames.every - 1)
+            looked = piece.look(frames, done // frames.every - 1)
 
 
 @contextlib.contextmanager

@@ -29,6 +29,11 @@ def shows(needs: Set[str]) -> bool:
     return not needs.isdisjoint(("contacts", *OF_FAR))
 
 
+def looks_at_near(span: Span, needs: Set[str]) -> bool:
+    """Whether looks for readings with ``needs`` leave contacts as a step of ``span`` from there finds them."""
+    return span.cached and span.model.device.is_cpu and shows(needs) and needs.isdisjoint(OF_FAR)
+
+
 def look_span(
     kind: type[Span], model: Any, first: int, count: int, hard: "HardContacts | None", needs: Set[str]
 ) -> Span:

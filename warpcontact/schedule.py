@@ -42,6 +42,7 @@ class Span:
         ordered: Whether wrenches are summed in one order, the same in every run.
         queued: Whether threads share out contacts by what they need, not by blocks: for many threads.
         hard: The contacts that are solved for impulses and have no force; ``None``: all have theirs.
+        looked_at: A state whose contacts are known, as nothing changed since they were looked at; ``None``: none.
     """
 
     model: "Model"
@@ -51,6 +52,7 @@ class Span:
     ordered: bool
     queued: bool = False
     hard: "HardContacts | None" = None
+    looked_at: Any = None
 
     def prepare(
         self,
@@ -105,17 +107,7 @@ def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> li
     """
     model = span.model
     a, real = model.arrays, model.types.real
-    launches = []
-    if span.cached:
-        launches += span.prepare(travel.kernel(real), model.blocks.set_count, [status, a.model, state, a.cache])
-    if span.cached and span.queued:
-        launches += queue_stages(span, state, status)
-    else:
-        launches += span.prepare(
-            near.kernel(real, model.follows),
-            model.blocks.count,
-            [status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near],
-        )
+    launches = [] if state is span.looked_at else near_stages(span, state, status)
     for couplings in model.couplings:
         launches += couplings.force_stages(span, state, status)
     for contacts in model.smooth:
@@ -136,6 +128,19 @@ def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> li
     for pile in model.piles:
         launches += pile.force_stages(span, state, step, status)
     return launches
+
+
+def near_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
+    """Returns the launches that look at what is near of points and meshes; arguments as in ``force_stages``."""
+    model = span.model
+    a, real = model.arrays, model.types.real
+    launches = []
+    if span.cached:
+        launches += span.prepare(travel.kernel(real), model.blocks.set_count, [status, a.model, state, a.cache])
+    if span.cached and span.queued:
+        return launches + queue_stages(span, state, status)
+    inputs = [status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near]
+    return launches + span.prepare(near.kernel(real, model.follows), model.blocks.count, inputs)
 
 
 def queue_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:

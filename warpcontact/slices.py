@@ -4,8 +4,8 @@ A step is a list of launches. Where nothing has to be decided on the host they a
 time, and replayed; launches and replays compute the same.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Set
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ import warp as wp
 from warpcontact.arrays import Layout, broadcast, per_env
 from warpcontact.captures import beside_captures, capturing
 from warpcontact.integrators import Integrator
+from warpcontact.looks import looks_at_near
 from warpcontact.outcomes.observer import Observer
 from warpcontact.outcomes.watch import Watch
 from warpcontact.schedule import (
@@ -165,74 +166,102 @@ class Slice:
         self._seen = self._mark
         if divides and model.device.is_cuda:
             self._seen = wp.zeros(1, dtype=wp.int32, device="cpu", pinned=True)
-        own, other = model.arrays.state, buffers.other
-        self._steps = [
-            self._prepare(span, integrator, buffers.times, *way) for way in ((own, other), (other, own))
-        ]
+        self._integrator, self._times = integrator, buffers.times
+        self._states = own, other = model.arrays.state, buffers.other
+        self._steps = [self._prepare(*way) for way in ((own, other), (other, own))]
+        # A step from the model's state after a look has told what is near, once there are such looks.
+        self._after_look: list[wp.Launch] = []
         self._wait, self._wake = (turn_stage(span, back=back) for back in (False, True))
         # What is decided on the host cannot be captured.
         self.captured = captured and not divides
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
-        self._graphs: dict[int, wp.Graph] = {}
+        # By their steps, and whether the first of these comes after a look.
+        self._graphs: dict[tuple[int, bool], wp.Graph] = {}
         self._looks: dict[frozenset[str], list[wp.Launch] | wp.Graph] = {}
 
-    def _prepare(self, span: Span, integrator: Integrator, times: Times, state_in: Any, state_out: Any) -> _Step:
-        part, divide, resume = [], [], []
+    def _prepare(self, state_in: Any, state_out: Any) -> _Step:
+        span, times, part, divide, resume = self._span, self._times, [], [], []
         if self._mark is not None:
-            part = integrator.step_stages(span, times.part, state_in, state_out, None)
-            part += self._look(span, times.part, state_in)
-            part += accept_stages(span, times.part, state_in, state_out)
-            divide = integrator.change_stages(span, times.shorter, state_in)
-            resume = integrator.change_stages(span, times.longer, state_out)
+            part = self._stages(span, times.part, state_in, state_out, None)
+            divide = self._integrator.change_stages(span, times.shorter, state_in)
+            resume = self._integrator.change_stages(span, times.longer, state_out)
         return _Step(
-            whole=integrator.step_stages(span, times.whole, state_in, state_out, self._mark)
-            + self._look(span, times.whole, state_in)
-            + accept_stages(span, times.whole, state_in, state_out),
+            whole=self._stages(span, times.whole, state_in, state_out, self._mark),
             part=part,
             divide=divide,
             resume=resume,
             back=adopt_stage(span, state_out, state_in),
         )
 
-    def _look(self, span: Span, dt: StepLength, state: Any) -> list[wp.Launch]:
-        return [] if self._observer is None else self._observer.stages(span, dt, state)
+    def _stages(
+        self, span: Span, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
+    ) -> list[wp.Launch]:
+        """Returns the launches of a step that is accepted, and watched."""
+        launches = self._integrator.step_stages(span, dt, state_in, state_out, mark)
+        if self._observer is not None:
+            launches += self._observer.stages(span, dt, state_in)
+        return launches + accept_stages(span, dt, state_in, state_out)
 
     def launches(self) -> list[list[wp.Launch]]:
         """Returns everything that is prepared."""
         steps = [part for step in self._steps for part in vars(step).values()]
         return [*steps, self._wait, self._wake]
 
-    def graph(self, steps: int) -> list[wp.Launch]:
+    def graph(self, steps: int, after_look: bool = False) -> list[wp.Launch]:
         """Returns the launches of the graph of ``steps`` steps, none if nothing is captured."""
         if not self.captured:
             return []
-        found = [launch for number in range(steps) for launch in self._steps[number % 2].whole]
-        return found + (self._steps[0].back if steps % 2 else [])
+        first = self._after_look if after_look else self._steps[0].whole
+        rest = [launch for number in range(1, steps) for launch in self._steps[number % 2].whole]
+        return [*first, *rest, *(self._steps[0].back if steps % 2 else [])]
 
-    def capture(self, count: int) -> None:
-        """Captures what ``step(count)`` will replay. Not while other threads step."""
-        if not self.captured:
-            return
+    def _graphs_of(self, count: int, after_look: bool) -> Iterator[tuple[int, bool]]:
+        """Yields the graphs that make up ``count`` steps."""
+        if after_look and count:
+            # The shortest that ends in the model's buffer: others are there anyway.
+            first = min(2, count)
+            yield first, True
+            count -= first
         for steps in self.graph_steps:
-            if count >= steps and steps not in self._graphs:
-                with capturing(), wp.ScopedCapture(device=self.device) as capture:
-                    _launch(self.graph(steps))
-                self._graphs[steps] = capture.graph
+            for _ in range(count // steps):
+                yield steps, False
             count %= steps
 
-    def step(self, count: int) -> None:
-        """Takes ``count`` steps; the state is in the model's buffer before and after."""
+    def capture(self, count: int, after_look: bool = False) -> None:
+        """Captures what ``step`` will replay. Not while other threads step."""
+        if not self.captured:
+            return
+        for key in set(self._graphs_of(count, after_look)) - self._graphs.keys():
+            with capturing(), wp.ScopedCapture(device=self.device) as capture:
+                _launch(self.graph(*key))
+            self._graphs[key] = capture.graph
+
+    def step(self, count: int, after_look: bool = False) -> None:
+        """Takes ``count`` steps; the state is in the model's buffer before and after.
+
+        Args:
+            count: How many.
+            after_look: Whether ``look`` told what is near, and nothing was done since.
+        """
         if self.captured:
-            for steps in self.graph_steps:
-                while count >= steps:
-                    wp.capture_launch(self._graphs[steps])
-                    count -= steps
+            for key in self._graphs_of(count, after_look):
+                wp.capture_launch(self._graphs[key])
             return
         with beside_captures():
             for number in range(count):
                 self._take(number % 2)
             if count % 2:
                 _launch(self._steps[0].back)
+
+    def ready_after_look(self, needs: Set[str]) -> bool:
+        """Prepares the step after a look for readings with ``needs``; returns whether it has less to do."""
+        if not (self.captured and looks_at_near(self._span, needs)):
+            return False
+        if not self._after_look:
+            own, other = self._states
+            span = replace(self._span, looked_at=own)
+            self._after_look = self._stages(span, self._times.whole, own, other, self._mark)
+        return True
 
     def ready_look(self, needs: frozenset[str]) -> None:
         """Prepares, or captures, ``look``. Not while other threads step."""
@@ -247,8 +276,8 @@ class Slice:
             _launch(launches)
         self._looks[needs] = capture.graph
 
-    def look(self, frames: Frames, number: int) -> None:
-        """Computes frame ``number`` of its environments and hands it on."""
+    def look(self, frames: Frames, number: int) -> bool:
+        """Computes frame ``number`` of its environments and hands it on; returns whether it told what is near."""
         look = self._looks[frames.needs]
         if isinstance(look, wp.Graph):
             wp.capture_launch(look)
@@ -256,6 +285,7 @@ class Slice:
             with beside_captures():
                 _launch(look)
         frames.take(self._span.model, slice(self._span.first, self._span.first + self.envs), number)
+        return looks_at_near(self._span, frames.needs)
 
     def _take(self, way: int) -> None:
         """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""

@@ -116,6 +116,10 @@ def stepping_footprint(
             tally = look_span(_Tally, part, 0, 1, buffers.hard, looks)
             look = look_stages(tally, looks, part.no_step, None)
             size += _captured_bytes(look) if one.captured else LAUNCH_BYTES * len(look)
+            if one.ready_after_look(looks):
+                size += LAUNCH_BYTES * len(one.graph(1, after_look=True)) + _captured_bytes(
+                    one.graph(2, after_look=True)
+                )
         length = slice_size(part, envs, on_threads, threads)
         # The first environments of each thread make its slice longer.
         longest = slice_size(part, envs, LARGEST_SLICE * threads, threads)
