@@ -216,7 +216,8 @@ def test_all_that_a_file_may_say_reads_back_as_it_was_written(tmp_path):
 def test_readings_and_interval_have_defaults():
     experiment = wc.Experiment(content(duration=3.0, record={}))
     assert experiment.settings.record.every == 0.03
-    assert experiment.settings.record.readings == ("touch.gap", "touch.normal_force", "scene.kinetic_energy")
+    told = ("touch.penetration", "touch.normal_force", "scene.kinetic_energy")
+    assert experiment.settings.record.readings == told
     # A written experiment has them written out, and follows another duration all the same.
     written = wc.Experiment(experiment.settings.model_dump(exclude_none=True))
     assert written.settings.record.every == 0.03

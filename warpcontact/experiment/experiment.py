@@ -441,10 +441,16 @@ def default_interval(settings: Settings) -> float:
     return float(f"{steps * settings.dt:.12g}")
 
 
-def default_readings(model: Environments) -> list[str]:
-    """Returns the readings of an experiment that names none: what tells most of each element, and the energy."""
+def default_readings(model: Environments, *, far: bool = False) -> list[str]:
+    """Returns the readings of an experiment that names none: what tells most of each element, and the energy.
+
+    Args:
+        model: The model.
+        far: Whether to tell how far points are from meshes that they do not touch: a search that steps do without.
+    """
     scene = model.scene
-    told = [(contact.name, ("gap", "normal_force")) for contact in scene.contacts if contact.points.single]
+    depth = "gap" if far else "penetration"
+    told = [(contact.name, (depth, "normal_force")) for contact in scene.contacts if contact.points.single]
     told += [(contact.name, ("gap", "normal_force")) for contact in scene.smooth_contacts if contact.single]
     told += [(contact.name, ("contacts", "max_penetration")) for contact in scene.mutual_contacts]
     told += [(coupling.name, _TOLD[type(coupling)]) for coupling in scene.couplings]

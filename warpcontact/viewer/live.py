@@ -61,7 +61,7 @@ class Live(Show):
         self._looked = 0.0
         scene, names = simulation.model.scene, simulation.model.reading_names
         pushing: list[Any] = [*scene.contacts, *scene.smooth_contacts]
-        self._read = list(dict.fromkeys([*default_readings(simulation.model), *self._of_sets()]))
+        self._read = list(dict.fromkeys([*default_readings(simulation.model, far=True), *self._of_sets()]))
         drawn = [f"{one.name}.{key}" for one in pushing for key in _OF_CONTACTS]
         drawn += [f"{coupling.name}.status" for coupling in scene.couplings]
         self._recorder = Recorder(
