@@ -33,9 +33,6 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
     steady = wp.constant(real(STEADY))
     soon = wp.constant(real(SOON))
 
-    Distances = wp.types.vector(length=remembered, dtype=real)
-    Rows = wp.types.vector(length=remembered, dtype=wp.int32)
-
     @wp.struct
     class Recalled:
         """The nearest foot, as far as it is known."""
@@ -198,33 +195,26 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
         beyond = first.distance + model.patch_skin[patch]
         found = faces_about(model, patch, p, beyond + margin)
         face = wp.int32(0)
-        # In registers, the nearest first: loops over a constant are unrolled.
-        distances = Distances(real(wp.inf))
-        rows = Rows(-1)
+        slot = contact * room
+        count = wp.int32(0)
         while wp.mesh_query_next(found, face):
             other = foot_on(model, start + face, p)
             best = nearer(model, best, other)
             if other.distance < beyond:
-                distance = other.distance
-                row = start + face
-                for i in range(wp.static(remembered)):
-                    if distance < distances[i]:
-                        farther = distances[i]
-                        farther_row = rows[i]
-                        distances[i] = distance
-                        rows[i] = row
-                        distance = farther
-                        row = farther_row
-                # The farthest makes room, and ends the reach of the list.
-                beyond = wp.min(beyond, distance)
+                place = slot + count
+                if count == room:
+                    # The farthest makes room, and ends the reach of the list.
+                    beyond = other.distance
+                    for i in range(slot, slot + room):
+                        if cache.distance[env, i] > beyond:
+                            beyond = cache.distance[env, i]
+                            place = i
+                else:
+                    count += 1
+                if place < slot + room:
+                    cache.face[env, place] = start + face
+                    remember(cache, env, place, other, vec3())
         best.distance = wp.length(best.to_point)
-        count = wp.int32(0)
-        for i in range(wp.static(remembered)):
-            if rows[i] >= 0:
-                slot = contact * room + i
-                cache.face[env, slot] = rows[i]
-                remember(cache, env, slot, foot_on(model, rows[i], p), vec3())
-                count += 1
         cache.faces[env, contact] = count
         cache.sure[env, contact] = real(0.0)
         cache.place[env, contact] = p
