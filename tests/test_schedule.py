@@ -378,7 +378,7 @@ def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
         def capture(self, count):
             pass
 
-        def step(self, count):
+        def step(self, count, after_look):
             time.sleep(0.02 * count)
 
     assert list(crew.Crew([Piece()], 1).step(24)) == [8, 16, 24]
