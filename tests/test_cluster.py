@@ -11,7 +11,7 @@ import runs
 import warpcontact as wc
 from warpcontact.available import HOST
 from warpcontact.cli import main
-from warpcontact.experiment.cluster import Place
+from warpcontact.experiment.cluster import Place, place_of
 from warpcontact.experiment.plan import Plan
 from warpcontact.footprint import USABLE, Footprint, Need
 
@@ -155,6 +155,9 @@ class Cluster:
         keys = ("CPU", "GPU", "memory")
         self.machines = [dict(zip(keys, machine, strict=True)) for machine in machines]
 
+    def cluster_resources(self):
+        return {key: sum(one[key] for one in self.machines) for key in ("CPU", "GPU") if self.machines[0][key]}
+
     def nodes(self):
         return [{"Alive": True, "Resources": one} for one in self.machines] + [{"Alive": False, "Resources": {}}]
 
@@ -199,6 +202,32 @@ def test_shards_on_a_cluster_are_given_no_list_of_devices(device, tmp_path, caps
         capsys.readouterr().err
     )
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("device", "gpus", "expected"),
+    [("auto", 4, (4, 1, 4)), ("cuda:0", 4, (4, 1, 4)), ("cpu", 4, (4, 0, 8)), ("auto", 0, (4, 0, 8))],
+)
+def test_places_are_those_of_the_device_that_was_asked_for(device, gpus, expected):
+    place = place_of(Cluster((16, gpus // 2, 100), (16, gpus // 2, 100)), device, "study.toml")
+    assert (place.cores, place.gpus, place.places) == expected
+
+
+def test_a_gpu_that_a_cluster_does_not_have_is_refused():
+    with pytest.raises(wc.ExperimentError) as caught:
+        place_of(Cluster((16, 0, 100)), "cuda:0", "study.toml")
+    assert str(caught.value) == "study.toml: device must be 'auto' or 'cpu' with Ray here: the cluster has no GPU"
+
+
+@pytest.mark.slow
+def test_on_the_cpu_of_a_cluster_with_gpus_its_cores_run_shards(place, tmp_path):
+    gpu = "import ray; ray.init(address='local', num_cpus=4, num_gpus=1, object_store_memory=10**8)"
+    out = tmp_path / "out"
+    code, _, err = runs.run(place / "study.toml", "--out", out, "--ray", "--device", "cpu", first=gpu)
+    assert code == 0, err
+    # Four shards for each of two places, and not of one GPU.
+    assert wc.open_run(out, verify=True).summary["shard"] == 2
+    assert wc.open_run(out).digest() == wc.open_run(place / "whole").digest()
 
 
 @pytest.mark.slow

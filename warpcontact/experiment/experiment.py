@@ -239,7 +239,7 @@ class Experiment:
             experiment._tell_of_meshes(notices)
             experiment._tell_of_sampling(notices)
             draft = experiment.draft(device)
-            place = cluster.connect(ray) if ray else None
+            place = cluster.connect(ray, str(device), experiment.source) if ray else None
             if summary is not None:
                 shard = summary["shard"]
             elif place is not None and shard is None:
@@ -266,14 +266,14 @@ class Experiment:
             if summary is not None:
                 check_resumable(summary, job)
             if place is not None and summary is not None:
-                return proceed(job, place.runs(job, str(device)))
+                return proceed(job, place.runs(job))
             say(f"building {plan.shard} environments")
             runner = job.runner(draft.build(plan.shard))
             if summary is None:
                 start(runner, job, alone)
             if place is not None:
                 del runner, draft  # whoever runs shards needs the room
-                return proceed(job, place.runs(job, str(device)))
+                return proceed(job, place.runs(job))
             return proceed(job, here(runner, job))
 
     def _tell_of_meshes(self, notices: Notices) -> None:
