@@ -1,5 +1,6 @@
 """Runs that are killed, interrupted or out of disk go on to the bytes of a run that nothing disturbed."""
 
+import json
 import os
 import random
 import shutil
@@ -12,6 +13,8 @@ import pytest
 import runs
 
 import warpcontact as wc
+from warpcontact import available
+from warpcontact.experiment import cluster
 
 WORDS = ("--shard", 4, "--device", "cpu")
 
@@ -244,6 +247,21 @@ def test_going_on_with_a_finished_run_changes_nothing(place, whole, tmp_path):
     (out / "picture.png").unlink()
     run = wc.Experiment.from_toml(place / "study.toml").run(out, device="cpu", resume=True)
     assert run.summary["wall_time"] == whole.summary["wall_time"]
+    assert "picture" in run.files
+    check_equal(out, whole)
+
+
+@pytest.mark.parametrize("ray", [False, True])
+def test_with_nothing_left_to_run_no_memory_for_a_shard_is_needed(ray, place, whole, tmp_path, monkeypatch):
+    out = shutil.copytree(whole.folder, tmp_path / "out")
+    summary = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps(summary | {"state": "unfinished"}))
+    (out / "picture.png").unlink()
+    experiment = wc.Experiment.from_toml(place / "study.toml")
+    # Neither here nor anywhere else.
+    monkeypatch.setattr(available, "_host", lambda: 1)
+    monkeypatch.setattr(cluster, "connect", lambda *_: pytest.fail("there is nothing to run"))
+    run = experiment.run(out, device="cpu", resume=True, ray=ray)
     assert "picture" in run.files
     check_equal(out, whole)
 

@@ -139,6 +139,16 @@ def check_resumable(summary: Mapping[str, Any], job: Job) -> None:
     )
 
 
+def all_finished(folder: Path, summary: Mapping[str, Any]) -> bool:
+    """Whether no shard is left of the run of ``summary``, which may lack what shows its results.
+
+    Raises:
+        StoreError: If the record of a shard is damaged.
+    """
+    commits = Ledger(folder).commits()
+    return all(_is_finished(commits, shard) for shard in shards_of(summary["envs"], summary["shard"]))
+
+
 def proceed(job: Job, run_shards: Runs) -> Run:
     """Runs all shards that are not finished, and ends the run if none is left.
 

@@ -17,7 +17,7 @@ from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.changes import changed_by
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
-from warpcontact.experiment.execute import Job, check_resumable, here, proceed, start
+from warpcontact.experiment.execute import Job, all_finished, check_resumable, here, proceed, start
 from warpcontact.experiment.lock import writing
 from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.observation import check_watched, watching
@@ -239,13 +239,16 @@ class Experiment:
             experiment._tell_of_meshes(notices)
             experiment._tell_of_sampling(notices)
             draft = experiment.draft(device)
-            place = cluster.connect(ray, str(device), experiment.source) if ray else None
+            # Of a run that was ended after its last shard, what shows the results is missing, and takes little.
+            done = summary is not None and all_finished(folder, summary)
+            place = cluster.connect(ray, str(device), experiment.source) if ray and not done else None
             if summary is not None:
-                shard = summary["shard"]
+                shard = None if done else summary["shard"]
             elif place is not None and shard is None:
                 shard = place.shard_size(experiment.settings.envs)
             plan = make_plan(draft, experiment._size, experiment.settings, experiment.design, shard)
-            plan.require()
+            if not done:
+                plan.require()
             if summary is not None:
                 plan = plan.resumed(summary)
             if place is not None:
@@ -265,6 +268,8 @@ class Experiment:
             )
             if summary is not None:
                 check_resumable(summary, job)
+            if done:
+                return proceed(job, lambda left, commits, bar: {})
             if place is not None and summary is not None:
                 return proceed(job, place.runs(job))
             say(f"building {plan.shard} environments")
