@@ -4,6 +4,8 @@ import json
 import os
 import signal
 import subprocess
+import sys
+import types
 
 import pytest
 import runs
@@ -11,7 +13,7 @@ import runs
 import warpcontact as wc
 from warpcontact.available import HOST
 from warpcontact.cli import main
-from warpcontact.experiment.cluster import Place, place_of
+from warpcontact.experiment.cluster import Place, connect, place_of
 from warpcontact.experiment.plan import Plan
 from warpcontact.footprint import USABLE, Footprint, Need
 
@@ -134,6 +136,23 @@ def test_who_asks_a_cluster_to_stop_can_go_on_without_it(number, tmp_path):
     code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")
     assert code == 0, err
     assert runs.hashes(out) == runs.hashes(tmp_path / "whole")
+
+
+@pytest.mark.slow
+def test_who_asks_to_stop_once_ray_runs_and_no_shard_does_is_told_that_nothing_is_kept(place, tmp_path):
+    out = tmp_path / "out"
+    first = runs.asking_when(signal.SIGTERM, "building")
+    code, _, err = runs.run(place / "study.toml", "--out", out, "--ray", *WORDS, first=first)
+    assert code == 130, err
+    assert err.endswith("\nwarpcontact: interrupted before anything was kept\n")
+    assert not out.exists()
+
+
+def test_who_asks_to_stop_while_ray_starts_is_heard(monkeypatch):
+    ray = types.SimpleNamespace(is_initialized=lambda: False, init=lambda **_: sys.exit(1))
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    with pytest.raises(KeyboardInterrupt):
+        connect(True, "cpu", "study.toml")
 
 
 @pytest.mark.slow

@@ -148,6 +148,8 @@ def connect(address: bool | str, device: str, source: str) -> Place:
             if isinstance(address, str):
                 _check_answers(address)
             ray.init(**options)
+        except SystemExit:  # as Ray answers a request to end while it starts
+            raise KeyboardInterrupt from None
         except (OSError, ValueError, RuntimeError) as error:
             raise ExperimentError(f"--ray {address}", [f"no cluster of Ray can be reached: {error}"]) from None
     return place_of(ray, device, source)

@@ -27,7 +27,7 @@ from warpcontact.experiment.plan import Plan
 from warpcontact.experiment.progress import Bar
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.shards import Frames, ShardRunner, terminations
+from warpcontact.experiment.shards import Frames, ShardRunner
 from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError, shards_of
 from warpcontact.experiment.toml import to_toml
 from warpcontact.quarantine import QuarantineError
@@ -153,10 +153,10 @@ def proceed(job: Job, run_shards: Runs) -> Run:
     """Runs all shards that are not finished, and ends the run if none is left.
 
     Raises:
-        Interrupted: If somebody pressed Ctrl-C; says how to go on.
+        KeyboardInterrupt: If somebody asked to stop; what was done until then is committed.
         OSError: If there is no room on the disk, for instance; the last commits are kept.
     """
-    with _naming(job.folder), terminations():
+    with _naming(job.folder):
         return _proceed(job, run_shards)
 
 

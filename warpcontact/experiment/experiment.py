@@ -33,6 +33,7 @@ from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.integrators.base import formulas_of
 from warpcontact.model import Model
 from warpcontact.scene import Scene
+from warpcontact.signals import terminations
 from warpcontact.simulation import Simulation
 from warpcontact.split_model import SplitModel
 from warpcontact.unilateral.hard_contacts import is_of_hard_contact
@@ -217,7 +218,7 @@ class Experiment:
             ExperimentError: If the folder holds a finished run or something else, or with ``resume`` no run of
                 this experiment; if there is no such device, or a value is out of range.
             MemoryError: If not even one environment fits, or ``shard`` of them do not.
-            KeyboardInterrupt: If somebody pressed Ctrl-C; what was done until then is committed.
+            KeyboardInterrupt: If somebody pressed Ctrl-C, or sent SIGTERM; what was done until then is committed.
             OSError: If the results cannot be written; what was committed is kept.
         """
         _check_shard(shard, self.source)
@@ -227,6 +228,7 @@ class Experiment:
         notices = Notices(on_warning)
         say = on_stage or _say_nothing
         with notices.listening(), experiment._own.blamed(), contextlib.ExitStack() as alone:
+            alone.enter_context(terminations())
             if ray:
                 device = cluster.one_device(device, experiment.source)
             summary = None
@@ -242,6 +244,8 @@ class Experiment:
             # Of a run that was ended after its last shard, what shows the results is missing, and takes little.
             done = summary is not None and all_finished(folder, summary)
             place = cluster.connect(ray, str(device), experiment.source) if ray and not done else None
+            if place is not None:
+                alone.enter_context(terminations())  # Ray took the signal for itself
             if summary is not None:
                 shard = None if done else summary["shard"]
             elif place is not None and shard is None:
