@@ -243,3 +243,17 @@ def telling(self, steps):
     return tell(self, steps)
 shards.Beacon.tell = telling
 """
+
+
+def asking_when(number, stage):
+    """Returns what lets a process be sent the signal ``number`` once it says that ``stage`` begins."""
+    return f"""
+import os
+from warpcontact import cli
+say = cli._say
+def saying(text):
+    say(text)
+    if text.startswith({stage!r}):
+        os.kill(os.getpid(), {int(number)})
+cli._say = saying
+"""

@@ -4,6 +4,8 @@ import json
 import os
 import signal
 import subprocess
+import sys
+import types
 
 import pytest
 import runs
@@ -11,7 +13,7 @@ import runs
 import warpcontact as wc
 from warpcontact.available import HOST
 from warpcontact.cli import main
-from warpcontact.experiment.cluster import Place
+from warpcontact.experiment.cluster import Place, connect, place_of
 from warpcontact.experiment.plan import Plan
 from warpcontact.footprint import USABLE, Footprint, Need
 
@@ -137,6 +139,23 @@ def test_who_asks_a_cluster_to_stop_can_go_on_without_it(number, tmp_path):
 
 
 @pytest.mark.slow
+def test_who_asks_to_stop_once_ray_runs_and_no_shard_does_is_told_that_nothing_is_kept(place, tmp_path):
+    out = tmp_path / "out"
+    first = runs.asking_when(signal.SIGTERM, "building")
+    code, _, err = runs.run(place / "study.toml", "--out", out, "--ray", *WORDS, first=first)
+    assert code == 130, err
+    assert err.endswith("\nwarpcontact: interrupted before anything was kept\n")
+    assert not out.exists()
+
+
+def test_who_asks_to_stop_while_ray_starts_is_heard(monkeypatch):
+    ray = types.SimpleNamespace(is_initialized=lambda: False, init=lambda **_: sys.exit(1))
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    with pytest.raises(KeyboardInterrupt):
+        connect(True, "cpu", "study.toml")
+
+
+@pytest.mark.slow
 def test_a_run_begun_in_one_process_goes_on_with_ray(place, tmp_path):
     out = tmp_path / "out"
     kill = runs.ending_after(25)
@@ -154,6 +173,9 @@ class Cluster:
     def __init__(self, *machines):
         keys = ("CPU", "GPU", "memory")
         self.machines = [dict(zip(keys, machine, strict=True)) for machine in machines]
+
+    def cluster_resources(self):
+        return {key: sum(one[key] for one in self.machines) for key in ("CPU", "GPU") if self.machines[0][key]}
 
     def nodes(self):
         return [{"Alive": True, "Resources": one} for one in self.machines] + [{"Alive": False, "Resources": {}}]
@@ -199,6 +221,32 @@ def test_shards_on_a_cluster_are_given_no_list_of_devices(device, tmp_path, caps
         capsys.readouterr().err
     )
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("device", "gpus", "expected"),
+    [("auto", 4, (4, 1, 4)), ("cuda:0", 4, (4, 1, 4)), ("cpu", 4, (4, 0, 8)), ("auto", 0, (4, 0, 8))],
+)
+def test_places_are_those_of_the_device_that_was_asked_for(device, gpus, expected):
+    place = place_of(Cluster((16, gpus // 2, 100), (16, gpus // 2, 100)), device, "study.toml")
+    assert (place.cores, place.gpus, place.places) == expected
+
+
+def test_a_gpu_that_a_cluster_does_not_have_is_refused():
+    with pytest.raises(wc.ExperimentError) as caught:
+        place_of(Cluster((16, 0, 100)), "cuda:0", "study.toml")
+    assert str(caught.value) == "study.toml: device must be 'auto' or 'cpu' with Ray here: the cluster has no GPU"
+
+
+@pytest.mark.slow
+def test_on_the_cpu_of_a_cluster_with_gpus_its_cores_run_shards(place, tmp_path):
+    gpu = "import ray; ray.init(address='local', num_cpus=4, num_gpus=1, object_store_memory=10**8)"
+    out = tmp_path / "out"
+    code, _, err = runs.run(place / "study.toml", "--out", out, "--ray", "--device", "cpu", first=gpu)
+    assert code == 0, err
+    # Four shards for each of two places, and not of one GPU.
+    assert wc.open_run(out, verify=True).summary["shard"] == 2
+    assert wc.open_run(out).digest() == wc.open_run(place / "whole").digest()
 
 
 @pytest.mark.slow

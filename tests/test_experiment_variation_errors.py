@@ -260,21 +260,54 @@ def test_whole_numbers_are_drawn_from_discrete_distributions_only():
     ("text", "message"),
     [
         ("1\n2\n", 'variation."ball.mass".values must have at least one row for each of 4 environments, got 2'),
-        ("1\n2\nmany\n4\n", "holds no table of numbers"),
+        (
+            "1\n2\nmany\n4\n",
+            "masses.csv' holds no table of numbers: line 3, column 1 must be a number, got 'many'",
+        ),
+        ("# kg\n\n1\n2,\n", "holds no table of numbers: line 4, column 2 must be a number, got ''"),
+        ("1,2\n3\n", "line 2 must have as many columns as those before, 2, got 1"),
+        ("# kg\n", "masses.csv' holds no table of numbers: it is empty"),
+        ("\udcff", "masses.csv' holds no table of numbers: it must be text in UTF-8"),
         ("1\n2\nnan\n4\n", 'variation."ball.mass"[2] must be greater than 0, got nan kg'),
         ("1,1\n2,2\n3,3\n4,4\n", 'variation."ball.mass" must have shape () or (4,), got (4, 2)'),
     ],
 )
 def test_files_of_values_are_checked(text, message, tmp_path):
-    (tmp_path / "masses.csv").write_text(text)
+    (tmp_path / "masses.csv").write_text(text, encoding="utf-8", errors="surrogateescape")
     (problem,) = problems_of(content(variation={MASS: {"values": "masses.csv"}}), tmp_path)
     assert message in problem
+    assert "\n" not in problem
+
+
+@pytest.mark.parametrize(
+    ("saved", "message"),
+    [
+        (["a", "b"], "its values must be numbers, got text"),
+        ([True, False], "its values must be numbers, got truth values"),
+        ([1j], "its values must be numbers, got complex numbers"),
+        (None, "it must be one array, as numpy.save writes it, got an archive of arrays (.npz)"),
+        (b"\x93NUMPY", "it must be what numpy.save writes of an array of numbers, and as a whole"),
+        (b"1, 2, 3", "it must be what numpy.save writes of an array of numbers, and as a whole"),
+        (b"", "it must be what numpy.save writes of an array of numbers, and as a whole"),
+    ],
+)
+def test_arrays_of_values_are_checked(saved, message, tmp_path):
+    path = tmp_path / "masses.npy"
+    if isinstance(saved, bytes):
+        path.write_bytes(saved)
+    elif saved is None:
+        with path.open("wb") as file:
+            np.savez(file, masses=np.ones(4))
+    else:
+        np.save(path, np.array(saved))
+    (problem,) = problems_of(content(variation={MASS: {"values": "masses.npy"}}), tmp_path)
+    assert problem.endswith(f"masses.npy' holds no table of numbers: {message}")
 
 
 def test_files_with_pickles_are_not_opened(tmp_path):
     np.save(tmp_path / "masses.npy", np.array([1, "2", None, 4], dtype=object), allow_pickle=True)
     (problem,) = problems_of(content(variation={MASS: {"values": "masses.npy"}}), tmp_path)
-    assert "allow_pickle" in problem
+    assert problem.endswith("it must be what numpy.save writes of an array of numbers, and as a whole")
 
 
 def test_numbers_of_environments_are_named_in_whichever_block_they_are():

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from PIL import Image
 
 import warpcontact as wc
 from warpcontact.cli import main
+from warpcontact.experiment import plan, shards
+from warpcontact.experiment.store import Ledger
 from warpcontact.rendering import filming, writers
 from warpcontact.rendering.records import Source
 
@@ -76,6 +79,56 @@ def test_the_nearest_record_is_drawn(run):
     for wrong in (-0.01, 0.21, float("nan")):
         with pytest.raises(ValueError, match=r"time must be within the recording, 0 to 0\.2 s, got"):
             source.nearest(np.array(wrong))
+
+
+@pytest.fixture(scope="module")
+def part(run, tmp_path_factory):
+    """The run as it is when one of three shards is finished, one has eight records, and one has none."""
+    folder = tmp_path_factory.mktemp("runs") / "part"
+
+    def stopping(self, shard, record, staged):
+        commit(self, shard, record, staged)
+        if shard.number == 1 and record.steps >= 70:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        commit = Ledger.commit
+        patch.setattr(Ledger, "commit", stopping)
+        patch.setattr(plan, "BLOCK", 1)
+        patch.setattr(shards, "CHECKPOINT_SHARE", 1e9)
+        with pytest.raises(KeyboardInterrupt):
+            wc.Experiment.from_dict(STUDY).run(folder, device="cpu", shard=1, checkpoint=0.0)
+    return wc.open_run(folder)
+
+
+def test_of_a_run_in_part_the_last_record_of_those_shown_is_drawn(run, part, tmp_path, capsys):
+    assert command(part, "-o", tmp_path / "a.png", "--env", 1) == 0
+    said = "environment 1 at 0.07 s, the last record of a run that is not finished"
+    assert capsys.readouterr().out == f"{said}: {tmp_path / 'a.png'}\n"
+    assert command(part, "-o", tmp_path / "b.png", "--env", 0, 1) == 0
+    assert "environments 0, 1 at 0.07 s, the last record of" in capsys.readouterr().out
+    assert command(part, "-o", tmp_path / "c.gif", "--env", 1) == 0
+    assert "0 to 0.04 s in 2 pictures, 0.08 s long, of a run that is not finished: " in capsys.readouterr().out
+    # What is finished is as it will be.
+    assert command(part, "-o", tmp_path / "d.png") == 0
+    assert capsys.readouterr().out == f"environment 0 at 0.2 s: {tmp_path / 'd.png'}\n"
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "d.png")), wc.render(run, **SMALL))
+    assert command(part, "-o", tmp_path / "e.png", "--env", 1, "--time", 0.05) == 0
+    assert capsys.readouterr().out == f"environment 1 at 0.05 s: {tmp_path / 'e.png'}\n"
+    with pytest.raises(ValueError, match=r"time must be within the recording, 0 to 0\.07 s, got 0\.1"):
+        wc.render(part, env=1, time=0.1, **SMALL)
+    assert command(part, "-o", tmp_path / "f.png", "--env", 2) == 2
+    assert "environment 2 is not in the recording, which has 0 to 1" in capsys.readouterr().err
+
+
+def test_an_environment_without_a_record_yet_is_said_to_have_none(part, monkeypatch):
+    monkeypatch.setitem(part._commits, 1, replace(part._commits[1], frames=0))
+    with pytest.raises(ValueError, match="environment 1 has no record yet in this run"):
+        wc.render(part, env=1, **SMALL)
+    # Unless they are named, those that have one are shown.
+    monkeypatch.setitem(part._commits, 0, replace(part._commits[0], frames=0))
+    monkeypatch.setitem(part._commits, 1, replace(part._commits[1], frames=3))
+    assert Source.of(part, None).envs == [1]
 
 
 def test_what_is_not_drawn_is_not_read(tmp_path):

@@ -1,5 +1,6 @@
 """Runs that are killed, interrupted or out of disk go on to the bytes of a run that nothing disturbed."""
 
+import json
 import os
 import random
 import shutil
@@ -12,6 +13,9 @@ import pytest
 import runs
 
 import warpcontact as wc
+from warpcontact import available
+from warpcontact.experiment import cluster
+from warpcontact.signals import terminations
 
 WORDS = ("--shard", 4, "--device", "cpu")
 
@@ -152,6 +156,56 @@ def test_who_asks_to_stop_is_told_how_to_go_on(number, place, whole, tmp_path):
     check_equal(out, whole)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+@pytest.mark.parametrize(
+    ("number", "stage"), [(signal.SIGTERM, "reading"), (signal.SIGTERM, "building"), (signal.SIGINT, "building")]
+)
+def test_who_asks_to_stop_before_the_first_step_is_told_that_nothing_is_kept(number, stage, place, tmp_path):
+    out = tmp_path / "out"
+    first = runs.asking_when(number, stage)
+    code, printed, err = runs.run(place / "study.toml", "--out", out, *WORDS, first=first)
+    assert code == 130, err
+    assert err.endswith("\nwarpcontact: interrupted before anything was kept\n")
+    assert "Traceback" not in err
+    assert printed == ""
+    assert not out.exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+@pytest.mark.parametrize(
+    ("stage", "words", "told"),
+    [
+        ("building", ["--overwrite"], " before anything was kept; {out} is as it was\n"),
+        ("reading", ["--resume"], " before anything was done in {out}; go on with:\n    {resume}\n"),
+        ("compiling", ["--overwrite"], "; what was done is kept in {out}; go on with:\n    {resume}\n"),
+        ("writing", ["--resume"], "; the results are whole in {out}; go on with:\n    {resume}\n"),
+    ],
+)
+def test_who_asks_to_stop_where_a_run_is_kept_is_told_so(stage, words, told, place, whole, tmp_path):
+    out = shutil.copytree(whole.folder, tmp_path / "out")
+    first = runs.asking_when(signal.SIGTERM, stage)
+    code, _, err = runs.run(place / "study.toml", "--out", out, "--device", "cpu", *words, first=first)
+    assert code == 130, err
+    told = told.format(out=out, resume=f"warpcontact run --resume --out {out}")
+    assert err.endswith(f"\nwarpcontact: interrupted{told}")
+    assert "Traceback" not in err
+    runs.check_what_readers_see(out, whole)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+def test_who_takes_a_signal_meanwhile_keeps_it():
+    usual = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(KeyboardInterrupt), terminations():
+            os.kill(os.getpid(), signal.SIGTERM)
+        assert signal.getsignal(signal.SIGTERM) is usual
+        with terminations():
+            signal.signal(signal.SIGTERM, print)
+        assert signal.getsignal(signal.SIGTERM) is print
+    finally:
+        signal.signal(signal.SIGTERM, usual)
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 def test_asking_twice_ends_at_once_and_keeps_what_was_committed(place, whole, tmp_path):
@@ -244,6 +298,21 @@ def test_going_on_with_a_finished_run_changes_nothing(place, whole, tmp_path):
     (out / "picture.png").unlink()
     run = wc.Experiment.from_toml(place / "study.toml").run(out, device="cpu", resume=True)
     assert run.summary["wall_time"] == whole.summary["wall_time"]
+    assert "picture" in run.files
+    check_equal(out, whole)
+
+
+@pytest.mark.parametrize("ray", [False, True])
+def test_with_nothing_left_to_run_no_memory_for_a_shard_is_needed(ray, place, whole, tmp_path, monkeypatch):
+    out = shutil.copytree(whole.folder, tmp_path / "out")
+    summary = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps(summary | {"state": "unfinished"}))
+    (out / "picture.png").unlink()
+    experiment = wc.Experiment.from_toml(place / "study.toml")
+    # Neither here nor anywhere else.
+    monkeypatch.setattr(available, "_host", lambda: 1)
+    monkeypatch.setattr(cluster, "connect", lambda *_: pytest.fail("there is nothing to run"))
+    run = experiment.run(out, device="cpu", resume=True, ray=ray)
     assert "picture" in run.files
     check_equal(out, whole)
 

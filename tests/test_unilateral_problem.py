@@ -1,5 +1,6 @@
 """Static contact problems: what may be handed in, many at once, files, and what a diagnosis says."""
 
+import io
 import re
 import zipfile
 
@@ -331,31 +332,68 @@ def test_files_that_are_none_are_named(tmp_path):
         Problem.load(tmp_path / "missing.npz")
     good = problem.save(tmp_path / "good.npz")
     bad = tmp_path / "bad.npz"
-    bad.write_bytes(good.read_bytes()[:200])
-    with pytest.raises(ValueError, match="cannot be read as a problem"):
-        Problem.load(bad)
-    bad.write_text("not an archive")
-    with pytest.raises(ValueError, match="cannot be read as a problem"):
-        Problem.load(bad)
+    text, array = b"not an archive", io.BytesIO()
+    np.save(array, np.ones(3))
+    for content in (good.read_bytes()[:200], text, b"", array.getvalue()):
+        bad.write_bytes(content)
+        with pytest.raises(ValueError, match=r"bad\.npz cannot be read as a problem: it is no archive of NumPy"):
+            Problem.load(bad)
     with np.load(good) as archive:
         entries = dict(archive)
     for change, message in [
         ({"kind": "else"}, "is not the file of a problem"),
         ({"schema": 2}, "schema must be 1, got 2: it was written by another version"),
-        ({"schema": "1"}, "schema must be a whole number"),
+        ({"schema": "1"}, "schema must be a whole number, got '1'"),
+        ({"schema": None}, "lacks schema"),
         ({"f": None}, "lacks f"),
         ({"dim": 5}, "dim must be 1, 2 or 3, got 5"),
+        ({"dim": 1.5}, "dim must be a whole number, got 1.5"),
+        ({"dim": [1, 2]}, "dim must be a whole number, got an array of shape (2,)"),
         ({"K": np.triu(chain())}, "K must be symmetric"),
-        ({"f": np.ones(3)}, r"f must be of shape \(n,\)"),
-        ({"d": np.array(["a", "b"])}, "d must be numbers"),
+        ({"f": np.ones(3)}, "f must be of shape (n,)"),
+        ({"f": [[np.nan]]}, "f[0, 0] must be finite, got nan"),
+        ({"d": ["a", "b"]}, "d must be numbers, got text"),
+        ({"G": np.ones((2, 4), dtype=bool)}, "G must be numbers, got truth values"),
+        ({"mu": np.zeros(2, dtype="M8[s]")}, "mu must be numbers, got dates"),
     ]:
-        changed = {name: value for name, value in (entries | change).items() if value is not None}
-        np.savez(bad, **changed)
-        with pytest.raises(ValueError, match=message):
-            Problem.load(bad)
+        with pytest.raises(ValueError, match=f"bad.npz.*{re.escape(message)}"):
+            Problem.load(saved(bad, entries | change))
     np.savez(bad, **entries | {"f": np.array([{}], dtype=object)}, allow_pickle=True)
-    with pytest.raises(ValueError, match="cannot be read as a problem"):
+    with pytest.raises(ValueError, match="its entry 'f' was changed, or is no array of numbers"):
         Problem.load(bad)
+
+
+def saved(path, entries):
+    """Writes those entries of an archive that are not ``None``."""
+    np.savez(path, **{name: value for name, value in entries.items() if value is not None})
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"K_data": np.ones(3)}, "K_indptr must go from 0 to 3, as K_data has, got 0 to 10"),
+        ({"K_data": ["a"] * 10}, "K_data must be numbers, got text"),
+        ({"K_data": np.ones((5, 2))}, "K_data must be a list of numbers, got float64 of shape (5, 2)"),
+        ({"K_indices": np.arange(10)}, "K_indices[4] must be at least 0 and less than 4, got 4"),
+        ({"K_indices": -np.ones(10, int)}, "K_indices[0] must be at least 0 and less than 4, got -1"),
+        ({"K_indices": np.arange(3)}, "K_indices must have 10 values, as K_data has, got 3"),
+        ({"K_indices": np.ones(10)}, "K_indices must be a list of whole numbers, got float64 of shape (10,)"),
+        ({"K_indptr": [0, 10]}, "K_indptr must have 5 values, as K_shape says, got 2"),
+        ({"K_indptr": [0, 5, 2, 7, 10]}, "K_indptr[2] must be at least 5, the one before, got 2"),
+        ({"K_shape": [4, 3]}, "K_shape must be twice the number of displacements, at least 1, got [4, 3]"),
+        ({"K_shape": [4.0, 4.0]}, "K_shape must be a list of whole numbers, got float64 of shape (2,)"),
+        ({"K_shape": None}, "lacks K_shape"),
+    ],
+)
+def test_sparse_matrices_in_files_are_checked(change, message, tmp_path):
+    K = sparse.csc_array(chain())
+    good = Problem(K, np.ones(4), np.eye(4)[:2], [0.1, 0.2]).save(tmp_path / "good.npz")
+    with np.load(good) as archive:
+        entries = dict(archive)
+    assert len(entries["K_data"]) == 10
+    with pytest.raises(ValueError, match=re.escape(f"bad.npz: {message}".replace(": lacks", " lacks"))):
+        Problem.load(saved(tmp_path / "bad.npz", entries | change))
 
 
 def test_a_byte_that_was_changed_is_found(tmp_path):
@@ -365,7 +403,7 @@ def test_a_byte_that_was_changed_is_found(tmp_path):
     data = bytearray(path.read_bytes())
     data[start + 60] ^= 0xFF
     path.write_bytes(bytes(data))
-    with pytest.raises(ValueError, match="cannot be read as a problem"):
+    with pytest.raises(ValueError, match=r"problem\.npz cannot be read as a problem: its entry 'f' was changed"):
         Problem.load(path)
 
 

@@ -7,8 +7,9 @@ import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from warpcontact import (
     __version__,
@@ -19,6 +20,7 @@ from warpcontact import (
     report_command,
     view_command,
 )
+from warpcontact.signals import terminations
 
 if TYPE_CHECKING:
     from warpcontact.experiment import Experiment
@@ -193,7 +195,48 @@ def _fail(message: str) -> int:
     return WRONG_USE
 
 
+@dataclass
+class _Begun:
+    """What there is of a run, for who asks to stop it.
+
+    Attributes:
+        resumed: Folder of the run that goes on; ``None``: a new one is begun.
+        folder: Where the results go, once that is known.
+        before: Content of ``run.json`` there until then, of an earlier run.
+    """
+
+    resumed: Path | None
+    folder: Path | None = None
+    before: dict[str, Any] | None = None
+
+    def __str__(self) -> str:
+        """What to say behind ``interrupted``."""
+        if self.folder is None:
+            return " before anything was " + (f"done{_resume(self.resumed)}" if self.resumed else "kept")
+        from warpcontact.experiment.folder import DATA, FINISHED, read_summary
+
+        summary = read_summary(self.folder)
+        if self.resumed is None and summary == self.before:
+            return f" before anything was kept{f'; {self.folder} is as it was' if summary else ''}"
+        if summary is None or not (self.folder / DATA).is_dir():
+            return " before anything was kept"
+        done = "the results are whole" if summary.get("state") == FINISHED else "what was done is kept"
+        return f"; {done}{_resume(self.folder)}"
+
+
 def _run(arguments: argparse.Namespace) -> int:
+    if arguments.file is None and not (arguments.resume and arguments.out):
+        arguments.usage.error("the following arguments are required: FILE (unless --resume --out DIR)")
+    begun = _Begun(Path(arguments.out) if arguments.resume and arguments.out else None)
+    with terminations():
+        try:
+            return _run_experiment(arguments, begun)
+        except KeyboardInterrupt:
+            print(f"\nwarpcontact: interrupted{begun}", file=sys.stderr)
+            return INTERRUPTED
+
+
+def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
     import warnings
 
     import warp as wp
@@ -201,21 +244,18 @@ def _run(arguments: argparse.Namespace) -> int:
     wp.config.log_level = wp.LOG_ERROR
     from warpcontact.experiment import ExperimentError, StoreError
     from warpcontact.experiment.folder import DATA, EXPERIMENT, read_summary
-    from warpcontact.experiment.folder import INTERRUPTED as INTERRUPTED_RUN
     from warpcontact.quarantine import QuarantineError
 
     def warn(text: str) -> None:
         print(f"warning: {text}", file=sys.stderr, flush=True)
 
     if arguments.file is None:
-        if not (arguments.resume and arguments.out):
-            arguments.usage.error("the following arguments are required: FILE (unless --resume --out DIR)")
         arguments.file = Path(arguments.out) / EXPERIMENT
-    folder: Path | None = None
     try:
         experiment = _experiment(arguments)
         name = re.sub(r"[^\w.-]+", "_", experiment.settings.name).strip("._") or "experiment"
         folder = Path(arguments.out or f"results/{name}")
+        begun.before, begun.folder = read_summary(folder), folder
         with warnings.catch_warnings(), _blaming_option(arguments, experiment):
             # The summary says it.
             warnings.filterwarnings("ignore", message=".* and are frozen", category=RuntimeWarning)
@@ -233,15 +273,10 @@ def _run(arguments: argparse.Namespace) -> int:
             )
     except (ExperimentError, StoreError, QuarantineError) as error:
         return _fail(str(error))
-    except KeyboardInterrupt:
-        if folder is None or (read_summary(folder) or {}).get("state") != INTERRUPTED_RUN:
-            raise
-        print(f"\nwarpcontact: interrupted; what was done is kept{_resume(folder)}", file=sys.stderr)
-        return INTERRUPTED
     except OSError as error:
         code = _fail(str(error))
-        if folder is not None and (folder / DATA).is_dir():
-            print(f"warpcontact: what was committed is kept{_resume(folder)}", file=sys.stderr)
+        if begun.folder is not None and (begun.folder / DATA).is_dir():
+            print(f"warpcontact: what was committed is kept{_resume(begun.folder)}", file=sys.stderr)
         return code
     print(result)
     return SHARDS_FAILED if result.summary.get("failed") else 0

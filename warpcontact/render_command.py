@@ -40,8 +40,8 @@ def add_to(commands: Any) -> None:
         metavar="S",
         nargs="+",
         type=float,
-        help="of a picture: simulated time, of which the nearest record is drawn (default: the last); of a film: "
-        "the first and the last (default: all)",
+        help="of a picture: simulated time, of which the nearest record is drawn (default: the last that these "
+        "environments have); of a film: the first and the last (default: all)",
     )
     render.add_argument("--fps", metavar="N", type=float, help="pictures per second of a film (default: 25)")
     render.add_argument(
@@ -137,14 +137,16 @@ def _draw(arguments: argparse.Namespace, file: Path, found: Any) -> None:
         film = shoot(
             found, file, env=arguments.env, time=time, fps=fps, speed=speed, scene=None, progress=None, look=look
         )
-        envs, forces, count = film.envs, film.forces, len(film.times)
+        envs, forces, count, partial = film.envs, film.forces, len(film.times), film.partial
         shown = f"{film.times[0]:g} to {film.times[-1]:g} s in {count} pictures, {film.duration:.3g} s long"
     else:
         wanted = time[0] if time else None
         picture = still(found, file, env=arguments.env, time=wanted, scene=None, look=look)
-        envs, forces, shown = picture.envs, picture.forces, f"{picture.time:g} s"
+        envs, forces, shown, partial = picture.envs, picture.forces, f"{picture.time:g} s", picture.partial
         if wanted is not None and abs(picture.time - wanted) > 1.0e-9 * max(abs(wanted), 1.0):
             shown += f", the record nearest to {wanted:g} s"
+    if partial and not time:
+        shown += f",{' the last record' * (file.suffix.lower() in STILLS)} of a run that is not finished"
     if arguments.forces and not forces:
         print(
             "warning: no forces are shown: the run recorded no force, normal and point of a contact "

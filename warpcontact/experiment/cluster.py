@@ -88,12 +88,11 @@ class Place:
         """Returns how many of ``envs`` environments a shard has that nobody asked for otherwise, at most."""
         return -(-envs // (SHARDS_PER_PLACE * self.places))
 
-    def runs(self, job: "Job", device: str) -> "Runs":
+    def runs(self, job: "Job") -> "Runs":
         """Returns what runs shards of ``job`` as tasks."""
         # A worker sees the GPUs that it was given, and no other.
-        where = ("cuda:0" if device == "auto" else device) if self.gpus else "cpu"
-        gpus = 0 if device == "cpu" else self.gpus
-        asked = {"num_cpus": self.cores, "num_gpus": gpus, "memory": self.memory, "max_retries": 0}
+        where = "cuda:0" if self.gpus else "cpu"
+        asked = {"num_cpus": self.cores, "num_gpus": self.gpus, "memory": self.memory, "max_retries": 0}
         task = self.ray.remote(**asked)(run_shard)
 
         def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> dict[str, str]:
@@ -120,11 +119,17 @@ def one_device(device: str | Sequence[str], source: str) -> str:
     return "cuda:0" if device == "cuda" else device
 
 
-def connect(address: bool | str) -> Place:
+def connect(address: bool | str, device: str, source: str) -> Place:
     """Starts Ray on this machine, or joins the cluster with an address.
 
+    Args:
+        address: That of the cluster; ``True``: this machine.
+        device: What ``one_device`` returned: ``"auto"`` takes GPUs where the cluster has any.
+        source: What to call the experiment in messages.
+
     Raises:
-        ExperimentError: If Ray is not installed, or there is no such cluster.
+        ExperimentError: If Ray is not installed, there is no such cluster, or it lacks the GPUs that were asked
+            for.
     """
     try:
         import ray
@@ -143,11 +148,20 @@ def connect(address: bool | str) -> Place:
             if isinstance(address, str):
                 _check_answers(address)
             ray.init(**options)
+        except SystemExit:  # as Ray answers a request to end while it starts
+            raise KeyboardInterrupt from None
         except (OSError, ValueError, RuntimeError) as error:
             raise ExperimentError(f"--ray {address}", [f"no cluster of Ray can be reached: {error}"]) from None
+    return place_of(ray, device, source)
+
+
+def place_of(ray: Any, device: str, source: str) -> Place:
+    """Returns how many shards run at once on the cluster that ``ray`` has joined, see ``connect``."""
     has = ray.cluster_resources()
     gpus, cores = int(has.get("GPU", 0)), max(1, int(has.get("CPU", 1)))
-    if gpus:
+    if device == "cuda:0" and not gpus:
+        raise ExperimentError(source, ["device must be 'auto' or 'cpu' with Ray here: the cluster has no GPU"])
+    if gpus and device != "cpu":
         return Place(ray, cores=max(1, min(CORES, cores // gpus)), gpus=1, places=gpus)
     nodes = max(1, sum(1 for node in ray.nodes() if node["Alive"]))
     each = max(1, min(CORES, cores // nodes // 2))

@@ -27,7 +27,7 @@ from warpcontact.experiment.plan import Plan
 from warpcontact.experiment.progress import Bar
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.shards import Frames, ShardRunner, terminations
+from warpcontact.experiment.shards import Frames, ShardRunner
 from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError, shards_of
 from warpcontact.experiment.toml import to_toml
 from warpcontact.quarantine import QuarantineError
@@ -139,14 +139,24 @@ def check_resumable(summary: Mapping[str, Any], job: Job) -> None:
     )
 
 
+def all_finished(folder: Path, summary: Mapping[str, Any]) -> bool:
+    """Whether no shard is left of the run of ``summary``, which may lack what shows its results.
+
+    Raises:
+        StoreError: If the record of a shard is damaged.
+    """
+    commits = Ledger(folder).commits()
+    return all(_is_finished(commits, shard) for shard in shards_of(summary["envs"], summary["shard"]))
+
+
 def proceed(job: Job, run_shards: Runs) -> Run:
     """Runs all shards that are not finished, and ends the run if none is left.
 
     Raises:
-        Interrupted: If somebody pressed Ctrl-C; says how to go on.
+        KeyboardInterrupt: If somebody asked to stop; what was done until then is committed.
         OSError: If there is no room on the disk, for instance; the last commits are kept.
     """
-    with _naming(job.folder), terminations():
+    with _naming(job.folder):
         return _proceed(job, run_shards)
 
 

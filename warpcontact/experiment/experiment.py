@@ -17,7 +17,7 @@ from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.changes import changed_by
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
-from warpcontact.experiment.execute import Job, check_resumable, here, proceed, start
+from warpcontact.experiment.execute import Job, all_finished, check_resumable, here, proceed, start
 from warpcontact.experiment.lock import writing
 from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.observation import check_watched, watching
@@ -33,6 +33,7 @@ from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.integrators.base import formulas_of
 from warpcontact.model import Model
 from warpcontact.scene import Scene
+from warpcontact.signals import terminations
 from warpcontact.simulation import Simulation
 from warpcontact.split_model import SplitModel
 from warpcontact.unilateral.hard_contacts import is_of_hard_contact
@@ -217,7 +218,7 @@ class Experiment:
             ExperimentError: If the folder holds a finished run or something else, or with ``resume`` no run of
                 this experiment; if there is no such device, or a value is out of range.
             MemoryError: If not even one environment fits, or ``shard`` of them do not.
-            KeyboardInterrupt: If somebody pressed Ctrl-C; what was done until then is committed.
+            KeyboardInterrupt: If somebody pressed Ctrl-C, or sent SIGTERM; what was done until then is committed.
             OSError: If the results cannot be written; what was committed is kept.
         """
         _check_shard(shard, self.source)
@@ -227,6 +228,7 @@ class Experiment:
         notices = Notices(on_warning)
         say = on_stage or _say_nothing
         with notices.listening(), experiment._own.blamed(), contextlib.ExitStack() as alone:
+            alone.enter_context(terminations())
             if ray:
                 device = cluster.one_device(device, experiment.source)
             summary = None
@@ -239,13 +241,18 @@ class Experiment:
             experiment._tell_of_meshes(notices)
             experiment._tell_of_sampling(notices)
             draft = experiment.draft(device)
-            place = cluster.connect(ray) if ray else None
+            # Of a run that was ended after its last shard, what shows the results is missing, and takes little.
+            done = summary is not None and all_finished(folder, summary)
+            place = cluster.connect(ray, str(device), experiment.source) if ray and not done else None
+            if place is not None:
+                alone.enter_context(terminations())  # Ray took the signal for itself
             if summary is not None:
-                shard = summary["shard"]
+                shard = None if done else summary["shard"]
             elif place is not None and shard is None:
                 shard = place.shard_size(experiment.settings.envs)
             plan = make_plan(draft, experiment._size, experiment.settings, experiment.design, shard)
-            plan.require()
+            if not done:
+                plan.require()
             if summary is not None:
                 plan = plan.resumed(summary)
             if place is not None:
@@ -265,15 +272,17 @@ class Experiment:
             )
             if summary is not None:
                 check_resumable(summary, job)
+            if done:
+                return proceed(job, lambda left, commits, bar: {})
             if place is not None and summary is not None:
-                return proceed(job, place.runs(job, str(device)))
+                return proceed(job, place.runs(job))
             say(f"building {plan.shard} environments")
             runner = job.runner(draft.build(plan.shard))
             if summary is None:
                 start(runner, job, alone)
             if place is not None:
                 del runner, draft  # whoever runs shards needs the room
-                return proceed(job, place.runs(job, str(device)))
+                return proceed(job, place.runs(job))
             return proceed(job, here(runner, job))
 
     def _tell_of_meshes(self, notices: Notices) -> None:

@@ -1,10 +1,15 @@
 """Files with a value for each item of a set: ``.npy``, or ``.csv`` with a row for each."""
 
+import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpcontact.checks import Array
+from warpcontact.experiment.errors import shown
+from warpcontact.numpy_files import check_numbers
 
 SUFFIXES = (".npy", ".csv")
 
@@ -26,20 +31,71 @@ def read_rows(path: Path) -> Array:
     Raises:
         ValueError: If it cannot be read or holds anything but numbers.
     """
+    is_npy = path.suffix.lower() == ".npy"
     try:
-        if path.suffix.lower() == ".npy":
-            values = np.load(path, allow_pickle=False)
-        else:
-            values = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
+        values = _array(path) if is_npy else _table(path)
     except FileNotFoundError:
         raise ValueError(f"there is no file {str(path)!r}") from None
     except OSError as error:
         raise ValueError(f"{str(path)!r} cannot be read: {error.strerror or error}") from None
-    except (ValueError, EOFError) as error:
+    except ValueError as error:
         raise ValueError(f"{str(path)!r} holds no table of numbers: {error}") from None
-    if values.dtype.kind not in "iuf":
-        raise ValueError(f"{str(path)!r} must hold numbers, got {values.dtype}")
-    if path.suffix.lower() == ".csv":
+    if not is_npy:
         values = values[:, 0] if values.shape[1] == 1 else values
         values = values.reshape(-1, 3, 3) if values.shape[1:] == (9,) else values
     return np.asarray(values, dtype=np.float64)
+
+
+def _array(path: Path) -> NDArray[Any]:
+    try:
+        found = np.load(path, allow_pickle=False)
+    except OSError:
+        raise
+    except MemoryError:
+        raise ValueError("it takes more memory than there is, or was changed") from None
+    except Exception:  # whatever a damaged file makes NumPy raise
+        raise ValueError("it must be what numpy.save writes of an array of numbers, and as a whole") from None
+    if not isinstance(found, np.ndarray):
+        found.close()
+        raise ValueError("it must be one array, as numpy.save writes it, got an archive of arrays (.npz)")
+    check_numbers("its values", found)
+    return found
+
+
+def _table(path: Path) -> NDArray[Any]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that there is nothing in it
+            values = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError("it must be text in UTF-8") from None
+    except ValueError as error:
+        raise ValueError(_fault(path) or str(error)) from None
+    if not values.size:
+        raise ValueError("it is empty")
+    return values
+
+
+def _fault(path: Path) -> str | None:
+    """Returns what is wrong with the first line of a ``.csv`` that is not as those before."""
+    columns = None
+    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1):
+        text = line.partition("#")[0].strip()
+        if not text:
+            continue
+        cells = text.split(",")
+        for k, cell in enumerate(cells, 1):
+            if not _is_number(cell):
+                return f"line {number}, column {k} must be a number, got {shown(cell.strip())}"
+        columns = columns or len(cells)
+        if len(cells) != columns:
+            return f"line {number} must have as many columns as those before, {columns}, got {len(cells)}"
+    return None
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

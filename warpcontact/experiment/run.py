@@ -139,6 +139,15 @@ class Run:
             )
 
     @property
+    def frames(self) -> NDArray[np.intp]:
+        """How many records over time each environment has that was begun, (env,), in the order of ``series``."""
+        frames = np.zeros(self.summary["envs"], dtype=np.intp)
+        for shard in self.shards:
+            if shard.number in self._commits:
+                frames[shard.first : shard.stop] = self._commits[shard.number].frames
+        return frames[self._mask(finished=False)]
+
+    @property
     def health(self) -> Health:
         """Which environments are frozen and which stopped, of those that are finished."""
         outcome = self.outcome

@@ -1,12 +1,9 @@
 """Runs shards of an experiment, one after another on one model: steps, writes, commits, goes on after a stop."""
 
-import contextlib
 import re
-import signal
-import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +26,7 @@ from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
 from warpcontact.recorder import Recorder
 from warpcontact.remarks import Remarks
+from warpcontact.signals import Asked, interruptions
 from warpcontact.simulation import Simulation
 from warpcontact.whole_steps import frame_count, recorded_steps
 
@@ -285,7 +283,7 @@ class _Attempt:
         self.last = self.started
         self.took = 0.0
 
-    def run(self, asked: "Asked", tell: Callable[[int], None]) -> Commit:
+    def run(self, asked: Asked, tell: Callable[[int], None]) -> Commit:
         runner, frames, commit = self.runner, self.runner.frames, self.commit
         if not commit.steps:
             self.staging.write("params", self.recorder.parameters())
@@ -366,56 +364,3 @@ def make_simulation(model: Environments, settings: Settings, threads: int | None
         threads=threads,
         **watching(settings),
     )
-
-
-@dataclass
-class Asked:
-    """Whether somebody asked to stop."""
-
-    to_stop: bool = False
-
-
-@contextlib.contextmanager
-def interruptions() -> Iterator[Asked]:
-    """Notes Ctrl-C, and the signal that ends a process, once; a second time they act as usual."""
-    asked = Asked()
-    if threading.current_thread() is not threading.main_thread():
-        yield asked
-        return
-    # What nobody hears is not to be heard here.
-    usual = {
-        number: handler
-        for number in (signal.SIGINT, signal.SIGTERM)
-        if (handler := signal.getsignal(number)) not in (None, signal.SIG_IGN)
-    }
-
-    def note(number: int, _: Any) -> None:
-        asked.to_stop = True
-        for one, handler in usual.items():
-            signal.signal(one, handler)
-
-    for number in usual:
-        signal.signal(number, note)
-    try:
-        yield asked
-    finally:
-        for number, handler in usual.items():
-            signal.signal(number, handler)
-
-
-@contextlib.contextmanager
-def terminations() -> Iterator[None]:
-    """Lets the signal that ends a process do what Ctrl-C does."""
-    usual = signal.getsignal(signal.SIGTERM)
-    if threading.current_thread() is not threading.main_thread() or usual is None:
-        yield
-        return
-
-    def interrupt(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, usual)

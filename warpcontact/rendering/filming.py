@@ -12,7 +12,7 @@ import numpy as np
 from warpcontact import checks
 from warpcontact.checks import Array, limits
 from warpcontact.picture_file import check_path
-from warpcontact.rendering.look import Look, LookOptions, environment_numbers
+from warpcontact.rendering.look import Look, LookOptions
 from warpcontact.rendering.painter import Picture
 from warpcontact.rendering.records import Source
 from warpcontact.rendering.show import Coloring, Show
@@ -39,6 +39,7 @@ class Film:
         times: Simulated time of each of its pictures [s], of the record nearest to it.
         duration: How long it plays [s].
         forces: Whether there are forces that could be shown.
+        partial: Whether later records are still to come, of a run that is not finished.
     """
 
     path: Path
@@ -46,6 +47,7 @@ class Film:
     times: Array
     duration: float
     forces: bool
+    partial: bool
 
 
 def film(
@@ -66,7 +68,8 @@ def film(
         recording: What ``wc.open_run`` or ``Simulation.run`` returned, with the poses of all bodies.
         path: A .gif file, or an .mp4 file, for which the program ffmpeg is needed.
         env: Numbers of the environments, side by side; ``None``: the first.
-        time: First and last simulated time [s]; ``None``: all of the recording.
+        time: First and last simulated time [s]; ``None``: all of the recording, of a run that is not finished all
+            that these environments have.
         fps: Pictures per second that it plays.
         speed: Simulated seconds in one second of it: 0.1 is ten times slower than real.
         scene: What was simulated; ``None``: what the recording remembers.
@@ -115,13 +118,12 @@ def shoot(
     speed = float(checks.numbers("speed", speed, (), limits("-", above=0.0)))
     if not is_gif and (look.size[0] % 2 or look.size[1] % 2):
         raise ValueError(f"size must be even for an .mp4 file, got {look.size[0]} × {look.size[1]} pixels")
-    source = Source.of(recording, scene)
+    source = Source.of(recording, scene, env)
     moments = _moments(source, time, speed / fps)
     shown = source.nearest(moments)
-    envs = environment_numbers(env)
-    overview = source.overview(envs)
+    overview = source.overview()
     records = sorted({*overview, *shown.tolist()})
-    drawing = source.drawing(records, envs)
+    drawing = source.drawing(records)
     coloring = None
     if look.color_by is not None:
         coloring = Coloring.of(look.color_by, source.numbers(look.color_by, drawing.envs))
@@ -145,7 +147,7 @@ def shoot(
         write_gif(file, pictures(), len(order), fps, colors)
     else:
         write_mp4(file, pictures(), fps, look.size)
-    return Film(file, drawing.envs, drawing.times[order], len(order) / fps, bool(drawing.touches))
+    return Film(file, drawing.envs, drawing.times[order], len(order) / fps, bool(drawing.touches), source.partial)
 
 
 def _moments(source: Source, time: tuple[float, float] | None, step: float) -> Array:

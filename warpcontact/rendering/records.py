@@ -10,6 +10,7 @@ import xarray as xr
 from warpcontact.checks import Array
 from warpcontact.experiment.errors import suggestion
 from warpcontact.experiment.run import Run
+from warpcontact.rendering.look import environment_numbers
 from warpcontact.replay.colors import number_of_each
 from warpcontact.replay.drawing import Drawing
 from warpcontact.scene import Scene
@@ -24,17 +25,21 @@ class Source:
     """A recording with its scene, and the run that it is from, if it is from one.
 
     Attributes:
-        recording: The data set.
+        recording: The data set, up to the last record that all environments shown have.
         scene: What was simulated.
         run: Has outcomes, too.
+        envs: Numbers of the environments shown.
+        partial: Whether later records are still to come, of a run that is not finished.
     """
 
     recording: xr.Dataset
     scene: Scene
     run: Run | None
+    envs: list[int]
+    partial: bool
 
     @classmethod
-    def of(cls, recording: Any, scene: Scene | None) -> "Source":
+    def of(cls, recording: Any, scene: Scene | None, env: Any = None) -> "Source":
         """Returns the source that a user names; see ``render`` for arguments and errors."""
         run = recording if isinstance(recording, Run) else None
         if run is not None:
@@ -51,7 +56,17 @@ class Source:
         for dim in ("time", "env"):
             if not recording.sizes.get(dim):
                 raise ValueError(f"the recording has no {dim}: there is nothing to see")
-        return cls(recording, scene, run)
+        labels, count = recording["env"].values, recording.sizes["time"]
+        there = np.full(len(labels), count) if run is None else run.frames
+        envs = environment_numbers(env)
+        if envs is None:
+            envs = labels[there > 0][:1].tolist()
+        # Whether they are in the recording at all is checked where they are drawn.
+        shown = np.isin(labels, [int(one) for one in envs if isinstance(one, int | np.integer)])
+        if (shown & (there == 0)).any():
+            raise ValueError(f"environment {labels[shown & (there == 0)][0]} has no record yet in this run")
+        last = int(there[shown].min(initial=count))
+        return cls(recording.isel(time=slice(0, last)), scene, run, envs, last < count)
 
     @property
     def times(self) -> Array:
@@ -75,15 +90,13 @@ class Source:
         before = np.maximum(after - 1, 0)
         return np.where(np.abs(wanted - times[before]) <= np.abs(times[after] - wanted), before, after)
 
-    def drawing(self, records: Sequence[int], envs: list[int] | None) -> Drawing:
-        """Returns some records of some environments, ``None``: of the first one, as they are drawn."""
-        if envs is None:
-            envs = [int(self.recording["env"].values[0])]
-        return Drawing.of(self.recording.isel(time=list(records)), self.scene, envs)
+    def drawing(self, records: Sequence[int]) -> Drawing:
+        """Returns some records of the environments as they are drawn."""
+        return Drawing.of(self.recording.isel(time=list(records)), self.scene, self.envs)
 
-    def overview(self, envs: list[int] | None) -> list[int]:
+    def overview(self) -> list[int]:
         """Returns some records, evenly over all, that tell where things are and how large forces are."""
-        poses = sum(body.count for body in self.scene.bodies) * (1 if envs is None else len(envs))
+        poses = sum(body.count for body in self.scene.bodies) * len(self.envs)
         count = int(np.clip(_POSES // max(poses, 1), _FEWEST, _MOST))
         return sorted(set(np.linspace(0, len(self.times) - 1, count).round().astype(int).tolist()))
 

@@ -10,7 +10,7 @@ from PIL import Image
 from warpcontact import checks
 from warpcontact.durable import replacing
 from warpcontact.picture_file import check_path
-from warpcontact.rendering.look import Look, LookOptions, environment_numbers
+from warpcontact.rendering.look import Look, LookOptions
 from warpcontact.rendering.painter import Picture
 from warpcontact.rendering.records import Source
 from warpcontact.rendering.show import Coloring, Show
@@ -28,12 +28,14 @@ class Still:
         envs: Numbers of the environments.
         time: Simulated time of the record [s].
         forces: Whether there are forces that could be shown.
+        partial: Whether later records are still to come, of a run that is not finished.
     """
 
     picture: Picture
     envs: list[int]
     time: float
     forces: bool
+    partial: bool
 
 
 def render(
@@ -51,7 +53,8 @@ def render(
         recording: What ``wc.open_run`` or ``Simulation.run`` returned, with the poses of all bodies.
         path: A .png file to write as well.
         env: Numbers of the environments, side by side; ``None``: the first.
-        time: Simulated time [s], of which the nearest record is drawn; ``None``: the last record.
+        time: Simulated time [s], of which the nearest record is drawn; ``None``: the last record, of a run that is
+            not finished the last that all these environments have.
         scene: What was simulated; ``None``: what the recording remembers.
         **look: Size, place of the eye and more, see ``LookOptions`` and docs/pictures.md.
 
@@ -78,13 +81,12 @@ def still(
 ) -> Still:
     """Draws it, see ``render``, and tells what it is of."""
     file = None if path is None else check_path(path, STILL)
-    source = Source.of(recording, scene)
+    source = Source.of(recording, scene, env)
     wanted = source.times[-1] if time is None else checks.numbers("time", time, ())
     record = int(source.nearest(wanted))
-    envs = environment_numbers(env)
-    overview = source.overview(envs)
+    overview = source.overview()
     records = sorted({*overview, record})
-    drawing = source.drawing(records, envs)
+    drawing = source.drawing(records)
     coloring = None
     if look.color_by is not None:
         coloring = Coloring.of(look.color_by, source.numbers(look.color_by, drawing.envs))
@@ -93,4 +95,5 @@ def still(
     if file is not None:
         with replacing(file) as opened:
             Image.fromarray(picture).save(opened, format="png")
-    return Still(picture, drawing.envs, float(drawing.times[records.index(record)]), bool(drawing.touches))
+    time = float(drawing.times[records.index(record)])
+    return Still(picture, drawing.envs, time, bool(drawing.touches), source.partial)

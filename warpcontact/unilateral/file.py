@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from warpcontact.numpy_files import check_numbers
 from warpcontact.unilateral.problem import Problem
 
 _KIND = "warpcontact.unilateral.Problem"
 _SCHEMA = 1
 _SPARSE = ("K_data", "K_indices", "K_indptr", "K_shape")
+_ENTRIES = {"kind", "schema", "dim", "K", *_SPARSE, "f", "G", "d", "mu", "previous"}
 
 
 def save(problem: Problem, path: str | Path) -> Path:
@@ -42,45 +42,90 @@ def load(path: str | Path) -> Problem:
     if not path.is_file():
         raise FileNotFoundError(f"{path} is not there")
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            entries = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-        raise ValueError(f"{path} cannot be read as a problem: {error}") from None
-    except AttributeError:  # a single array, or text
-        raise ValueError(f"{path} cannot be read as a problem: it is not an archive") from None
-    return _problem(entries, path)
+        stream = path.open("rb")
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read as a problem: {error.strerror}") from None
+    with stream:
+        try:
+            archive = np.load(stream, allow_pickle=False)
+        except Exception:  # whatever a damaged file makes NumPy raise
+            archive = None
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise ValueError(
+                f"{path} cannot be read as a problem: it is no archive of NumPy (.npz), or was cut off"
+            )
+        return _problem({name: _entry(archive, name, path) for name in archive.files if name in _ENTRIES}, path)
+
+
+def _entry(archive: Any, name: str, path: Path) -> np.ndarray:
+    try:
+        return np.asarray(archive[name])
+    except MemoryError:
+        raise MemoryError(f"{path}: entry {name!r} takes more memory than there is, or was changed") from None
+    except Exception:  # whatever a damaged file makes NumPy raise
+        raise ValueError(
+            f"{path} cannot be read as a problem: its entry {name!r} was changed, or is no array of numbers"
+        ) from None
 
 
 def _problem(entries: dict[str, np.ndarray], path: Path) -> Problem:
     if str(entries.get("kind")) != _KIND:
         raise ValueError(f"{path} is not the file of a problem: it has no entry 'kind' of {_KIND!r}")
-    schema = entries.get("schema", np.array(None))
-    if schema.shape != () or schema.dtype.kind not in "iu":
-        raise ValueError(f"{path}: schema must be a whole number, got {schema}")
+    if "schema" not in entries:
+        raise ValueError(f"{path} lacks schema")
+    schema = _whole_number("schema", entries["schema"], path)
     if schema != _SCHEMA:
         raise ValueError(f"{path}: schema must be {_SCHEMA}, got {schema}: it was written by another version")
     sparse = "K_data" in entries
-    wanted = {"dim", "f", "G", "d", "mu", "previous", *(_SPARSE if sparse else ("K",))}
-    missing = sorted(wanted - set(entries))
+    numbers = ("f", "G", "d", "mu", "previous")
+    matrix = _SPARSE if sparse else ("K",)
+    missing = sorted({"dim", *numbers, *matrix} - set(entries))
     if missing:
         raise ValueError(f"{path} lacks {', '.join(missing)}")
-    dim = entries["dim"]
-    if dim.shape != () or dim not in (1, 2, 3):
+    dim = _whole_number("dim", entries["dim"], path)
+    if dim not in (1, 2, 3):
         raise ValueError(f"{path}: dim must be 1, 2 or 3, got {dim}")
     try:
-        K = _sparse(entries) if sparse else entries["K"]
-        f, G, d, mu, previous = (entries[name] for name in ("f", "G", "d", "mu", "previous"))
-        return Problem(K, f, G, d, mu, previous, int(dim))
+        for name in (*numbers, *matrix):
+            check_numbers(name, entries[name])
+        K = _sparse(*(entries[name] for name in _SPARSE)) if sparse else entries["K"]
+        f, G, d, mu, previous = (entries[name] for name in numbers)
+        return Problem(K, f, G, d, mu, previous, dim)
     except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _sparse(entries: dict[str, np.ndarray]) -> Any:
+def _whole_number(name: str, value: np.ndarray, path: Path) -> int:
+    if value.shape != () or value.dtype.kind not in "iu":
+        got = repr(value.item()) if value.shape == () else f"an array of shape {value.shape}"
+        raise ValueError(f"{path}: {name} must be a whole number, got {got}")
+    return int(value)
+
+
+def _sparse(data: np.ndarray, rows: np.ndarray, starts: np.ndarray, shape: np.ndarray) -> Any:
+    """Returns K of its compressed columns, which are what SciPy would otherwise stumble over."""
     from scipy.sparse import csc_matrix
 
-    data, indices, starts, shape = (entries[name] for name in _SPARSE)
-    if shape.shape != (2,) or indices.dtype.kind not in "iu" or starts.dtype.kind not in "iu":
-        raise ValueError("K_indices, K_indptr and K_shape must be whole numbers, the last of them two")
-    K = csc_matrix((data, indices, starts), shape=tuple(int(x) for x in shape))
-    K.check_format(full_check=True)
-    return K
+    for name, array in zip(_SPARSE, (data, rows, starts, shape), strict=True):
+        if array.ndim != 1 or (name != "K_data" and array.dtype.kind not in "iu"):
+            kind = "numbers" if name == "K_data" else "whole numbers"
+            raise ValueError(f"{name} must be a list of {kind}, got {array.dtype} of shape {array.shape}")
+    if len(shape) != 2 or shape[0] != shape[1] or shape[0] < 1:
+        raise ValueError(
+            f"K_shape must be twice the number of displacements, at least 1, got {shape[:3].tolist()}"
+        )
+    n = int(shape[0])
+    if len(starts) != n + 1:
+        raise ValueError(f"K_indptr must have {n + 1} values, as K_shape says, got {len(starts)}")
+    if starts[0] != 0 or starts[-1] != len(data):
+        raise ValueError(f"K_indptr must go from 0 to {len(data)}, as K_data has, got {starts[0]} to {starts[-1]}")
+    down = np.flatnonzero(starts[1:] < starts[:-1])
+    if len(down):
+        k = int(down[0]) + 1
+        raise ValueError(f"K_indptr[{k}] must be at least {starts[k - 1]}, the one before, got {starts[k]}")
+    if len(rows) != len(data):
+        raise ValueError(f"K_indices must have {len(data)} values, as K_data has, got {len(rows)}")
+    outside = np.flatnonzero((rows < 0) | (rows >= n))
+    if len(outside):
+        raise ValueError(f"K_indices[{outside[0]}] must be at least 0 and less than {n}, got {rows[outside[0]]}")
+    return csc_matrix((data, rows, starts), shape=(n, n))
