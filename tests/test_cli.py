@@ -116,13 +116,39 @@ def test_wrong_words_show_the_usage(words, capsys):
     assert "usage: warpcontact" in capsys.readouterr().err
 
 
-def test_interrupt_is_no_traceback(monkeypatch, capsys):
+def test_interrupt_is_no_traceback(monkeypatch, capsys, tmp_path):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(wc.Experiment, "from_toml", interrupted)
-    assert main(["run", "x.toml"]) == 130
+    assert main(["run", "x.toml", "--out", str(tmp_path / "out")]) == 130
     assert "interrupted" in capsys.readouterr().err
+
+
+def test_the_folder_is_looked_at_before_the_experiment(tmp_path, capsys, monkeypatch):
+    """Which takes long if kernels have to be compiled, or with very many environments."""
+
+    def checked(*_, **__):
+        raise AssertionError("the experiment is checked")
+
+    monkeypatch.chdir(tmp_path)
+    experiment = wc.Experiment.from_toml(EXAMPLE)
+    monkeypatch.setattr(wc.Experiment, "_check", checked)
+    Path("results/a_b").mkdir(parents=True)
+    Path("results/a_b/other").touch()
+    Path("results/terrain_drop").symlink_to("a_b")
+    for words, folder in (
+        (["--out", "results/a_b"], "results/a_b"),
+        (["--set", 'name="a b"'], "results/a_b"),
+        ([], "results/terrain_drop"),
+    ):
+        assert main(["run", str(EXAMPLE), "--envs", "100", *words]) == 2
+        assert f"warpcontact: {folder}: is not empty, and what is in it" in capsys.readouterr().err
+    with pytest.raises(wc.ExperimentError, match="results/a_b: is not empty"):
+        experiment.run("results/a_b", envs=100)
+    for words in (["--out", "nowhere"], ["--out", "nowhere", str(EXAMPLE)]):
+        assert main(["run", "--resume", *words]) == 2
+        assert "warpcontact: nowhere: holds no run that could go on" in capsys.readouterr().err
 
 
 def test_interrupted_run_says_how_to_go_on(tmp_path, capsys, monkeypatch):

@@ -14,6 +14,7 @@ import runs
 
 import warpcontact as wc
 from warpcontact import available
+from warpcontact.cli import main
 from warpcontact.experiment import cluster
 from warpcontact.signals import terminations
 
@@ -291,6 +292,22 @@ def test_results_do_not_depend_on_shards_and_threads(shard, place, whole, tmp_pa
         )
         assert run.digest() == whole.digest()
         assert run.series.identical(whole.series)
+
+
+def test_other_shards_are_refused_and_the_same_are_not(place, whole, tmp_path, capsys):
+    out = shutil.copytree(whole.folder, tmp_path / "out")
+    words = ["run", "--resume", "--out", str(out), "--device", "cpu", "--shard"]
+    for shard in (2, 5, 100):
+        assert main([*words, str(shard)]) == 2
+        told = f"{out}: holds a run in other shards: shard is 4 there, {shard} here; it can be left out"
+        assert told in capsys.readouterr().err
+    (out / "commit" / "shard_000002.json").unlink()
+    assert main([*words, "4"]) == 0
+    check_equal(out, whole)
+    # At most so many: all of them are one shard.
+    study = wc.Experiment.from_toml(place / "study.toml")
+    study.run(tmp_path / "one", device="cpu", shard=100)
+    assert study.run(tmp_path / "one", device="cpu", shard=64, resume=True).summary["shard"] == 10
 
 
 def test_going_on_with_a_finished_run_changes_nothing(place, whole, tmp_path):

@@ -72,9 +72,6 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     run = commands.add_parser("run", help="run an experiment file", description="Run an experiment file.")
-    run.add_argument(
-        "--out", metavar="DIR", help="folder for the results (default: results/<name of the experiment>)"
-    )
     going = run.add_mutually_exclusive_group()
     going.add_argument("--overwrite", action="store_true", help="replace an earlier run in the folder")
     going.add_argument(
@@ -111,6 +108,12 @@ def _parser() -> argparse.ArgumentParser:
     for command in (run, plan):
         command.add_argument(
             "file", metavar="FILE", nargs="?" if command is run else None, help="the experiment, a TOML file"
+        )
+        command.add_argument(
+            "--out",
+            metavar="DIR",
+            help="folder for the results (default: results/<name of the experiment>)"
+            + (", of whose disk the plan tells; nothing is written" if command is plan else ""),
         )
         command.add_argument(
             "--envs", type=int, metavar="N", help="number of environments instead of that in the file"
@@ -243,18 +246,20 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
 
     wp.config.log_level = wp.LOG_ERROR
     from warpcontact.experiment import ExperimentError, StoreError
-    from warpcontact.experiment.folder import DATA, EXPERIMENT, read_summary
+    from warpcontact.experiment.folder import DATA, EXPERIMENT, check_usable, has_commits, read_summary
     from warpcontact.quarantine import QuarantineError
 
     def warn(text: str) -> None:
         print(f"warning: {text}", file=sys.stderr, flush=True)
 
-    if arguments.file is None:
-        arguments.file = Path(arguments.out) / EXPERIMENT
     try:
+        if arguments.file is None:
+            check_usable(Path(arguments.out), overwrite=False, resume=True)
+            arguments.file = Path(arguments.out) / EXPERIMENT
+        folder = _results(arguments)
+        # Before the experiment is checked, for which kernels may have to be compiled.
+        check_usable(folder, overwrite=arguments.overwrite, resume=arguments.resume)
         experiment = _experiment(arguments)
-        name = re.sub(r"[^\w.-]+", "_", experiment.settings.name).strip("._") or "experiment"
-        folder = Path(arguments.out or f"results/{name}")
         begun.before, begun.folder = read_summary(folder), folder
         with warnings.catch_warnings(), _blaming_option(arguments, experiment):
             # The summary says it.
@@ -275,8 +280,11 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
         return _fail(str(error))
     except OSError as error:
         code = _fail(str(error))
+        for note in getattr(error, "__notes__", ()):
+            _fail(note)
         if begun.folder is not None and (begun.folder / DATA).is_dir():
-            print(f"warpcontact: what was committed is kept{_resume(begun.folder)}", file=sys.stderr)
+            kept = "what was committed is kept" if has_commits(begun.folder) else "nothing is kept yet"
+            _fail(f"{kept}{_resume(begun.folder)}")
         return code
     print(result)
     return SHARDS_FAILED if result.summary.get("failed") else 0
@@ -299,7 +307,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     try:
         experiment = _experiment(arguments)
         with _blaming_option(arguments, experiment):
-            plan = experiment.plan(device=_device(arguments), shard=arguments.shard)
+            plan = experiment.plan(device=_device(arguments), shard=arguments.shard, out=_results(arguments))
     except ExperimentError as error:
         return _fail(str(error))
     except MemoryShortage as error:
@@ -328,6 +336,16 @@ def _experiment(arguments: argparse.Namespace) -> "Experiment":
         with _blaming(f"--{option} {value}", experiment.source):
             experiment = experiment.changed(**{option: value})
     return experiment
+
+
+def _results(arguments: argparse.Namespace) -> Path:
+    """Returns the folder for the results of an experiment that was not read yet."""
+    from warpcontact.experiment.experiment import content_of
+
+    if arguments.out:
+        return Path(arguments.out)
+    name = str(content_of(Path(arguments.file), arguments.set)["name"])
+    return Path("results", re.sub(r"[^\w.-]+", "_", name).strip("._") or "experiment")
 
 
 def _device(arguments: argparse.Namespace) -> str | list[str]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import datetime
+import errno
 import hashlib
 import platform
 import warnings
@@ -19,6 +20,7 @@ from warpcontact.environments import Environments
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment import store
 from warpcontact.experiment.design import Design
+from warpcontact.experiment.disk import disk_of
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.fingerprint import differences, fingerprint
 from warpcontact.experiment.lock import writing
@@ -30,11 +32,15 @@ from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.shards import Frames, ShardRunner
 from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError, shards_of
 from warpcontact.experiment.toml import to_toml
+from warpcontact.footprint import environments, readable
 from warpcontact.quarantine import QuarantineError
 from warpcontact.scene import Scene
 
 #: How often a shard is tried.
 ATTEMPTS = 3
+
+# There is no room, on the disk or for this user.
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
@@ -96,7 +102,7 @@ def start(runner: ShardRunner, job: Job, alone: contextlib.ExitStack) -> None:
     # All of them, so that values that do not fit are found now; the first one last.
     for shard in reversed(job.shards):
         runner.take(shard)
-    with _naming(job.folder):
+    with _blamed(job):
         job.folder.mkdir(parents=True, exist_ok=True)
         alone.enter_context(writing(job.folder))
         _make_folder(runner, job)
@@ -156,7 +162,7 @@ def proceed(job: Job, run_shards: Runs) -> Run:
         KeyboardInterrupt: If somebody asked to stop; what was done until then is committed.
         OSError: If there is no room on the disk, for instance; the last commits are kept.
     """
-    with _naming(job.folder):
+    with _blamed(job):
         return _proceed(job, run_shards)
 
 
@@ -186,6 +192,7 @@ def _proceed(job: Job, run_shards: Runs) -> Run:
     for shard in shards:
         ledger.recover(shard, commits.get(shard.number, Commit(shard.number)))
     left = [shard for shard in shards if not _is_finished(commits, shard)]
+    _tell_of_disk(job, left, commits)
     try:
         with Bar(job.plan.envs, job.frames.steps, len(shards), job.progress) as bar:
             bar.begin(shards, commits)
@@ -205,14 +212,39 @@ def _proceed(job: Job, run_shards: Runs) -> Run:
 
 
 @contextlib.contextmanager
-def _naming(folder: Path) -> Iterator[None]:
-    """Lets errors that name no file, as that of a full disk, name the folder."""
+def _blamed(job: Job) -> Iterator[None]:
+    """Lets errors that name no file name the folder, and that of a full disk tell what there would have to be."""
     try:
         yield
     except OSError as error:
         if error.filename is None and error.errno is not None:
-            error.filename = str(folder)
+            error.filename = str(job.folder)
+        if error.errno in _FULL:
+            error.add_note(_wanted(job))
         raise
+
+
+def _wanted(job: Job) -> str:
+    """Returns in words what a shard of ``job`` takes on the disk."""
+    plan, disk = job.plan, disk_of(job.folder)
+    kept = "" if files_of.has_commits(job.folder) else "nothing is committed yet; "
+    size = f"{readable(plan.on_disk(plan.shard))} of results before compression"
+    free = "" if disk is None else f"; {disk}"
+    return f"{kept}a shard of {environments(plan.shard)} takes up to {size}, and room for its checkpoints{free}"
+
+
+def _tell_of_disk(job: Job, left: Iterable[Shard], commits: Mapping[int, Commit]) -> None:
+    """Warns if the disk has less room than what is still to come may take."""
+    disk, steps = disk_of(job.folder), job.frames.steps
+    done = {shard.number: commits[shard.number].steps for shard in left if shard.number in commits}
+    size = sum(job.plan.on_disk(shard.envs) * (1 - done.get(shard.number, 0) / steps) for shard in left)
+    if disk is not None and disk.free < size:
+        warnings.warn(
+            f"the results{' that are left' if commits else ''} take up to {readable(size)} before compression, "
+            f"and {disk}: it may be full before the run ends",
+            RuntimeWarning,
+            stacklevel=4,
+        )
 
 
 def here(runner: ShardRunner, job: Job) -> Runs:

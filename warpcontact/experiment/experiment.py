@@ -1,6 +1,7 @@
 """Experiments: a scene, what varies between its environments, how long, and what is recorded."""
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -16,6 +17,7 @@ from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.changes import changed_by
 from warpcontact.experiment.design import Design
+from warpcontact.experiment.disk import disk_of
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
 from warpcontact.experiment.execute import Job, all_finished, check_resumable, here, proceed, start
 from warpcontact.experiment.lock import writing
@@ -108,8 +110,7 @@ class Experiment:
         if isinstance(changes, str):
             raise TypeError(f"changes must be a list of texts PATH=VALUE, got the string {changes!r}")
         path = Path(path)
-        content = changed_by({"name": path.stem} | load_toml(path), changes)
-        return cls(content, path.parent, source=str(path), on_stage=on_stage)
+        return cls(content_of(path, changes), path.parent, source=str(path), on_stage=on_stage)
 
     @classmethod
     def from_dict(
@@ -203,8 +204,8 @@ class Experiment:
             resume: Whether to go on with the run in the folder, which must be of the same experiment.
             ray: Whether to run shards as tasks of Ray, on this machine or on the cluster with this address.
             progress: Whether to show a progress bar; ``None``: on runs of over a second, in a terminal.
-            shard: How many environments to run and commit together at most; ``None``: as many as fit into memory.
-                Results are the same for any number.
+            shard: How many environments to run and commit together at most; ``None``: as many as fit into memory,
+                with ``resume`` as many as before, which is all that it may be then. Results are the same for any.
             threads: Threads that step environments on the CPU; ``None``: one per core.
             checkpoint: Time between checkpoints of a shard [s]; 0: as often as there is something to commit.
             on_stage: Called with a few words when a stage that may take long begins.
@@ -216,14 +217,17 @@ class Experiment:
 
         Raises:
             ExperimentError: If the folder holds a finished run or something else, or with ``resume`` no run of
-                this experiment; if there is no such device, or a value is out of range.
+                this experiment, or one in other shards; if there is no such device, or a value is out of range.
             MemoryError: If not even one environment fits, or ``shard`` of them do not.
             KeyboardInterrupt: If somebody pressed Ctrl-C, or sent SIGTERM; what was done until then is committed.
             OSError: If the results cannot be written; what was committed is kept.
         """
         _check_shard(shard, self.source)
         _check_pace(threads, checkpoint, self.source)
-        folder, experiment = Path(out), self.changed(envs=envs, duration=duration)
+        folder = Path(out)
+        # Before all that may take long.
+        files_of.check_usable(folder, overwrite=overwrite, resume=resume)
+        experiment = self.changed(envs=envs, duration=duration)
         copy = files_of.copied(experiment.settings, experiment.folder, folder, experiment._own)
         notices = Notices(on_warning)
         say = on_stage or _say_nothing
@@ -236,8 +240,9 @@ class Experiment:
                 if folder.is_dir():
                     alone.enter_context(writing(folder))
                 summary = files_of.check_started(folder)
+                _check_same_shard(shard, summary, folder)
             else:
-                files_of.check_new(folder, overwrite, copy.files)
+                files_of.check_replaced(folder, copy.files)
             experiment._tell_of_meshes(notices)
             experiment._tell_of_sampling(notices)
             draft = experiment.draft(device)
@@ -307,15 +312,18 @@ class Experiment:
         device: str | Sequence[str] = "auto",
         duration: float | None = None,
         shard: int | None = None,
+        out: str | PathLike[str] | None = None,
     ) -> Plan:
         """Returns what a run would take of memory and disk, and the shards it would run in; runs nothing.
 
-        Arguments and errors are those of ``run``; where not even one environment fits, ``shard`` is 0.
+        Arguments and errors are those of ``run``; where not even one environment fits, ``shard`` is 0. With
+        ``out``, which need not be there, the plan also has what is free on the disk of that folder.
         """
         _check_shard(shard, self.source)
         with self._own.blamed():
             changed = self.changed(envs=envs, duration=duration)
-            return make_plan(changed.draft(device), changed._size, changed.settings, changed.design, shard)
+            plan = make_plan(changed.draft(device), changed._size, changed.settings, changed.design, shard)
+        return plan if out is None else dataclasses.replace(plan, disk=disk_of(Path(out)))
 
     def probe(self, *, device: str | Sequence[str] = "auto", shard: int | None = None) -> Probe:
         """Steps some environments, ``shard`` at most, for a few seconds; returns how long a run would take."""
@@ -423,11 +431,25 @@ class Experiment:
         return every
 
 
+def content_of(path: Path, changes: Iterable[str]) -> dict[str, Any]:
+    """Returns what an experiment file holds, with a name in any case, and with ``changes``; nothing is checked."""
+    return changed_by({"name": path.stem} | load_toml(path), changes)
+
+
 def _check_shard(shard: object, source: str) -> None:
     """Raises ``ExperimentError`` unless ``shard`` is a number of environments, or ``None``."""
     whole = isinstance(shard, int) and not isinstance(shard, bool)
     if shard is not None and not (whole and shard >= 1):  # type: ignore[operator]
         raise ExperimentError(source, [f"shard must be a whole number of at least 1, got {shard!r}"])
+
+
+def _check_same_shard(shard: int | None, summary: Mapping[str, Any], folder: Path) -> None:
+    """Raises ``ExperimentError`` unless ``shard`` is that of the run of ``summary``, or ``None``."""
+    there = summary["shard"]
+    if shard is not None and min(shard, summary["envs"]) != there:
+        raise ExperimentError(
+            str(folder), [f"holds a run in other shards: shard is {there} there, {shard} here; it can be left out"]
+        )
 
 
 def _check_pace(threads: object, checkpoint: object, source: str) -> None:

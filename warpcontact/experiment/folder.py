@@ -63,11 +63,20 @@ class Copy:
     external: tuple[Path, ...] = ()
 
 
-def check_new(folder: Path, overwrite: bool, files: Mapping[str, bytes]) -> None:
+def check_usable(folder: Path, *, overwrite: bool, resume: bool) -> None:
+    """Raises ``ExperimentError`` unless a run may begin in ``folder``, or with ``resume`` go on there."""
+    if not resume:
+        check_new(folder, overwrite)
+        return
+    if is_written(folder):
+        raise busy(folder)
+    check_started(folder)
+
+
+def check_new(folder: Path, overwrite: bool) -> None:
     """Raises ``ExperimentError`` unless the results of a new run may go into ``folder``.
 
-    It may be new or empty, or hold a run of which nothing was kept; with ``overwrite`` any earlier run. None of
-    ``files``, that are to be written there by name, may replace another that no run has written.
+    It may be new or empty, or hold a run of which nothing was kept; with ``overwrite`` any earlier run.
     """
     if not os.path.lexists(folder):
         return
@@ -83,13 +92,17 @@ def check_new(folder: Path, overwrite: bool, files: Mapping[str, bytes]) -> None
         )
     if is_written(folder):
         raise busy(folder)
-    if not overwrite and (summary.get("state") not in (UNFINISHED, INTERRUPTED, FAILED) or _has_commits(folder)):
+    if not overwrite and (summary.get("state") not in (UNFINISHED, INTERRUPTED, FAILED) or has_commits(folder)):
         kind = "an earlier run" if summary.get("state") == FINISHED else "a run that did not finish"
         resume = "" if summary.get("state") == FINISHED else ", or go on with it (--resume)"
         raise ExperimentError(
             str(folder), [f"holds {kind}; choose another folder, or overwrite it (--overwrite){resume}"]
         )
-    for name in files.keys() - law_files(summary):
+
+
+def check_replaced(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Raises ``ExperimentError`` if one of ``files``, to be written by name, replaces another that no run wrote."""
+    for name in files.keys() - law_files(read_summary(folder)):
         if os.path.lexists(folder / name):
             raise ExperimentError(str(folder), [f"holds a file {name!r} of its own, which the run would replace"])
 
@@ -159,7 +172,8 @@ def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     write_json(folder / SUMMARY, {"program": f"warpcontact {__version__}", "schema": SCHEMA, **summary})
 
 
-def _has_commits(folder: Path) -> bool:
+def has_commits(folder: Path) -> bool:
+    """Whether anything is committed of the run in ``folder``."""
     return any((folder / COMMITS).glob("shard_*.json"))
 
 

@@ -8,6 +8,7 @@ from warpcontact.available import HOST, Room, used
 from warpcontact.draft import Draft, PartDraft
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
+from warpcontact.experiment.disk import Disk
 from warpcontact.experiment.observation import watching
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHUNK
@@ -53,6 +54,7 @@ class Plan:
         rooms: What there is of memory, where it is known.
         process: What Python and its libraries take of the host beside that, most of it already [bytes]; ``None``:
             the system does not tell.
+        disk: Where the results would go; ``None``: nobody asked, or the system does not tell.
     """
 
     envs: int
@@ -62,6 +64,7 @@ class Plan:
     recording: int
     rooms: tuple[Room, ...]
     process: int | None = None
+    disk: Disk | None = None
 
     @property
     def peak(self) -> int | None:
@@ -72,6 +75,10 @@ class Plan:
     def shards(self) -> int:
         """How many shards there are."""
         return -(-self.envs // self.shard) if self.shard else 0
+
+    def on_disk(self, envs: int) -> int:
+        """Returns the size of the recording of so many environments, before it is compressed [bytes]."""
+        return self.recording * envs // self.envs
 
     def resumed(self, summary: Mapping[str, Any]) -> "Plan":
         """Returns the plan of a run that goes on, with the shards and blocks that it has."""
@@ -90,7 +97,9 @@ class Plan:
             lines.append(f"with Python and its libraries the process has {readable(self.peak)} at most")
         for room in self.rooms:
             lines.append(f"available: {readable(room.size)} of {room.name}; {readable(usable(room))} can be used")
-        lines.append(f"on disk: up to {readable(self.recording)}, before compression")
+        there = f"; {self.disk}" if self.disk is not None else ""
+        less = ", which is less" if self.disk is not None and self.disk.free < self.recording else ""
+        lines.append(f"on disk: up to {readable(self.recording)}, before compression{there}{less}")
         if not self.shard:
             lines.append("does not fit: not even one environment")
         elif self.shards == 1:

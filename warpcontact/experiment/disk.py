@@ -1,0 +1,33 @@
+"""How much room there is for results."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from warpcontact.footprint import readable
+
+
+@dataclass(frozen=True)
+class Disk:
+    """The disk on which a folder is, or is going to be.
+
+    Attributes:
+        folder: The folder.
+        free: What this user may still write there [bytes].
+    """
+
+    folder: Path
+    free: int
+
+    def __str__(self) -> str:
+        return f"{readable(self.free)} is free on the disk of {self.folder}"
+
+
+def disk_of(folder: Path) -> Disk | None:
+    """Returns the disk of ``folder``, or of the nearest one above it that there is; ``None`` if nobody knows."""
+    place = folder.absolute()
+    place = next((one for one in (place, *place.parents) if one.exists()), place)
+    try:
+        return Disk(folder, shutil.disk_usage(place).free)
+    except OSError:
+        return None
