@@ -118,12 +118,21 @@ def test_of_a_run_in_part_the_last_record_of_those_shown_is_drawn(run, part, tmp
     with pytest.raises(ValueError, match=r"time must be within the recording, 0 to 0\.07 s, got 0\.1"):
         wc.render(part, env=1, time=0.1, **SMALL)
     assert command(part, "-o", tmp_path / "f.png", "--env", 2) == 2
-    assert "environment 2 is not in the recording, which has 0 to 1" in capsys.readouterr().err
+    goes_on = f"warpcontact run --resume --out {part.folder} goes on with it"
+    told = f"environment 2 has no record yet in this run: it has not begun; {goes_on}"
+    assert told in capsys.readouterr().err
+    assert command(part, "-o", tmp_path / "f.png", "--env", 3) == 2
+    assert "environment 3 is not in the recording, which has 0 to 1" in capsys.readouterr().err
 
 
 def test_an_environment_without_a_record_yet_is_said_to_have_none(part, monkeypatch):
     monkeypatch.setitem(part._commits, 1, replace(part._commits[1], frames=0))
-    with pytest.raises(ValueError, match="environment 1 has no record yet in this run"):
+    told = (
+        "environment 1 has no record yet in this run that can be read: its shard is at step 70 of 200, and "
+        "records are written in blocks of 1, those since the last block are kept in checkpoints and appear as the "
+        f"run goes on; warpcontact run --resume --out {part.folder} goes on with it"
+    )
+    with pytest.raises(ValueError, match=f"^{re.escape(told)}$"):
         wc.render(part, env=1, **SMALL)
     # Unless they are named, those that have one are shown.
     monkeypatch.setitem(part._commits, 0, replace(part._commits[0], frames=0))

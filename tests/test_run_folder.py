@@ -569,6 +569,47 @@ def test_a_run_without_anything_committed_says_so(begun, part, copied, tmp_path,
     assert f"is finished yet: the table has no rows; {goes_on} the run" in capsys.readouterr().err
 
 
+def test_records_that_wait_in_a_checkpoint_are_said_to_be_kept(part, copied, tmp_path, capsys):
+    """Half of a shard is done, and not a whole block of it."""
+    folder = copied(part)
+    for number in (0, 1):
+        change(folder / "commit" / f"shard_{number:06d}.json", frames=0)
+    goes_on = f"warpcontact run --resume --out {folder} goes on with it"
+    kept = (
+        "records are written in blocks of 19, those since the last block are kept in checkpoints and appear as the"
+    )
+    for words in (["export", folder, "--usd", tmp_path / "a.usda"], ["render", folder, "-o", tmp_path / "a.png"]):
+        assert main([str(word) for word in words]) == 2
+        told = capsys.readouterr().err
+        assert f"{folder}: no record over time can be read yet: {kept} run goes on; {goes_on}\n" in told
+    assert f"\n4 environments begun, with 0 records over time or more: {kept} run goes on\n" in str(
+        wc.open_run(folder)
+    )
+
+
+def test_what_is_shown_of_an_unfinished_run_says_of_how_many(part, whole):
+    assert "\nof the 4 of 10 that are finished: all 4 environments are active\n" in str(wc.open_run(part))
+    assert "\nall 10 environments are active\n" in str(wc.open_run(whole))
+    assert " begun, " not in str(wc.open_run(whole))
+
+
+def test_an_animation_of_an_unfinished_run_goes_to_the_last_record(part, tmp_path, capsys):
+    frames = runs.records(part)[1]["frames"]
+    out = tmp_path / "a.usda"
+    assert main(["export", str(part), "--usd", str(out), "--envs", "0", "5"]) == 0
+    printed, told = capsys.readouterr()
+    assert printed == f"{out}\n"
+    end = f"{(frames - 1) * 1e-3:g}"
+    assert (
+        f"warning: {part} is not finished: the animation goes to {end} s, and has 8 of 10 environments\n" in told
+    )
+    assert f"endTimeCode = {frames - 1}\n" in out.read_text()
+    assert main(["export", str(part), "--usd", str(out), "--envs", "0"]) == 0
+    assert "the animation goes to 0.2 s, and has 4 of 10 environments" in capsys.readouterr().err
+    assert main(["export", str(part), "--usd", str(out), "--envs", "9"]) == 2
+    assert "environment 9 has no record yet in this run: it has not begun; " in capsys.readouterr().err
+
+
 def test_results_are_read_without_a_model(whole, tmp_path, monkeypatch):
     settings = wc.open_run(whole).experiment.settings
 

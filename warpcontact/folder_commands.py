@@ -105,9 +105,21 @@ def export(arguments: argparse.Namespace) -> None:
         from warpcontact.usd import export_usd
         from warpcontact.usd.coloring import named_number
 
-        recording = run.recording
+        recording, scene = run.recording, run.scene
         run.check_series()
-        numbers = recording["env"].values[:ANIMATED].tolist() if arguments.envs is None else arguments.envs
+        numbers, frames = arguments.envs, run.frames
+        if numbers is None:
+            numbers = recording["env"].values[frames > 0][:ANIMATED].tolist()
+        last = run.records_of(numbers)
+        if last < recording.sizes["time"] or not run.finished:
+            # The others are shown if they have come as far.
+            recording = recording.isel(time=slice(0, last), env=frames >= last)
+            end = recording["time"].values[-1]
+            print(
+                f"warning: {run.folder} is not finished: the animation goes to {end:g} s, and has "
+                f"{recording.sizes['env']} of {run.summary['envs']} environments",
+                file=sys.stderr,
+            )
         name, color_by = arguments.color_by, None
         if name is not None:
             color_by = run.outcome[name] if name in run.outcome else named_number(recording, name, run.outcome)
@@ -115,6 +127,7 @@ def export(arguments: argparse.Namespace) -> None:
             recording,
             arguments.usd,
             envs=numbers,
+            scene=scene,
             clip_frames=arguments.clips,
             color_by=color_by,
             spacing=arguments.spacing or (0.0, 0.0),

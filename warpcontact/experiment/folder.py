@@ -101,7 +101,7 @@ def check_new(folder: Path, overwrite: bool) -> None:
 
 
 def check_replaced(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Raises ``ExperimentError`` if one of ``files``, to be written by name, replaces another that no run wrote."""
+    """Raises ``ExperimentError`` if one of ``files``, to be written by name, would replace one of the user."""
     for name in files.keys() - law_files(read_summary(folder)):
         if os.path.lexists(folder / name):
             raise ExperimentError(str(folder), [f"holds a file {name!r} of its own, which the run would replace"])

@@ -4,11 +4,11 @@ import csv
 import functools
 import hashlib
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsInt
 
 import numpy as np
 import xarray as xr
@@ -18,12 +18,14 @@ from warpcontact.contact_coupling_report import CouplingReport, report_of
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import Assembler
 from warpcontact.experiment.errors import ExperimentError, Problems, shown
+from warpcontact.experiment.lock import is_written
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, StoreError
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import ORDER, Ledger, Shard, shards_of
 from warpcontact.flags import words_of
+from warpcontact.footprint import environments
 from warpcontact.health import Health
 from warpcontact.recorder import Recording
 from warpcontact.scene import Scene
@@ -101,7 +103,9 @@ class Run:
 
     @functools.cached_property
     def series(self) -> xr.Dataset:
-        """The readings (time, env, …); NaN where an environment has not come yet.
+        """The readings (time, env, …) of environments that have begun; NaN, or −1, behind the last whole block.
+
+        Records of an unfinished shard are written in blocks; those since the last one are in its checkpoint.
 
         Raises:
             ValueError: If nothing was recorded over time.
@@ -131,16 +135,56 @@ class Run:
         return recording
 
     def check_series(self) -> None:
-        """Raises ``ValueError`` if nothing over time is committed yet that could be drawn or exported."""
-        if not any(commit.frames for commit in self._commits.values()):
+        """Raises ``ValueError`` if no record over time can be read yet, to be drawn or exported."""
+        if any(commit.frames for commit in self._commits.values()):
+            return
+        if any(commit.steps for commit in self._commits.values()):
             raise ValueError(
-                f"{self.folder}: nothing over time is committed yet in this run; "
-                f"warpcontact run --resume --out {self.folder} goes on with it"
+                f"{self.folder}: no record over time can be read yet: {self._blocks}; {self._goes_on}"
             )
+        raise ValueError(f"{self.folder}: nothing over time is committed yet in this run; {self._goes_on}")
+
+    def records_of(self, envs: Iterable[SupportsInt]) -> int:
+        """Returns how many records over time can be read of all of these environments, at least 1.
+
+        Numbers that are not of the run do not count: who draws or exports refuses them.
+
+        Raises:
+            ValueError: If there is none of one of them yet; says how far its shard is.
+        """
+        count = int(self.series.sizes["time"])
+        for env in (one for one in map(int, envs) if 0 <= one < self.summary["envs"]):
+            commit = self._commits.get(env // self.summary["shard"])
+            if commit is None or not commit.steps:
+                raise ValueError(
+                    f"environment {env} has no record yet in this run: it has not begun; {self._goes_on}"
+                )
+            if not commit.frames:
+                raise ValueError(
+                    f"environment {env} has no record yet in this run that can be read: its shard is at step "
+                    f"{commit.steps} of {self.summary['steps']}, and {self._blocks}; {self._goes_on}"
+                )
+            count = min(count, commit.frames)
+        return count
+
+    @property
+    def _blocks(self) -> str:
+        """When records over time can be read, in words."""
+        return (
+            f"records are written in blocks of {self.summary['block']}, those since the last block are kept in "
+            "checkpoints and appear as the run goes on"
+        )
+
+    @property
+    def _goes_on(self) -> str:
+        """How the run goes on, in words."""
+        if is_written(self.folder):
+            return "a process is at work on it"
+        return f"warpcontact run --resume --out {self.folder} goes on with it"
 
     @property
     def frames(self) -> NDArray[np.intp]:
-        """How many records over time each environment has that was begun, (env,), in the order of ``series``."""
+        """How many records over time can be read of each environment that was begun, (env,), as in ``series``."""
         frames = np.zeros(self.summary["envs"], dtype=np.intp)
         for shard in self.shards:
             if shard.number in self._commits:
@@ -303,8 +347,14 @@ class Run:
             lines.append(f"{s['state']}: {count} of {s['envs']} environments are finished{shards}")
         for shard, message in s.get("failed", {}).items():
             lines.append(f"{shard} failed: {message}")
-        if self.outcome.sizes["env"]:
-            lines.append(str(self.health))
+        if count := self.outcome.sizes["env"]:
+            of = "" if self.finished else f"of the {count} of {s['envs']} that are finished: "
+            lines.append(f"{of}{self.health}")
+        begun = self._mask(finished=False) & ~self._mask(finished=True)
+        if begun.any() and (self.folder / DATA / "series").is_dir():
+            fewest = self.frames[~self._mask(finished=True)[self._mask(finished=False)]].min()
+            more = environments(int(begun.sum()))
+            lines.append(f"{more} begun, with {fewest} records over time or more: {self._blocks}")
         lines += [line for report in s.get("contact_couplings", {}).values() for line in report]
         width = max(11, *map(len, self.files))
         lines += [f"  {kind:<{width}} {path}" for kind, path in sorted(self.files.items())]

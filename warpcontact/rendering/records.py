@@ -57,15 +57,12 @@ class Source:
             if not recording.sizes.get(dim):
                 raise ValueError(f"the recording has no {dim}: there is nothing to see")
         labels, count = recording["env"].values, recording.sizes["time"]
-        there = np.full(len(labels), count) if run is None else run.frames
         envs = environment_numbers(env)
         if envs is None:
-            envs = labels[there > 0][:1].tolist()
+            envs = (labels if run is None else labels[run.frames > 0])[:1].tolist()
         # Whether they are in the recording at all is checked where they are drawn.
-        shown = np.isin(labels, [int(one) for one in envs if isinstance(one, int | np.integer)])
-        if (shown & (there == 0)).any():
-            raise ValueError(f"environment {labels[shown & (there == 0)][0]} has no record yet in this run")
-        last = int(there[shown].min(initial=count))
+        numbers = [one for one in envs if isinstance(one, int | np.integer)]
+        last = count if run is None else run.records_of(numbers)
         return cls(recording.isel(time=slice(0, last)), scene, run, envs, last < count)
 
     @property
