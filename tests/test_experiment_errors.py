@@ -94,6 +94,16 @@ BAD = [
     ((*GROUND, "mesh", "cells"), [2.5, 1], "surface[0].mesh.cells must be 2 whole numbers, got [2.5, 1]"),
     ((*GROUND, "active_faces"), [0, True], "surface[0].active_faces must be a list of face numbers"),
     (LAW, "Hooke", "template[0].law must be a table, got 'Hooke'; write law = { type = 'Hooke', … }"),
+    (
+        ("record", "readings"),
+        ["foo"],
+        "record.readings[0] must be the name of a reading, got 'foo'; there are: ball.*, touch.*, scene.*",
+    ),
+    (
+        ("record", "readings"),
+        ["touch.zzzzzz"],
+        "record.readings[0] must be the name of a reading, got 'touch.zzzzzz'; there are: touch.point, touch.",
+    ),
     (("record", "readings"), "touch.gap", "record.readings must be a list, got 'touch.gap'"),
     # Ranges, with their units.
     (("envs",), 0, "envs must be at least 1, got 0"),
@@ -248,3 +258,19 @@ def test_mistake_is_named_by_its_key(place, value, message):
     assert any(message in problem for problem in problems), problems
     # And it is the only one: a mistake does not make others appear.
     assert len(problems) == 1, problems
+
+
+def test_what_is_looked_up_in_the_scene_is_told_once_there_is_one():
+    """As ``docs/experiments.md`` says."""
+    unknown = [(("record", "readings"), ["foo"]), (("variation", "xyz.mass"), {"uniform": [1, 2]})]
+    variation, reading = 'variation."xyz.mass" is not the name', "record.readings[0] must be the name of a reading"
+
+    def told(*changes):
+        return [
+            line[: len(start)] for line in problems_of(wrong(*unknown, *changes)) for start in (variation, reading)
+        ]
+
+    assert set(told()) & {variation, reading} == {variation, reading}
+    assert set(told((("contact", 0, "surface"), "x"))) & {variation, reading} == {variation, reading}
+    assert set(told((("dt",), LEFT_OUT))) & {variation, reading} == {variation}
+    assert set(told((("body", 0, "mass"), -1))) & {variation, reading} == set()

@@ -7,6 +7,7 @@ import pytest
 from scenes import dropped_sphere, square
 
 import warpcontact as wc
+from warpcontact.checks import look_up
 
 HOOKE = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
 
@@ -169,6 +170,14 @@ def test_unknown_names_suggest_the_nearest():
         KeyError, match=r"no parameter 'ball.zzzzzzzzzzzzzzzzzz'; there are: (ball\.\w+, )+ball\.\w+\"$"
     ):
         model["ball.zzzzzzzzzzzzzzzzzz"] = 1.0
+    with pytest.raises(KeyError, match=r"no reading 'x\.y'; there are: \w+\.\*, (\w+\.\*, )*scene\.\*\"$"):
+        model.reading("x.y")
+    with pytest.raises(KeyError, match=r"no reading 'touch\.zzzzzz'; there are: (touch\.\w+, )+touch\.\w+\"$"):
+        model.reading("touch.zzzzzz")
+    with pytest.raises(KeyError, match=r"no reading 'touch\.gap'; there are: e0\.\*, (e\d+\.\*, ){19}…\"$"):
+        look_up("reading", "touch.gap", {f"e{i}.value": None for i in range(21)})
+    with pytest.raises(KeyError, match=r"no catenary 'c'; there are: line, rope\"$"):
+        look_up("catenary", "c", {"line": None, "rope": None})
     with pytest.raises(KeyError, match=r"'touch\.gap' is a reading, not a parameter; use model\.reading"):
         model["touch.gap"] = 0.5
     law = wc.laws.HuntCrossley(stiffness=1e3, restitution=0.5)

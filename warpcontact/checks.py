@@ -3,7 +3,7 @@
 import difflib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from warpcontact.kernels.formula import check_values
 
 Array = NDArray[np.float64]
+
+# More names than these are not listed in a message.
+LISTED = 20
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
@@ -178,10 +181,18 @@ def look_up(kind: str, name: str, table: Mapping[str, Any]) -> Any:
         return table[name]
     except KeyError:
         close = difflib.get_close_matches(name, table, n=1)
-        # Of an element that there is, its own names tell more than those of the whole scene.
-        own = [one for one in table if one.startswith(f"{name.partition('.')[0]}.")]
-        hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(own or table) or 'none'}"
+        hint = f"did you mean {close[0]!r}?" if close else there_are(name, table)
         raise KeyError(f"no {kind} {name!r}; {hint}") from None
+
+
+def there_are(name: str, known: Iterable[str]) -> str:
+    """Returns in words what there is in place of ``name``: names of its element, or elements that have some."""
+    first = name.partition(".")[0]
+    names = list(known)
+    listed = [one for one in names if one.startswith(f"{first}.")]
+    # Without dots the names are those of elements themselves.
+    listed = listed or list(dict.fromkeys(one.partition(".")[0] + ".*" * ("." in one) for one in names))
+    return f"there are: {', '.join(listed[:LISTED]) or 'none'}{', …' * (len(listed) > LISTED)}"
 
 
 def element(value: Any) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from warpcontact.build import draw_up
+from warpcontact.checks import there_are
 from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
 from warpcontact.draft import Draft
 from warpcontact.environments import Environments
@@ -377,7 +378,7 @@ class Experiment:
             if not steps and is_of_hard_contact(name):
                 continue
             if name not in model.reading_names and not unsound(name):
-                hint = suggestion(name, model.reading_names)
+                hint = suggestion(name, model.reading_names) or f"; {there_are(name, model.reading_names)}"
                 problems.add(f"record.readings[{i}]", f"must be the name of a reading, got {name!r}{hint}")
         every = self._interval(model, settings, problems)
         self._given = settings

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.checks import Array
+from warpcontact.checks import Array, there_are
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import (
     Design,
@@ -300,8 +300,7 @@ class Variation:
         alike = [other for other in known if other.startswith(f"{element}.") and other.endswith(f".{last}")]
         if len(alike) == 1:
             return f"; did you mean {alike[0]!r}?"
-        own = [other for other in known if other.startswith(f"{element}.")]
-        return suggestion(name, known) or f"; there are: {', '.join(own or known)}"
+        return suggestion(name, known) or f"; {there_are(name, known)}"
 
 
 def _path(name: str) -> str:
