@@ -28,7 +28,7 @@ class Piece:
     def capture(self, count):
         pass
 
-    def step(self, count):
+    def step(self, count, after_look):
         if self.meeting is not None:
             self.meeting.wait(timeout=10.0)  # a BrokenBarrierError if the others are not stepped meanwhile
         self.log.append((str(self.device), threading.current_thread() is threading.main_thread()))
