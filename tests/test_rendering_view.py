@@ -221,17 +221,16 @@ def test_a_background_of_ones_own_fills_what_nothing_covers(device):
     assert covered(picture).all()
 
 
+def nearby(seen, device, **look):
+    """A picture of a figure on white, from 5 m off the origin."""
+    look = Look(device=device, background="white", look_at=(0.0, 0.0, 0.0), distance=5.0, **look)
+    return Show(drawing([seen]), look).picture(0)
+
+
 def test_a_plane_without_end_fades_into_the_background(device):
     ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, 0.0], 1000.0, kind="plane")
-    look = Look(
-        size=(32, 512),
-        device=device,
-        background="white",
-        view_from=(0.0, 5.0),
-        look_at=(0.0, 0.0, 0.0),
-        distance=5.0,
-    )
-    column = Show(drawing([ground]), look).picture(0)[:, 16].astype(int).mean(axis=-1)
+    picture = nearby(ground, device, size=(32, 512), view_from=(0.0, 5.0))
+    column = picture[:, 16].astype(int).mean(axis=-1)
     horizon = int(np.argmax(column < 255))
     assert 0 < horizon < 256
     assert column[horizon] > 240  # no edge
@@ -242,23 +241,14 @@ def test_a_plane_without_end_fades_into_the_background(device):
 def test_ground_far_below_what_moves_is_seen(kind, device):
     # As low as a ball is seen after a short drop: rays meet it ten halves of the view away.
     ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, -5.0], 1000.0, kind=kind)
-    look = Look(size=(32, 32), device=device, background="white", look_at=(0.0, 0.0, 0.0), distance=5.0)
-    bottom = Show(drawing([ground]), look).picture(0)[-1].astype(int)
+    bottom = nearby(ground, device, size=(32, 32))[-1].astype(int)
     assert bottom.max() < 150
 
 
 def test_a_mesh_never_fades(device):
     # A hill at the far end of large ground, sixty halves of the view away.
     hill = figure(PLATE, (0.2, 0.2, 0.2), [-80.0, 0.0, 0.0], 4.0, turns=(0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)))
-    look = Look(
-        size=(64, 64),
-        device=device,
-        background="white",
-        view_from=(0.0, 0.0),
-        look_at=(0.0, 0.0, 0.0),
-        distance=5.0,
-    )
-    assert Show(drawing([hill]), look).picture(0)[32, 32].max() < 150
+    assert nearby(hill, device, size=(64, 64), view_from=(0.0, 0.0))[32, 32].max() < 150
 
 
 def test_the_camera_of_a_stage_is_that_of_its_view():

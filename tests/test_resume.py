@@ -17,6 +17,8 @@ from warpcontact import available
 from warpcontact.experiment import cluster
 from warpcontact.signals import terminations
 
+pytestmark = pytest.mark.installed
+
 WORDS = ("--shard", 4, "--device", "cpu")
 
 

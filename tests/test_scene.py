@@ -8,6 +8,8 @@ from scenes import dropped_sphere, square
 
 import warpcontact as wc
 
+pytestmark = pytest.mark.installed
+
 HOOKE = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
 
 
