@@ -282,9 +282,9 @@ def _norm(values: NDArray[Any]) -> Normalize:
 def _ticks(norm: Normalize, whole: bool) -> tuple[list[float], list[str]]:
     """Returns where a scale of colours has ticks: at both ends, and at round numbers that leave these room."""
     ends = norm.vmin, norm.vmax
-    if ends[0] is None or ends[1] is None or ends[0] == ends[1]:
-        return [float(ends[0] or 0.0)], [f"{ends[0] or 0.0:.4g}"]
-    low, high = float(ends[0]), float(ends[1])
+    low, high = (0.0 if end is None else float(end) for end in ends)
+    if not 0.0 < high - low < math.inf:
+        return [low], [f"{low:.4g}"]
     digits = 3
     if isinstance(norm, LogNorm):
         between = 10.0 ** np.arange(np.ceil(np.log10(low)), np.floor(np.log10(high)) + 1.0)
