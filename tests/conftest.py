@@ -1,6 +1,8 @@
-"""Fixtures that tests share: the device, small scenes, and the shared data if it is there."""
+"""Fixtures that tests share: devices, their memory, folders of runs, and the shared data if it is there."""
 
+import gc
 import os
+import shutil
 import signal
 import threading
 from pathlib import Path
@@ -45,3 +47,87 @@ def shared():
 def shared_data(shared):
     """Folder of measured tosses and real meshes."""
     return shared / "data"
+
+
+class Counted:
+    """An allocator that counts the bytes that are in use."""
+
+    def __init__(self, allocator):
+        self.allocator = allocator
+        self.used = 0
+
+    def allocate(self, size_in_bytes):
+        self.used += size_in_bytes
+        return self.allocator.allocate(size_in_bytes)
+
+    def deallocate(self, ptr, size_in_bytes):
+        self.used -= size_in_bytes
+        self.allocator.deallocate(ptr, size_in_bytes)
+
+
+@pytest.fixture
+def counted(device, monkeypatch):
+    """Counts what Warp arrays on the device take from now on."""
+    where = wp.get_device(device)
+    gc.collect()
+    if where.is_cpu:
+        counter = Counted(where.default_allocator)
+        monkeypatch.setattr(where, "default_allocator", counter)
+        yield counter
+    else:
+        counter = Counted(wp.get_device_allocator(where))
+        wp.set_device_allocator(where, counter)
+        yield counter
+        wp.set_device_allocator(where, None)
+    gc.collect()
+
+
+@pytest.fixture(params=["two", "three", "all GPUs"])
+def devices(request, device):
+    """What a model is split over."""
+    if request.param != "all GPUs":
+        return [device] * {"two": 2, "three": 3}[request.param]
+    if not device.startswith("cuda") or wp.get_cuda_device_count() < 2:
+        pytest.skip("asked for with --device cuda:0 on a machine of at least two GPUs")
+    return "cuda"
+
+
+@pytest.fixture(scope="session")
+def whole_run(tmp_path_factory):
+    """A finished run of three shards, with chunks of 19 frames."""
+    import runs
+
+    folder = tmp_path_factory.mktemp("whole")
+    code, _, err = runs.run(runs.study(folder), "--out", folder / "out", *runs.WORDS)
+    assert code == 0, err
+    return folder / "out"
+
+
+@pytest.fixture(scope="session")
+def part_run(tmp_path_factory):
+    """The same, killed when one shard was finished and another on its way."""
+    import runs
+
+    folder = tmp_path_factory.mktemp("part")
+    study, out = runs.study(folder), folder / "out"
+    process = runs.begin(study, "--out", out, *runs.WORDS, first=runs.EAGER)
+
+    def halfway():
+        shards = runs.records(out)
+        return 1 in shards and shards[1]["frames"] > 0 and not shards[1]["finished"]
+
+    try:
+        assert runs.wait_until(halfway, process)
+    finally:
+        runs.kill(process)
+    return out
+
+
+@pytest.fixture
+def copied_run(tmp_path):
+    """Copies the folder of a run, to be damaged."""
+
+    def copy(folder):
+        return shutil.copytree(folder, tmp_path / "copy")
+
+    return copy

@@ -12,6 +12,11 @@ from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 SOLVERS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
 #: Where they run.
 DEVICE = "cpu"
+UP = np.array([0.0, 0.0, 1.0])
+G = 9.81
+#: Time that gravity has had before a step [s].
+DT = 1e-2
+HALF = 0.05  # half an edge of the boxes of a tower [m]
 
 
 def cross(a):
@@ -194,6 +199,20 @@ class Step:
         outcome.iterations = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)
         outcome.converged = wp.full(envs, -1, dtype=wp.int32, device=DEVICE)
         return rows, moving, outcome
+
+
+def tower(masses, push=0.0, mu=0.5):
+    """Cubes on top of each other, four contacts each, after a step under gravity; the top one is pushed."""
+    bodies, velocities, rows = [], [], []
+    for i, mass in enumerate(masses):
+        bodies.append((mass, np.eye(3) * mass * (2 * HALF) ** 2 / 6))
+        top = i == len(masses) - 1
+        velocities.append((np.array([push if top else 0.0, 0.0, -G * DT]), np.zeros(3)))
+        for x in (-HALF, HALF):
+            for y in (-HALF, HALF):
+                below = np.array([x, y, HALF if i else 0.0])
+                rows.append(Row(i, i - 1, np.array([x, y, -HALF]), below, UP, mu))
+    return Step(bodies, velocities, rows)
 
 
 def launch(solver, arrays, real, moves, rolls, tolerance, iterations, status, change=None, **options):

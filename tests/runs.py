@@ -51,6 +51,8 @@ readings = ["touch.gap", "touch.normal_force", "touch.status"]
 
 # A frame of a shard of 4 takes some 200 bytes: blocks of about 20 frames.
 BLOCK = 4096
+#: Three shards on the CPU, with a checkpoint wherever one may be.
+WORDS = ("--shard", 4, "--device", "cpu", "--checkpoint", 0)
 
 # The command, with blocks that are as small as a test wants them.
 _COMMAND = """\
@@ -257,3 +259,11 @@ def saying(text):
         os.kill(os.getpid(), {int(number)})
 cli._say = saying
 """
+
+
+def change(path, **entries):
+    """Sets entries of a record."""
+    content = json.loads(path.read_text())
+    for key, value in entries.items():
+        content[key] = value
+    path.write_text(json.dumps(content))

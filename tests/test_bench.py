@@ -16,6 +16,8 @@ from warpcontact.benchmark.simulation import run_seconds, simulation
 from warpcontact.benchmark.works import STEPS, WORKS
 from warpcontact.cli import main
 
+pytestmark = pytest.mark.installed
+
 BRIEF = {"envs": 3, "seconds": 1e-6}
 FIGURES = ("env_steps_per_s", "steps_per_s_alone", "first_step_s", "queries_per_s", "copies_per_s")
 

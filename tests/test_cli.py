@@ -12,6 +12,8 @@ import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.experiment.shards import ShardRunner
 
+pytestmark = pytest.mark.installed
+
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
 HEAVY = ["matplotlib", "numpy", "pxr", "pydantic", "scipy", "tqdm", "trimesh", "warp", "xarray"]
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"

@@ -6,6 +6,8 @@ from example_files import FOLDER, load
 
 import warpcontact as wc
 
+pytestmark = pytest.mark.installed
+
 
 def test_own_law_rebounds_as_its_closed_form_says(device, capsys):
     height_error, speed_error = load("own_law").main(["--envs", "5", "--device", device])

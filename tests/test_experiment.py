@@ -14,6 +14,8 @@ from warpcontact.experiment.catalogue import SHAPES
 from warpcontact.experiment.experiment import default_readings
 from warpcontact.experiment.schema import BodySettings, ContactSettings, SurfaceSettings
 
+pytestmark = pytest.mark.installed
+
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
 
 

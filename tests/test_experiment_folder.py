@@ -14,6 +14,8 @@ from test_experiment import content
 import warpcontact as wc
 from warpcontact.experiment.status import status_of
 
+pytestmark = pytest.mark.installed
+
 
 def test_folder_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")

@@ -102,7 +102,10 @@ BAD = [
         {"type": "my_motions.py:Idle"},
         "Idle.displacement in my_motions.py must be a wp.func of (coefficients, time)",
     ),
-    ({"type": "broken.py:Heave", "amplitude": 1, "rate": 1}, ": motion Heave does not compile: "),
+    (
+        {"type": "broken.py:Heave", "amplitude": 1, "rate": 1},
+        "broken.py, line 15: `rat` is not an attribute of 'p'",
+    ),
 ]
 
 

@@ -15,6 +15,8 @@ from test_experiment import content
 import warpcontact as wc
 from warpcontact.cli import main
 
+pytestmark = pytest.mark.installed
+
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 LAWS = Path(__file__).with_name("user_laws.py").read_text(encoding="utf-8")
 CUBIC = {"type": "my_laws.py:Cubic", "stiffness": 1e9}

@@ -158,6 +158,72 @@ def test_all_problems_are_found_together_with_those_of_the_file(folder):
         assert any(problem.startswith(begin) for problem in problems), (begin, problems)
 
 
+UNSOUND = """
+@wp.func
+def squared(x: Any):
+    return x.y * x
+
+
+class Helped(wc.Law):
+    stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
+
+    @wp.func
+    def force(p: Any, c: Any):
+        return p.stiffness * squared(c.delta)
+
+
+class Twofold(wc.Law):
+    stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
+
+    @wp.func
+    def force(p: Any, c: Any):
+        return wp.vec2(p.stiffness, c.delta)
+
+
+class Unfounded(wc.Law):
+    stiffness: float = wc.parameter("N/m", "stiffness k", above=0.0)
+
+    @wp.func
+    def force(p: Any, c: Any):
+        first = p.stiffness * c.delta
+        return first * gain
+
+
+class Straight(wc.Friction):
+    @wp.func
+    def force(p: Any, s: Any):
+        return s.speed
+"""
+HELP = "In the law, p has stiffness; c has delta, delta_dot, entry_speed, mass, curvature_1, curvature_2, dt."
+UNSOUND_LINES = [
+    ("law", "Misspelt", "`stifness` is not an attribute of 'p'", "p.stifness * c.delta"),
+    ("law", "Helped", "`y` is not an attribute of 'x' (float32)", "x.y * x"),
+    ("law", "Unfounded", "Referencing undefined symbol: gain", "first * gain"),
+]
+
+
+@pytest.mark.parametrize(("part", "name", "wrong", "text"), UNSOUND_LINES, ids=[row[1] for row in UNSOUND_LINES])
+def test_a_mistake_in_a_function_is_told_with_file_and_line_and_no_kernels(part, name, wrong, text, folder):
+    laws = LAWS + UNSOUND
+    (folder / "my_laws.py").write_text(laws, encoding="utf-8")
+    number = laws[: laws.index(text)].count("\n") + 1
+    (problem,) = problems_of(study(law=own(name, stiffness=1)), folder)
+    place = f"{folder / 'my_laws.py'}, line {number}: {wrong}\n        return {text}\n    {HELP}"
+    assert problem == f"template[0].law: law {name} does not compile in float32: {place}"
+
+
+def test_results_of_the_wrong_type_are_told_without_kernels(folder):
+    (folder / "my_laws.py").write_text(LAWS + UNSOUND, encoding="utf-8")
+    (problem,) = problems_of(study(law=own("Twofold", stiffness=1)), folder)
+    results = "The force of a law is a number, that of a friction a vector."
+    told = f"law Twofold does not compile in float32: Twofold.force returns vec2f\n    {HELP}\n    {results}"
+    assert problem == f"template[0].law: {told}"
+    (problem,) = problems_of(study(friction=own("Straight")), folder)
+    told = "friction Straight does not compile in float32: Straight.force returns float32\n    In the friction, "
+    assert problem.startswith(f"template[0].friction: {told}")
+    assert problem.endswith(results)
+
+
 def test_an_error_in_host_code_on_varied_values_is_told_with_its_line(folder, capsys):
     law = '{ type = "my_laws.py:Fading", stiffness = 1e4 }'
     text = TEXT.replace('{ type = "my_laws.py:Cubic", stiffness = 1e9 }', law)

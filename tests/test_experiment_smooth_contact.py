@@ -82,7 +82,7 @@ BAD_FORMS = [
         "must be less than every half extent",
     ),
     ({"type": "bowls.py:Bow", "depth": 1.0}, ".form.type: bowls.py has no shape 'Bow'; did you mean 'Bowl'?"),
-    ({"type": "broken.py:Bowl", "depth": 1.0}, "does not compile"),
+    ({"type": "broken.py:Bowl", "depth": 1.0}, "broken.py, line "),
 ]
 
 

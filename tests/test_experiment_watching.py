@@ -170,7 +170,7 @@ def test_an_outcome_of_a_file_is_found_copied_and_runs(tmp_path):
     assert written["outcome"]["cube"]["type"] == "mine.py:Cube"
     for name, problem in (
         ("Cub", "has no outcome 'Cub'; did you mean 'Cube'?"),
-        ("Wrong", "Wrong does not compile"),
+        ("Wrong", f"Wrong does not compile: {tmp_path / 'mine.py'}, line 30: Input types must be the same, got "),
     ):
         own["outcome"]["cube"]["type"] = f"mine.py:{name}"
         with pytest.raises(wc.ExperimentError, match="outcome") as caught:

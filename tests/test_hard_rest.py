@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from hard_rows import SOLVERS
+from hard_rows import DT, SOLVERS, tower
 from hard_scenes import HARD, G, block, rigid
 from scenes import square
-from test_unilateral_solvers import DT, tower
 
 import warpcontact as wc
 

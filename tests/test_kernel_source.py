@@ -15,6 +15,8 @@ from warpcontact.kernels.touch import Parts
 
 import warpcontact as wc
 
+pytestmark = pytest.mark.installed
+
 FOLDER = Path(warpcontact.kernels.__file__).parent
 FILES = sorted(FOLDER.rglob("*.py"))
 MODULES = [name for _, name, _ in pkgutil.walk_packages([str(FOLDER)], "warpcontact.kernels.")]

@@ -11,6 +11,8 @@ import pytest
 import warpcontact as wc
 from warpcontact.cli import main
 
+pytestmark = pytest.mark.installed
+
 OWN = Path(__file__).with_name("user_laws.py")
 TOO_STIFF = OWN.read_text().partition("too stiff")[0].count("\n") + 1
 

@@ -12,6 +12,8 @@ import warpcontact.kernels
 
 import warpcontact
 
+pytestmark = pytest.mark.installed
+
 HOST = Path(warpcontact.__file__).parent
 KERNELS = Path(warpcontact.kernels.__file__).parent
 CHECKOUT = KERNELS.parent if (KERNELS.parent / "pyproject.toml").is_file() else None

@@ -11,6 +11,8 @@ from test_meshes import OUTWARD, TETRAHEDRON, changed
 
 from warpcontact.meshes import Mesh, MeshError, box, examine_file, load_mesh
 
+pytestmark = pytest.mark.installed
+
 CRACKED = ["angle_block.STL", "featuretype.STL", "idler_riser.STL"]
 REFUSED = {
     "bunny.ply": "87 of 16301 faces are duplicate",

@@ -22,6 +22,8 @@ from test_meshes import OUTWARD, TETRAHEDRON
 from warpcontact.meshes import Limits, Mesh, MeshError, box, examine_file, isolation, load_mesh
 from warpcontact.meshes.readers import Unreadable
 
+pytestmark = pytest.mark.installed
+
 POSIX = pytest.mark.skipif(os.name != "posix", reason="limits on processes are a matter of POSIX")
 SECONDS = 20.0
 

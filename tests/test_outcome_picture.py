@@ -8,6 +8,8 @@ import warpcontact as wc
 from warpcontact.experiment import outcome_picture
 from warpcontact.status import EnvironmentStatus
 
+pytestmark = pytest.mark.installed
+
 ENVS = 50
 
 

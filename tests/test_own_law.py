@@ -7,6 +7,8 @@ from scenes import dropped_sphere
 
 import warpcontact as wc
 
+pytestmark = pytest.mark.installed
+
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_a_law_of_the_user_bounces_elastically(precision, device):

@@ -17,6 +17,8 @@ from warpcontact.experiment.store import Ledger
 from warpcontact.rendering import filming, writers
 from warpcontact.rendering.records import Source
 
+pytestmark = pytest.mark.installed
+
 SMALL = {"size": (64, 48), "samples": 1}
 STUDY = {
     "name": "drop",

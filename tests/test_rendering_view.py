@@ -221,44 +221,60 @@ def test_a_background_of_ones_own_fills_what_nothing_covers(device):
     assert covered(picture).all()
 
 
+def nearby(seen, device, **look):
+    """A picture of a figure on white, from 5 m off the origin."""
+    look = Look(device=device, background="white", look_at=(0.0, 0.0, 0.0), distance=5.0, **look)
+    return Show(drawing([seen]), look).picture(0)
+
+
 def test_a_plane_without_end_fades_into_the_background(device):
     ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, 0.0], 1000.0, kind="plane")
-    look = Look(
-        size=(32, 512),
-        device=device,
-        background="white",
-        view_from=(0.0, 5.0),
-        look_at=(0.0, 0.0, 0.0),
-        distance=5.0,
-    )
-    column = Show(drawing([ground]), look).picture(0)[:, 16].astype(int).mean(axis=-1)
+    picture = nearby(ground, device, size=(32, 512), view_from=(0.0, 5.0))
+    column = picture[:, 16].astype(int).mean(axis=-1)
     horizon = int(np.argmax(column < 255))
     assert 0 < horizon < 256
     assert column[horizon] > 240  # no edge
     assert column[-1] < 150
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_a_plane_without_end_has_no_edges_in_wide_views(turn, device):
+    # Drawn as a square of two metres, in a view that is wider, from low above.
+    ground = figure(
+        PLATE, (0.2, 0.2, 0.2), [3.0, 1.0, 0.0], kind="plane", turns=(0.0, 0.0, turn, math.cos(math.asin(turn)))
+    )
+    look = {"size": (128, 96), "samples": 4, "device": device, "background": "white"}
+    look |= {"view_from": (0.0, 10.0), "look_at": (0.0, 0.0, 0.0), "distance": 40.0}
+    picture = Show(drawing([ground]), Look(**look)).picture(0).astype(int).mean(axis=-1)
+    horizon = int(np.argmax((picture < 255).all(axis=1)))
+    assert 0 < horizon < 48
+    assert (picture[horizon + 10 :] < 200).all()
+    # To the fading and the mirrored sun: no row has a corner.
+    assert np.abs(np.diff(picture, axis=1)).max() < 20
+
+
+def test_a_plane_without_end_is_below_all_that_moves():
+    ground = of_figure(figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, 0.0], 2.0, kind="plane"), 0, 0)
+    track = np.zeros((200, 3))
+    track[:, 0], track[:, 2] = np.linspace(0.0, 100.0, 200), 0.1
+    ball = of_figure(balls(RED, track, 0.1), 0, 0)
+    centres, _ = spheres_to_see(drawing([]), [(ball, True), (ground, False)])
+    # The whole track, though the square that is drawn is small, and no corner of that.
+    np.testing.assert_array_equal(centres, track)
+
+
 @pytest.mark.parametrize("kind", ["surface", "plane"])
 def test_ground_far_below_what_moves_is_seen(kind, device):
     # As low as a ball is seen after a short drop: rays meet it ten halves of the view away.
     ground = figure(PLATE, (0.2, 0.2, 0.2), [0.0, 0.0, -5.0], 1000.0, kind=kind)
-    look = Look(size=(32, 32), device=device, background="white", look_at=(0.0, 0.0, 0.0), distance=5.0)
-    bottom = Show(drawing([ground]), look).picture(0)[-1].astype(int)
+    bottom = nearby(ground, device, size=(32, 32))[-1].astype(int)
     assert bottom.max() < 150
 
 
 def test_a_mesh_never_fades(device):
     # A hill at the far end of large ground, sixty halves of the view away.
     hill = figure(PLATE, (0.2, 0.2, 0.2), [-80.0, 0.0, 0.0], 4.0, turns=(0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)))
-    look = Look(
-        size=(64, 64),
-        device=device,
-        background="white",
-        view_from=(0.0, 0.0),
-        look_at=(0.0, 0.0, 0.0),
-        distance=5.0,
-    )
-    assert Show(drawing([hill]), look).picture(0)[32, 32].max() < 150
+    assert nearby(hill, device, size=(64, 64), view_from=(0.0, 0.0))[32, 32].max() < 150
 
 
 def test_the_camera_of_a_stage_is_that_of_its_view():

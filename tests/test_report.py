@@ -15,6 +15,8 @@ import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.run_report import page as page_of
 
+pytestmark = pytest.mark.installed
+
 WEB = Path(__file__).resolve().parents[1] / "web"
 HOSTILE = (
     "</script><script>alert(1)</script>",

@@ -18,6 +18,8 @@ from warpcontact.cli import main
 from warpcontact.experiment import cluster
 from warpcontact.signals import terminations
 
+pytestmark = pytest.mark.installed
+
 WORDS = ("--shard", 4, "--device", "cpu")
 
 

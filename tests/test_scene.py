@@ -9,6 +9,8 @@ from scenes import dropped_sphere, square
 import warpcontact as wc
 from warpcontact.checks import look_up
 
+pytestmark = pytest.mark.installed
+
 HOOKE = wc.Template(law=wc.laws.Hooke(stiffness=1.0))
 
 
@@ -132,7 +134,7 @@ PARAMETERS = [
     ("ball.position", np.zeros((4, 2)), "ball.position must have shape (3,) or (4, 3), got (4, 2)"),
     ("ball.position", [0, np.nan, 0], "ball.position[1] must be finite, got nan m"),
     ("ball.orientation", (0, 0, 1, 1), "ball.orientation[0, 0] must be a unit quaternion"),
-    ("ball.inertia", (1, 1, 3), "ball.inertia[0, 0] must be physical"),
+    ("ball.inertia", (1, 1, 3), "ball.inertia must be physical"),
     ("touch.law.stiffness", 0, "touch.law.stiffness must be greater than 0, got 0 N/m"),
     ("touch.radius", [0.1, 0.1, -0.1, 0.1], "touch.radius[2] must be at least 0, got -0.1 m"),
     ("touch.enabled", 2, "touch.enabled must be at least 0 and at most 1, got 2"),
@@ -276,3 +278,25 @@ def test_a_mesh_whose_faces_vanish_in_float32_is_refused():
     scene.add_contact(scene.add_point(scene.bodies[0], (0, 0, 0)), surface, HOOKE)
     with pytest.raises(ValueError, match=r"ground: face 0 has no area left in float32"):
         scene.build()
+
+
+def test_a_scene_tells_what_is_in_it():
+    assert repr(wc.Scene()) == "<Scene of nothing yet>"
+    scene = wc.Scene()
+    ground = scene.add_surface(wc.meshes.grid((1, 1)), name="ground")
+    ball = scene.add_body(1.0, (1, 1, 1), name="ball")
+    points = scene.add_point(ball, (0, 0, 0), name="centre")
+    scene.add_contact(points, ground, wc.Template(law=wc.laws.Hooke(stiffness=1e4)), name="touch")
+    assert repr(scene) == "<Scene of bodies: ball; surfaces: ground; points: centre; contacts: touch>"
+
+
+def test_an_entry_that_is_refused_is_named_by_what_there_are_several_of(device):
+    scene = wc.Scene()
+    scene.add_body(1.0, (1, 1, 1), name="ball")
+    model = scene.build(envs=3, device=device)
+    with pytest.raises(ValueError, match=r"^ball\.inertia must be physical"):
+        model["ball.inertia"] = [1, 1, 3]
+    with pytest.raises(ValueError, match=r"^ball\.inertia\[1\] must be physical"):
+        model["ball.inertia"] = [np.eye(3), np.diag([1, 1, 3]), np.eye(3)]
+    with pytest.raises(ValueError, match=r"multiple of dt = 0.1 s, got 0.05 s; the smallest is that$"):
+        wc.Simulation(model, dt=0.1).run(1.0, every=0.05)

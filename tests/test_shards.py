@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
+from memory_scenes import MIB, with_room
 from test_experiment import EXAMPLE, content
-from test_memory_plan import MIB, with_room
 
 import warpcontact as wc
 from warpcontact import available

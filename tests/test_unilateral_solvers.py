@@ -6,15 +6,11 @@ import hard_rows
 import numpy as np
 import pytest
 import warp as wp
-from hard_rows import SOLVERS, Row, Step, cross, frame
+from hard_rows import DT, SOLVERS, UP, G, Row, Step, cross, frame, tower
 from warpcontact.kernels.types import WORLD
 
 both = pytest.mark.parametrize("solver", list(SOLVERS))
 precisions = pytest.mark.parametrize("real", [wp.float64, wp.float32])
-UP = np.array([0.0, 0.0, 1.0])
-G = 9.81
-DT = 1e-2
-HALF = 0.05  # half an edge of the boxes of a tower [m]
 
 
 @pytest.fixture(autouse=True)
@@ -37,20 +33,6 @@ def block(force=0.0, height=1.0, mu=0.5):
     ]
     spin = np.array([0.0, force * (height - 1.0) / inertia[1, 1] * DT, 0.0])
     return Step([(10.0, inertia)], [(np.array([force / 10.0 * DT, 0.0, -G * DT]), spin)], rows)
-
-
-def tower(masses, push=0.0, mu=0.5):
-    """Cubes on top of each other, four contacts each, after a step under gravity; the top one is pushed."""
-    bodies, velocities, rows = [], [], []
-    for i, mass in enumerate(masses):
-        bodies.append((mass, np.eye(3) * mass * (2 * HALF) ** 2 / 6))
-        top = i == len(masses) - 1
-        velocities.append((np.array([push if top else 0.0, 0.0, -G * DT]), np.zeros(3)))
-        for x in (-HALF, HALF):
-            for y in (-HALF, HALF):
-                below = np.array([x, y, HALF if i else 0.0])
-                rows.append(Row(i, i - 1, np.array([x, y, -HALF]), below, UP, mu))
-    return Step(bodies, velocities, rows)
 
 
 def ball(velocity, spin=(0.0, 0.0, 0.0), mass=2.0, radius=0.1, **options):

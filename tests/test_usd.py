@@ -9,6 +9,8 @@ from usd_stages import CORNERS, ENVS, RADII, READINGS, TILT, arrows, export, fin
 
 import warpcontact as wc
 
+pytestmark = pytest.mark.installed
+
 
 @pytest.fixture(scope="module")
 def recording(device):

@@ -12,6 +12,8 @@ from usd_stages import value
 import warpcontact as wc
 from warpcontact.cli import main
 
+pytestmark = pytest.mark.installed
+
 
 @pytest.fixture(scope="module")
 def folder(device, tmp_path_factory):

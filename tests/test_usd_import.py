@@ -12,6 +12,8 @@ from usd_physics import BODY, COLLIDER, CUBE, SIDES, WEIGHT, body, mesh, moved, 
 
 import warpcontact as wc
 
+pytestmark = pytest.mark.installed
+
 # Most attributes of UsdPhysics are single precision.
 SINGLE = 1e-6
 SHAPE = 'prepend apiSchemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"]'

@@ -18,6 +18,8 @@ import warpcontact as wc
 from warpcontact.cli import main
 from warpcontact.viewer import opening
 
+pytestmark = pytest.mark.installed
+
 WEIGHT = 9.81
 
 

@@ -133,7 +133,9 @@ def _refuse(name: str, value: Array, bad: NDArray[np.bool_], allowed: str) -> No
     where = np.argwhere(bad)
     if len(where):
         index = tuple(where[0])
-        entry = f"{name}{list(map(int, index)) if index else ''}"
+        # The last axes have one row where a user gave none.
+        axes = max((axis + 1 for axis, length in enumerate(bad.shape) if length > 1), default=0)
+        entry = f"{name}{list(map(int, index[:axes])) or ''}"
         raise ValueError(f"{entry} must be {allowed}, got {value[index].tolist()}")
 
 

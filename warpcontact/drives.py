@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from warpcontact.arrays import Layout
 from warpcontact.checks import Array
 from warpcontact.elements import Body
+from warpcontact.formula_errors import told_by_warp
 from warpcontact.kernels.formula import unit_vectors
 from warpcontact.kernels.motions import Motion, driven
 from warpcontact.kernels.types import DRIVEN, FREE, BodyMotion
@@ -49,7 +50,7 @@ class Drive:
         try:
             driven.follow(self.motion, real).module.load(device, block_dim=None if device.is_cuda else 1)
         except Exception as error:
-            text = str(error).replace("\\n", "\n")
+            text = told_by_warp(error, [self.motion])
             names = ", ".join(self.motion.device_names() or ("nothing",))
             hint = "\nConstants are float64 when written as wp.float64(1.5), and results are wp.vec3d."
             raise TypeError(

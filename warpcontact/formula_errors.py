@@ -1,10 +1,21 @@
 """What to say where a user's formula does not compile."""
 
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import warp as wp
+
+from warpcontact import kernels
 from warpcontact.kernels.formula import Formula
+
+# Where Warp has been on its way to a mistake, and how it names types.
+_STEP = re.compile(r'Error while parsing function "([^"]*)" at ([^\n]*):(\d+):\n([^\n]*)\n;?')
+_TYPE = re.compile(r"<class '(?:\w+\.)*(\w+)'>|wp::| \((?:\w+\.)+\w+\)")
+# Functions in these are no user's.
+_NOT_THEIRS = tuple(Path(str(package.__file__)).parent for package in (kernels, wp))
 
 
 @contextmanager
@@ -27,11 +38,11 @@ def explained(
     try:
         yield
     except Exception as error:
-        text = str(error).replace("\\n", "\n")
-        hint = ""
-        if "types must be the same" in text:
-            hint = about_constants
-        elif "array_store" in text:
+        text = told_by_warp(error, formulas.values())
+        hint = about_constants if "types must be the same" in text else ""
+        if _read(error)[1] is None:
+            # Each function compiles: what it returns is not what its caller takes.
+            text = _returned(formulas.values()) or text
             hint = about_results
         named = " with ".join(f"{part} {formula.__name__}" for part, formula in formulas.items())
         raise TypeError(
@@ -39,6 +50,82 @@ def explained(
             + "\n".join(_what_is_there(part, formula, *state(part)) for part, formula in formulas.items())
             + hint
         ) from error
+
+
+def told_by_warp(error: BaseException, formulas: Iterable[type]) -> str:
+    """Returns what Warp says of a mistake in functions of a user, with its file and line, and what stands there.
+
+    Args:
+        error: What it raised.
+        formulas: The classes of which the functions are.
+    """
+    text, step = _read(error)
+    return text if step is None else f"{_place(step, formulas)}: {text}\n    {step.source.strip()}"
+
+
+class _Step(NamedTuple):
+    function: str
+    file: str
+    line: int
+    source: str
+
+
+def _read(error: BaseException) -> tuple[str, _Step | None]:
+    """Returns what is wrong, and where in functions of a user: of those that call others in the innermost."""
+    text = "; ".join(map(str, error.args)) or str(error)
+    steps = [_Step(name, file, int(line), source) for name, file, line, source in _STEP.findall(text)]
+    theirs = [step for step in steps if _is_theirs(step.file)]
+    text = _TYPE.sub(r"\1", _STEP.sub("", text)).strip().removeprefix("Error, ")
+    return text, theirs[-1] if theirs else None
+
+
+def _is_theirs(file: str) -> bool:
+    return not any(Path(file).is_relative_to(folder) for folder in _NOT_THEIRS)
+
+
+def _place(step: _Step, formulas: Iterable[type]) -> str:
+    """Returns file and line of a step.
+
+    Warp counts the lines of most functions from where they begin, and compiles equal ones once: the file may be
+    another, with an equal function.
+    """
+    for function in _functions(formulas):
+        code, lines = function.func.__code__, getattr(function.adj, "source_lines", ())
+        if code.co_name != step.function or not _is_theirs(code.co_filename):
+            continue
+        for within in (step.line, step.line - code.co_firstlineno):
+            if 0 <= within < len(lines) and lines[within].strip() == step.source.strip():
+                return f"{code.co_filename}, line {code.co_firstlineno + within}"
+    return f"{step.file}, in {step.function}"
+
+
+def _functions(formulas: Iterable[type]) -> Iterator[wp.Function]:
+    """Iterates over the functions of classes, and over those that they may call."""
+    waiting = [value for formula in formulas for kind in formula.__mro__ for value in vars(kind).values()]
+    seen = set()
+    while waiting:
+        function = waiting.pop(0)
+        if isinstance(function, wp.Function) and function.func is not None and function.func not in seen:
+            seen.add(function.func)
+            yield function
+            waiting += [*function.func.__globals__.values()]
+            waiting += [cell.cell_contents for cell in function.func.__closure__ or ()]
+
+
+def _returned(formulas: Iterable[type[Formula]]) -> str:
+    """Returns what the functions of a user's formulas return, as far as Warp knows."""
+    told = []
+    for formula in formulas:
+        for name in formula.functions:
+            function = getattr(formula, name)
+            if not _is_theirs(function.func.__code__.co_filename):
+                continue
+            made = [getattr(one.adj, "return_var", None) for one in (function, *function.user_overloads.values())]
+            # What was made last is at hand.
+            types = next((found for found in reversed(made) if found), ())
+            names = ", ".join(wp.types.type_repr(variable.type) for variable in types)
+            told += [f"{formula.__name__}.{name} returns {names}"] * bool(names)
+    return "; ".join(told)
 
 
 def _what_is_there(part: str, formula: type[Formula], letter: str, seen: Any) -> str:

@@ -59,8 +59,8 @@ def add_to(commands: Any) -> None:
         metavar=("AZIMUTH", "ELEVATION"),
         nargs=2,
         type=float,
-        default=(-60.0, 22.0),
-        help="where the eye is: degrees from x towards y, and above the horizontal (default: -60 22)",
+        help="where the eye is: degrees from x towards y, and above the horizontal (default: -60 22, or from "
+        "where what moves is not hidden)",
     )
     render.add_argument(
         "--look-at",

@@ -3,6 +3,7 @@
 import copy
 import math
 import os
+import textwrap
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -92,6 +93,18 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         self.mutual_contacts: list[MutualContact] = []
         self._elements: dict[str, Any] = {}
         self.remarks: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        kinds: dict[str, Sequence[Any]] = {
+            "bodies": self.bodies,
+            "surfaces": self.surfaces,
+            "points": self.points,
+            "shapes": self.shapes,
+            "contacts": [*self.contacts, *self.smooth_contacts, *self.mutual_contacts, *self.contact_couplings],
+            "couplings": self.couplings,
+        }
+        told = [f"{kind}: {', '.join(one.name for one in some)}" for kind, some in kinds.items() if some]
+        return f"<Scene of {textwrap.shorten('; '.join(told) or 'nothing yet', 200, placeholder=' …')}>"
 
     @classmethod
     def from_usd(

@@ -33,9 +33,7 @@ def whole_steps(name: str, time: float, dt: float, *, exact: bool) -> int:
     if nearest >= 1 and abs(steps - nearest) <= 1.0e-6:
         return nearest
     if exact:
-        below, above = max(int(steps), 1), int(steps) + 1
-        raise ValueError(
-            f"{name} must be a multiple of dt = {dt:g} s, got {value:g} s; "
-            f"the nearest are {below * dt:g} s and {above * dt:g} s"
-        )
+        below, above = int(steps), int(steps) + 1
+        near = f"the nearest are {below * dt:g} s and {above * dt:g} s" if below else "the smallest is that"
+        raise ValueError(f"{name} must be a multiple of dt = {dt:g} s, got {value:g} s; {near}")
     return int(steps) + 1

@@ -11,11 +11,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth.base import Shape
-
-real = wp.float64
-vec3d = wp.vec3d
-mat33d = wp.mat33d
+from warpcontact.kernels.smooth.base import Shape, mat33d, one, real, vec3d, zero
 
 #: How often a cell is divided into four at most, and for cells to start from where there is no bound.
 LEVELS = 20
@@ -38,9 +34,6 @@ MASKS = tuple(
     for width in (1, 2, 4, 8, 16, 32)
 )
 MASK_1, MASK_2, MASK_4, MASK_8, MASK_16, MASK_32 = MASKS
-
-one = wp.constant(real(1.0))
-zero = wp.constant(real(0.0))
 
 
 @wp.struct

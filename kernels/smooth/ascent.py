@@ -17,13 +17,10 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels.smooth import pair, zonotope
-from warpcontact.kernels.smooth.base import ACROSS, ON_AXIS, Shape
+from warpcontact.kernels.smooth.base import ACROSS, ON_AXIS, Shape, mat33d, real, vec3d
 from warpcontact.kernels.smooth.pair import tangent
 
-real = wp.float64
 vec2d = wp.vec2d
-vec3d = wp.vec3d
-mat33d = wp.mat33d
 
 #: Steps of one climb, and trials of one step.
 STEPS = 60

@@ -17,8 +17,13 @@ from typing import Any, ClassVar, dataclass_transform
 import warp as wp
 from warpcontact.kernels.formula import Formula, parameter
 
-mat33d = wp.mat33d
+real = wp.float64
 vec3d = wp.vec3d
+mat33d = wp.mat33d
+zero = wp.constant(real(0.0))
+one = wp.constant(real(1.0))
+half = wp.constant(real(0.5))
+two = wp.constant(real(2.0))
 # Where a unit vector is taken to lie on an axis or across it: rounding of a rotation there and back.
 ON_AXIS = wp.constant(wp.float64(1.0e-14))
 # The same where a point goes by a small power of a component of n: what rounding leaves of the point is lost.

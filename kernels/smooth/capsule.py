@@ -4,10 +4,7 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Nearest, Shape
-
-zero = wp.constant(wp.float64(0.0))
-one = wp.constant(wp.float64(1.0))
+from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Nearest, Shape, one, zero
 
 
 class Capsule(Shape):

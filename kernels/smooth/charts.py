@@ -8,18 +8,13 @@ import functools
 from typing import Any, NamedTuple
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Shape
+from warpcontact.kernels.smooth.base import Shape, one, real, two, vec3d, zero
 from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
 from warpcontact.kernels.smooth.patch import Jet, Patch, jet_of_patch
 from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
 from warpcontact.kernels.smooth.torus import Torus
 
-real = wp.float64
-vec3d = wp.vec3d
-zero = wp.constant(real(0.0))
-one = wp.constant(real(1.0))
-two = wp.constant(real(2.0))
 # Cosine of the latitude from which on another pole is better; of three axes, one is always farther away than that.
 NEAR_POLE = wp.constant(real(0.5))
 

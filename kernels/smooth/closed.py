@@ -4,14 +4,10 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth.base import ON_AXIS, Meeting, Seed, Shape
+from warpcontact.kernels.smooth.base import ON_AXIS, Meeting, Seed, Shape, half, one, real, vec3d, zero
 from warpcontact.kernels.smooth.pair import tangent
 
-real = wp.float64
-vec3d = wp.vec3d
 quatd = wp.quatd
-
-zero, one, half = wp.constant(real(0.0)), wp.constant(real(1.0)), wp.constant(real(0.5))
 
 
 @wp.func

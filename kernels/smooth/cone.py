@@ -4,11 +4,8 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Nearest, Shape
-
-zero = wp.constant(wp.float64(0.0))
-one = wp.constant(wp.float64(1.0))
-half = wp.constant(wp.float64(0.5))
+from warpcontact.kernels.smooth.axis import outward
+from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Nearest, Shape, half, one, zero
 
 
 class Cone(Shape):
@@ -78,10 +75,7 @@ class Cone(Shape):
     @wp.func
     def nearest(p: Any, x: wp.vec3d):
         found = Nearest()
-        across = wp.sqrt(x[0] * x[0] + x[1] * x[1])
-        out = wp.vec3d(one, zero, zero)
-        if across > zero:
-            out = wp.vec3d(x[0] / across, x[1] / across, zero)
+        across, out = outward(x)
         up = wp.vec3d(zero, zero, one)
         # In the half-plane through the axis, along the generator from the rim: t = 0, to the tip: t = 1.
         slant = wp.sqrt(p.radius * p.radius + p.height * p.height)

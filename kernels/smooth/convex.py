@@ -16,12 +16,8 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.smooth import around, ascent
-from warpcontact.kernels.smooth.base import Meeting, Seed, Shape
+from warpcontact.kernels.smooth.base import Meeting, Seed, Shape, mat33d, one, real, vec3d, zero
 from warpcontact.kernels.types import MET, NOT_CONVERGED
-
-real = wp.float64
-vec3d = wp.vec3d
-mat33d = wp.mat33d
 
 #: Most climbs from directions that are not known to be better, and of all.
 CLIMBS = 40
@@ -29,7 +25,6 @@ MOST_CLIMBS = 80
 #: How often a climb that is higher than all others goes on where its steps are used up.
 AGAIN = 5
 
-zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
 # A residual above this is no solution; of steep shapes, whose points the rounding of n moves far.
 ALLOWED = wp.constant(real(1.0e-9))
 ALLOWED_STEEP = wp.constant(real(1.0e-6))

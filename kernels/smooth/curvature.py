@@ -13,7 +13,7 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import ACROSS, Curvature, Meeting, Shape
+from warpcontact.kernels.smooth.base import ACROSS, Curvature, Meeting, Shape, half, one, real, two, vec3d, zero
 from warpcontact.kernels.smooth.capsule import Capsule
 from warpcontact.kernels.smooth.charts import chart
 from warpcontact.kernels.smooth.cone import Cone
@@ -26,12 +26,6 @@ from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
 from warpcontact.kernels.smooth.torus import Torus
 
-real = wp.float64
-vec3d = wp.vec3d
-zero = wp.constant(real(0.0))
-one = wp.constant(real(1.0))
-two = wp.constant(real(2.0))
-half = wp.constant(real(0.5))
 sharp = wp.constant(real(wp.inf))
 # A place is on an edge, and a normal along an axis, within this: of the size, and of a unit vector.
 CLOSE = wp.constant(real(1.0e-9))

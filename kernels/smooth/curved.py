@@ -5,12 +5,10 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.smooth import closed, ring, sheet
-from warpcontact.kernels.smooth.base import Seed, Shape
+from warpcontact.kernels.smooth.base import Seed, Shape, vec3d
 from warpcontact.kernels.smooth.patch import Patch
 from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.kernels.smooth.torus import Torus
-
-vec3d = wp.vec3d
 
 
 @functools.cache

@@ -4,10 +4,8 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Nearest, Shape
-
-zero = wp.constant(wp.float64(0.0))
-one = wp.constant(wp.float64(1.0))
+from warpcontact.kernels.smooth.axis import disc, outward
+from warpcontact.kernels.smooth.base import ON_AXIS, Nearest, Shape, one, zero
 
 
 class Cylinder(Shape):
@@ -32,14 +30,7 @@ class Cylinder(Shape):
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
-        found = Expansion()
-        across = wp.sqrt(n[0] * n[0] + n[1] * n[1])
-        found.disc = p.radius
-        if across > ON_AXIS:
-            found.disc = zero
-            found.point = wp.vec3d(p.radius * (n[0] / across), p.radius * (n[1] / across), zero)
-            around = wp.vec3d(-n[1] / across, n[0] / across, zero)
-            found.hessian = (p.radius / across) * wp.outer(around, around)
+        found = disc(p.radius, n)
         found.kinks[0, 2] = p.half_length
         return found
 
@@ -66,10 +57,7 @@ class Cylinder(Shape):
     @wp.func
     def nearest(p: Any, x: wp.vec3d):
         found = Nearest()
-        across = wp.sqrt(x[0] * x[0] + x[1] * x[1])
-        out = wp.vec3d(one, zero, zero)
-        if across > zero:
-            out = wp.vec3d(x[0] / across, x[1] / across, zero)
+        across, out = outward(x)
         up = wp.vec3d(zero, zero, wp.where(x[2] < zero, -one, one))
         beside = across - p.radius
         above = wp.abs(x[2]) - p.half_length

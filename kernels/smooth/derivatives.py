@@ -17,7 +17,7 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Curvature, Shape
+from warpcontact.kernels.smooth.base import Curvature, Shape, one, real, vec3d, zero
 from warpcontact.kernels.smooth.capsule import Capsule
 from warpcontact.kernels.smooth.cone import Cone
 from warpcontact.kernels.smooth.cylinder import Cylinder
@@ -27,15 +27,11 @@ from warpcontact.kernels.smooth.sphere import Sphere
 from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
 from warpcontact.kernels.smooth.torus import Torus
 
-real = wp.float64
 vec2d = wp.vec2d
-vec3d = wp.vec3d
 mat22d = wp.mat22d
 Row1 = wp.types.vector(1, real)
 Row12 = wp.types.vector(12, real)
 Rows12 = wp.types.matrix((3, 12), real)
-zero = wp.constant(real(0.0))
-one = wp.constant(real(1.0))
 sharp = wp.constant(real(wp.inf))
 nothing = wp.constant(real(wp.nan))
 # A determinant this small, of equations scaled to 1, is that of points which are not determined.

@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.smooth.base import Curvature, Meeting, Seed, Shape
+from warpcontact.kernels.smooth.base import Curvature, Meeting, Seed, Shape, one, vec3d, zero
 from warpcontact.kernels.smooth.records import Members, Mount, Seeds, Settings, contact_structs, shapes_struct
 from warpcontact.kernels.types import (
     CONTACT,
@@ -26,11 +26,8 @@ from warpcontact.kernels.types import (
     structs,
 )
 
-zero = wp.constant(wp.float64(0.0))
-one = wp.constant(wp.float64(1.0))
 # Size of what has no end [m].
 endless_size = wp.constant(wp.float64(1.0e6))
-vec3d = wp.vec3d
 
 
 @wp.struct

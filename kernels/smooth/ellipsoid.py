@@ -4,10 +4,7 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import Expansion, Shape
-
-zero = wp.constant(wp.float64(0.0))
-one = wp.constant(wp.float64(1.0))
+from warpcontact.kernels.smooth.base import Expansion, Shape, zero
 
 
 class Ellipsoid(Shape):

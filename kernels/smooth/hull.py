@@ -4,10 +4,9 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Shape
+from warpcontact.kernels.smooth.axis import disc
+from warpcontact.kernels.smooth.base import Shape
 from warpcontact.kernels.smooth.torus import Torus
-
-zero = wp.constant(wp.float64(0.0))
 
 
 class Hull(Shape):
@@ -24,15 +23,7 @@ class Hull(Shape):
 
     @wp.func
     def expand(p: Any, n: wp.vec3d):
-        found = Expansion()
-        across = wp.sqrt(n[0] * n[0] + n[1] * n[1])
-        found.disc = p.major_radius
-        if across > ON_AXIS:
-            found.disc = zero
-            found.point = wp.vec3d(p.major_radius * (n[0] / across), p.major_radius * (n[1] / across), zero)
-            around = wp.vec3d(-n[1] / across, n[0] / across, zero)
-            found.hessian = (p.major_radius / across) * wp.outer(around, around)
-        return found
+        return disc(p.major_radius, n)
 
     @wp.func
     def margin(p: Any):

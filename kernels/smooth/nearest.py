@@ -6,14 +6,10 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.smooth import convex
-from warpcontact.kernels.smooth.base import Nearest, Seed, Shape
+from warpcontact.kernels.smooth.base import Nearest, Seed, Shape, one, real, vec3d, zero
 from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
 from warpcontact.kernels.smooth.sphere import Sphere
 
-real = wp.float64
-vec3d = wp.vec3d
-zero = wp.constant(real(0.0))
-one = wp.constant(real(1.0))
 # Newton's method for the distance from an ellipsoid ends when a step is rounding; 5 to 8 are usual.
 STEPS = wp.constant(wp.int32(60))
 ROUNDING = wp.constant(real(1.0e-15))

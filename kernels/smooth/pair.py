@@ -8,14 +8,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth.base import Shape
-
-real = wp.float64
-vec3d = wp.vec3d
-mat33d = wp.mat33d
-
-zero = wp.constant(real(0.0))
-one = wp.constant(real(1.0))
+from warpcontact.kernels.smooth.base import Shape, mat33d, real, vec3d, zero
 
 
 @wp.func

@@ -15,16 +15,11 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Shape
+from warpcontact.kernels.smooth.base import Shape, half, real, vec3d, zero
 from warpcontact.kernels.smooth.charts import NEAR_POLE, chart
 from warpcontact.kernels.smooth.patch import Jet
 from warpcontact.kernels.types import ROOT_FACING, ROOT_FALSE, ROOT_NONE, ROOT_PARALLEL
 
-real = wp.float64
-vec3d = wp.vec3d
-zero = wp.constant(real(0.0))
-one = wp.constant(real(1.0))
-half = wp.constant(real(0.5))
 # Of the equations, in terms of the size of the tangents.
 TOLERANCE = wp.constant(real(1.0e-12))
 # Of the cross products of unit vectors: what is a root of the equations at a singular point is off by far more.

@@ -7,10 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.smooth.base import Shape
+from warpcontact.kernels.smooth.base import Shape, real, vec3d, zero
 
-real = wp.float64
-vec3d = wp.vec3d
 # Step of the differences for derivatives that are left out, in terms of the range: sixth order, so that what is
 # cut off and what is rounded are both about 1e-11 of the second derivatives.
 STEP = 5.0e-3
@@ -137,7 +135,6 @@ def jet_of_patch(A: type[Patch]) -> wp.Function:
 
     du = wp.constant(real(STEP * (A.u_range[1] - A.u_range[0])))
     dv = wp.constant(real(STEP * (A.v_range[1] - A.v_range[0])))
-    zero = wp.constant(real(0.0))
 
     @wp.func
     def along(p: Any, x: vec3d, u: real, v: real, step_u: real, step_v: real):

@@ -3,10 +3,7 @@
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Nearest, Shape
-
-zero = wp.constant(wp.float64(0.0))
-one = wp.constant(wp.float64(1.0))
+from warpcontact.kernels.smooth.base import Nearest, Shape, one, zero
 
 
 class Plane(Shape):

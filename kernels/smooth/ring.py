@@ -17,19 +17,13 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth import convex, threaded
-from warpcontact.kernels.smooth.base import ON_AXIS, Meeting, Nearest, Seed, Shape
+from warpcontact.kernels.smooth import bracket, convex, threaded
+from warpcontact.kernels.smooth.base import ON_AXIS, Meeting, Nearest, Seed, Shape, half, one, real, vec3d, zero
 from warpcontact.kernels.smooth.hull import Hull
 from warpcontact.kernels.smooth.nearest import nearest
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED
-
-real = wp.float64
-vec3d = wp.vec3d
-zero = wp.constant(real(0.0))
-one = wp.constant(real(1.0))
-half = wp.constant(real(0.5))
 
 #: Places on the circle that are looked at, and parts that what lies between two of them is cut into.
 PLACES = 48
@@ -38,9 +32,7 @@ WIDTH = wp.constant(real(2.0 * math.pi / PLACES))
 PART = wp.constant(real(2.0 * math.pi / PLACES / PARTS))
 # Of f'/R, the cosine between normal and circle.
 ALLOWED = wp.constant(real(1.0e-9))
-# Halvings of a bracket, in the worst case; a smooth minimum takes 8 to 10 steps.
-STEPS = wp.constant(wp.int32(60))
-# A bracket this narrow is a point of the circle [rad].
+# A bracket this narrow is a point of the circle [rad], and a slope this small is none.
 NARROW = wp.constant(real(1.0e-15))
 # How near to the axis a loop is looked for that the grid does not see [rad].
 BESIDE = wp.constant(real(0.03))
@@ -56,6 +48,12 @@ class Seen:
     slope: real  # df/dθ over R
 
 
+@wp.func
+def crossing(a: real, b: real, f_a: real, f_b: real):
+    """Where a straight line is zero. As a plus a part of the bracket, rounding would leave more of the slope."""
+    return (a * f_b - b * f_a) / (f_b - f_a)
+
+
 @functools.cache
 def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
     """Returns the device function of a torus and a closed shape; arguments as in ``meet.py``."""
@@ -68,6 +66,9 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         Of_hull = coefficient_struct(Hull, real)
     places = wp.constant(wp.int32(PLACES))
     parts = wp.constant(wp.int32(PARTS))
+    # Every fourth step is a halving: a kink is no straight line. A smooth minimum takes 8 to 10 steps.
+    search_of = bracket.functions(Seen, crossing, cycle=4, most=60, narrow=float(NARROW))
+    begin, going, place, told = search_of.begin, search_of.going, search_of.place, search_of.told
     Values = wp.types.vector(PLACES, real)
 
     @wp.func
@@ -84,40 +85,16 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
     @wp.func
     def lowest(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, low: Seen, high: Seen):
         """The minimum between a falling and a rising slope, by false positions and halvings."""
-        a = low.angle
-        b = high.angle
-        f_a = low.slope
-        f_b = high.slope
+        search = begin(low, low.angle, low.slope, high, high.angle, high.slope)
         best = low
         if high.near.gap < low.near.gap:
             best = high
-        side = wp.int32(0)
-        steps = wp.int32(0)
-        for k in range(STEPS):
-            if b - a <= NARROW or wp.abs(best.slope) <= NARROW:
-                break
-            at = a + (b - a) * half
-            # Every fourth step is a halving: a kink is no straight line.
-            if k % 4 != 3:
-                at = (a * f_b - b * f_a) / (f_b - f_a)
-                at = wp.clamp(at, a, b)
-            now = seen(p_a, p_b, x, q, at)
-            steps += 1
+        while going(search) and wp.abs(best.slope) > NARROW:
+            now = seen(p_a, p_b, x, q, place(search))
+            search = told(search, now.angle, now.slope, now)
             if wp.abs(now.slope) <= wp.abs(best.slope) or now.near.gap < best.near.gap:
                 best = now
-            if now.slope < zero:
-                a = at
-                f_a = now.slope
-                if side == -1:
-                    f_b = half * f_b
-                side = wp.int32(-1)
-            else:
-                b = at
-                f_b = now.slope
-                if side == 1:
-                    f_a = half * f_a
-                side = wp.int32(1)
-        return best, steps
+        return best, search.steps
 
     @wp.func
     def bound(radius: real, low: real, low_slope: real, high: real, high_slope: real, width: real):

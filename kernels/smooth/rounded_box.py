@@ -5,9 +5,7 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Nearest, Shape
-
-zero = wp.constant(wp.float64(0.0))
+from warpcontact.kernels.smooth.base import ON_AXIS, Expansion, Nearest, Shape, zero
 
 
 class RoundedBox(Shape):

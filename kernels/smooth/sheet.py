@@ -17,20 +17,15 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Meeting, Nearest, Shape
+from warpcontact.kernels.smooth.base import Meeting, Nearest, Shape, half, one, real, vec3d, zero
 from warpcontact.kernels.smooth.curvature import curvature
 from warpcontact.kernels.smooth.nearest import nearest
 from warpcontact.kernels.smooth.patch import Jet, Patch, jet_of_patch
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
-real = wp.float64
-vec3d = wp.vec3d
 vec2d = wp.vec2d
 mat22d = wp.mat22d
-zero = wp.constant(real(0.0))
-one = wp.constant(real(1.0))
-half = wp.constant(real(0.5))
 
 #: Places that Newton's method starts from.
 STARTS = 4

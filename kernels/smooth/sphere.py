@@ -4,9 +4,7 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import Expansion, Nearest, Shape
-
-zero = wp.constant(wp.float64(0.0))
+from warpcontact.kernels.smooth.base import Expansion, Nearest, Shape, zero
 
 
 class Sphere(Shape):

@@ -4,12 +4,8 @@ from typing import Any, ClassVar
 
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import ACROSS, Expansion, Shape
+from warpcontact.kernels.smooth.base import ACROSS, Expansion, Shape, one, real, two, zero
 
-real = wp.float64
-zero = wp.constant(real(0.0))
-one = wp.constant(real(1.0))
-two = wp.constant(real(2.0))
 # The curvature of a support function that has none, or one without bound, is taken this far off an axis.
 OFF_AXIS = wp.constant(real(1.0e-60))
 

@@ -22,14 +22,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Shape
-
-real = wp.float64
-vec3d = wp.vec3d
-zero = wp.constant(real(0.0))
-one = wp.constant(real(1.0))
-half = wp.constant(real(0.5))
-two = wp.constant(real(2.0))
+from warpcontact.kernels.smooth import bracket
+from warpcontact.kernels.smooth.base import Shape, half, one, real, vec3d, zero
 
 #: Directions around the axis, and between the poles: bits of a word.
 COLUMNS = 64
@@ -42,12 +36,8 @@ NONE = wp.constant(wp.uint32(0))
 # Directions beside one, by which the way of the loop is found.
 BESIDE = wp.constant(wp.int32(16))
 TURN = wp.constant(real(2.0 * math.pi / 16))
-# How often that is done; the first stride to a bracket, how often it is doubled, and parts of the bracket.
+# How often that is done.
 ROUNDS = wp.constant(wp.int32(4))
-FIRST = wp.constant(real(1.0e-3))
-STRIDES = wp.constant(wp.int32(9))
-STEPS = wp.constant(wp.int32(110))
-NARROW = wp.constant(real(1.0e-16))
 # Two directions this near to each other are one.
 ONE = wp.constant(real(1.0e-12))
 # The tangential distance of the two points, over R, at which it is found.
@@ -106,6 +96,12 @@ def joined(below: Words):
     return wp.bool(False)
 
 
+@wp.func
+def crossing(a: real, b: real, f_a: real, f_b: real):
+    """Where a straight line is zero."""
+    return a + (b - a) * (f_a / (f_a - f_b))
+
+
 @functools.cache
 def functions(B: type[Shape]) -> SimpleNamespace:
     """Returns the device functions of a torus and a convex body, each for an ``Across`` and whether there is one.
@@ -118,6 +114,10 @@ def functions(B: type[Shape]) -> SimpleNamespace:
     """
     columns = wp.constant(wp.int32(COLUMNS))
     rows = wp.constant(wp.int32(ROWS))
+    # Every other step is a halving: g has edges.
+    search_of = bracket.functions(Across, crossing, cycle=2, most=110, narrow=1.0e-16)
+    begin, closed, told = search_of.begin, search_of.closed, search_of.told
+    going, place = search_of.going, search_of.place
 
     @wp.func
     def across(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d):
@@ -175,112 +175,24 @@ def functions(B: type[Shape]) -> SimpleNamespace:
     @wp.func
     def top(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, middle: vec3d, e: vec3d, start: real):
         """The largest g on middle + u e next to u = ``start``, that u, and whether there is one."""
-        a = start
-        low = across(p_a, p_b, x, q, wp.normalize(middle + a * e))
-        f_a = wp.dot(low.off, e)
-        b = a
-        high = low
-        f_b = f_a
-        step = wp.where(f_a < zero, -FIRST, FIRST)
-        found = f_a == zero
-        for _ in range(STRIDES):
-            if found:
-                break
-            if step > zero:
-                a = b
-                low = high
-                f_a = f_b
-                b = a + step
-                high = across(p_a, p_b, x, q, wp.normalize(middle + b * e))
-                f_b = wp.dot(high.off, e)
-            else:
-                b = a
-                high = low
-                f_b = f_a
-                a = b + step
-                low = across(p_a, p_b, x, q, wp.normalize(middle + a * e))
-                f_a = wp.dot(low.off, e)
-            found = f_a >= zero and f_b <= zero
-            step = two * step
-        side = wp.int32(0)
-        for k in range(STEPS):
-            if not found or b - a <= NARROW or f_a == f_b:
-                break
-            at = a + (b - a) * half
-            if k % 2 == 0:
-                at = wp.clamp(a + (b - a) * (f_a / (f_a - f_b)), a, b)
+        first = across(p_a, p_b, x, q, wp.normalize(middle + start * e))
+        search = begin(first, start, -wp.dot(first.off, e), first, start, -wp.dot(first.off, e))
+        while going(search):
+            at = place(search)
             now = across(p_a, p_b, x, q, wp.normalize(middle + at * e))
-            f = wp.dot(now.off, e)
-            if f >= zero:
-                a = at
-                f_a = f
-                low = now
-                if side == 1:
-                    f_b = half * f_b
-                side = wp.int32(1)
-            if f <= zero:
-                b = at
-                f_b = f
-                high = now
-                if side == -1:
-                    f_a = half * f_a
-                side = wp.int32(-1)
-        return between(p_a, p_b, x, q, low, high, e), half * (a + b), found
+            search = told(search, at, -wp.dot(now.off, e), now)
+        return between(p_a, p_b, x, q, search.low, search.high, e), half * (search.a + search.b), closed(search)
 
     @wp.func
     def saddle(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, e_1: vec3d, e_2: vec3d):
         """The least along e_1 of the largest along e_2, down from a direction; whether there is one."""
-        low, u, found = top(p_a, p_b, x, q, n, e_2, zero)
-        a = zero
-        f_a = wp.dot(low.off, e_1)
-        b = a
-        high = low
-        f_b = f_a
-        step = wp.where(f_a < zero, FIRST, -FIRST)
-        closed = f_a == zero
-        for _ in range(STRIDES):
-            if closed or not found:
-                break
-            if step > zero:
-                a = b
-                low = high
-                f_a = f_b
-                b = a + step
-                high, u, found = top(p_a, p_b, x, q, n + b * e_1, e_2, u)
-                f_b = wp.dot(high.off, e_1)
-            else:
-                b = a
-                high = low
-                f_b = f_a
-                a = b + step
-                low, u, found = top(p_a, p_b, x, q, n + a * e_1, e_2, u)
-                f_a = wp.dot(low.off, e_1)
-            closed = f_a <= zero and f_b >= zero
-            step = two * step
-        side = wp.int32(0)
-        for k in range(STEPS):
-            if not (found and closed) or b - a <= NARROW or f_a == f_b:
-                break
-            at = a + (b - a) * half
-            if k % 2 == 0:
-                at = wp.clamp(a + (b - a) * (f_a / (f_a - f_b)), a, b)
+        first, u, found = top(p_a, p_b, x, q, n, e_2, zero)
+        search = begin(first, zero, wp.dot(first.off, e_1), first, zero, wp.dot(first.off, e_1))
+        while found and going(search):
+            at = place(search)
             now, u, found = top(p_a, p_b, x, q, n + at * e_1, e_2, u)
-            f = wp.dot(now.off, e_1)
-            if f <= zero:
-                a = at
-                f_a = f
-                low = now
-                if side == 1:
-                    f_b = half * f_b
-                side = wp.int32(1)
-            if f >= zero:
-                b = at
-                f_b = f
-                high = now
-                if side == -1:
-                    f_a = half * f_a
-                side = wp.int32(-1)
-        return between(p_a, p_b, x, q, low, high, e_1), found and closed
+            search = told(search, at, wp.dot(now.off, e_1), now)
+        return between(p_a, p_b, x, q, search.low, search.high, e_1), found and closed(search)
 
     @wp.func
     def smooth(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec3d):

@@ -5,10 +5,8 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth.base import Nearest, Shape
-
-zero = wp.constant(wp.float64(0.0))
-one = wp.constant(wp.float64(1.0))
+from warpcontact.kernels.smooth.axis import outward
+from warpcontact.kernels.smooth.base import Nearest, Shape, one, zero
 
 
 class Torus(Shape):
@@ -57,10 +55,7 @@ class Torus(Shape):
     @wp.func
     def nearest(p: Any, x: wp.vec3d):
         found = Nearest()
-        across = wp.sqrt(x[0] * x[0] + x[1] * x[1])
-        out = wp.vec3d(one, zero, zero)
-        if across > zero:
-            out = wp.vec3d(x[0] / across, x[1] / across, zero)
+        across, out = outward(x)
         beside = across - p.major_radius
         distance = wp.sqrt(beside * beside + x[2] * x[2])
         # On the core circle every direction across is the nearest way out.

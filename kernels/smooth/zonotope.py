@@ -6,11 +6,10 @@ Edges that touch share out the offset of two bodies; what they cannot take turns
 import functools
 
 import warp as wp
+from warpcontact.kernels.smooth.base import one, real, zero
 
-real = wp.float64
 vec2d = wp.vec2d
 
-zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
 # Sine of the angle below which two edges are parallel.
 PARALLEL = wp.constant(real(1.0e-12))
 

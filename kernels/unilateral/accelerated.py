@@ -74,12 +74,13 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
     Scratch = wp.array2d(dtype=scratch(real, rolls))
     f = impulses.functions(real, moves)
     spin_after, spin_changed = relative.functions(real, moves).spin_after, f.spin_changed
-    changed_at, push = f.changed_at, f.push
+    changed_at, push_both = f.changed_at, f.push_both
     turning_ease, in_cone, in_discs = f.turning_ease, f.in_cone, f.in_discs
     off_squared, pressing = f.off_squared, f.pressing
     first = begin.functions(real, moves, rolls)
-    begin_row, spread, scale_of = first.begin, first.spread, first.scale
-    zero, half, one, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 4.0))
+    clear, begin_row, spread, scale_of = first.clear, first.begin, first.spread, first.scale
+    momentum, take, report = first.momentum, first.take, first.report
+    zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
     # A step that was too long becomes this part of the longest that goes down; others grow.
     SHORTER, LONGER = wp.constant(real(0.9)), wp.constant(real(1.005))
     rounding = np.finfo(wp.dtype_to_numpy(real))
@@ -113,15 +114,10 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                     moving[env, body].angular = moving[env, body].angular - change[env, body].angular
             count = outcome.count[env]
             if count == 0:
-                outcome.residual[env] = zero
-                outcome.iterations[env] = 0
-                outcome.converged[env] = 1
+                report(outcome, env, zero, 0, 1)
                 continue
 
-            for body in range(change.shape[1]):
-                change[env, body].linear = vec3()
-                change[env, body].angular = vec3()
-                change[env, body].speed_squared = zero
+            clear(change, env)
             finite = zero  # only if all terms are
             for row in range(count):
                 free, rho, trace, size = begin_row(rows, moving, change, env, row, tolerance)
@@ -140,9 +136,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                     scratch[env, row].arm = arm
                     scratch[env, row].turning_free = arm * spin_after(moving, env, one_body, other)
             if not wp.isfinite(finite):
-                outcome.residual[env] = finite
-                outcome.iterations[env] = 0
-                outcome.converged[env] = 0
+                report(outcome, env, finite, 0, 0)
                 continue
             spread(rows, change, env, count)
 
@@ -222,9 +216,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                     length *= LONGER
                 if uphill > zero:
                     theta = one
-                theta_next = half * theta * (wp.sqrt(theta * theta + four) - theta)
-                beta = theta * (one - theta) / (theta * theta + theta_next)
-                theta = theta_next
+                theta, beta = momentum(theta)
                 for row in range(count):
                     rho = scratch[env, row].rho
                     if rho > zero:
@@ -278,8 +270,9 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                             new = in_cone(new, n, mu)
                         step = new - impulse
                         rows[env, row].impulse = new
-                        push(moving, change, env, one_body, step, wp.cross(rows[env, row].arm_1, step) + turn_step)
-                        push(moving, change, env, other, -step, -wp.cross(rows[env, row].arm_2, step) - turn_step)
+                        turn_1 = wp.cross(rows[env, row].arm_1, step) + turn_step
+                        turn_2 = -wp.cross(rows[env, row].arm_2, step) - turn_step
+                        push_both(moving, change, env, one_body, other, step, turn_1, turn_2)
                 steps += 1
 
             if worst > least:
@@ -294,14 +287,11 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                         rows[env, row].couple = scratch[env, row].couple_best
                     one_body = rows[env, row].body_1
                     other = rows[env, row].body_2
-                    push(moving, change, env, one_body, step, wp.cross(rows[env, row].arm_1, step) + turn_step)
-                    push(moving, change, env, other, -step, -wp.cross(rows[env, row].arm_2, step) - turn_step)
+                    turn_1 = wp.cross(rows[env, row].arm_1, step) + turn_step
+                    turn_2 = -wp.cross(rows[env, row].arm_2, step) - turn_step
+                    push_both(moving, change, env, one_body, other, step, turn_1, turn_2)
 
-            for body in range(change.shape[1]):
-                moving[env, body].linear = moving[env, body].linear + change[env, body].linear
-                moving[env, body].angular = moving[env, body].angular + change[env, body].angular
-            outcome.residual[env] = wp.sqrt(worst)
-            outcome.iterations[env] = done + steps
-            outcome.converged[env] = wp.where(worst <= goal, 1, 0)
+            take(moving, change, env)
+            report(outcome, env, wp.sqrt(worst), done + steps, wp.where(worst <= goal, 1, 0))
 
     return accelerated

@@ -1,4 +1,4 @@
-"""How solves begin, and by what their residuals are measured: common to the solvers of a step.
+"""How solves begin, go on and end, and by what residuals are measured: common to the solvers of a step.
 
 The residual of a row is how far its impulse P is from its law, over the larger of |P| and ρ V: ρ is the mass that
 the contact feels, and V the largest relative velocity without contact, |q|, of the contacts that bodies connect
@@ -23,14 +23,14 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
     """
     t = structs(real)
     vec3 = t.vec3
-    Rows = row_structs(real).Rows
+    Rows, Outcome = row_structs(real).Rows, row_structs(real).Outcome
     Moving = wp.array2d(dtype=moving_struct(real, moves))
     Change = wp.array2d(dtype=impulses.change_struct(real))
     f = impulses.functions(real, moves)
-    push, ease, turning_ease = f.push, f.ease, f.turning_ease
+    push_both, ease, turning_ease = f.push_both, f.ease, f.turning_ease
     between = relative.functions(real, moves)
     velocity, spin = between.after, between.spin_after
-    zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
+    zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
     # Of a velocity over that of the guess: what rounding of the guess may leave.
     ROUNDING = wp.constant(real(4.0 * float(np.finfo(wp.dtype_to_numpy(real)).eps)))
     LEAST = wp.constant(real(float(np.finfo(wp.dtype_to_numpy(real)).tiny)))
@@ -44,6 +44,14 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
             elif before == zero:
                 # What does not move connects nothing.
                 change[env, body].speed_squared = -one
+
+    @wp.func
+    def clear(change: Change, env: int):
+        """Nothing has changed."""
+        for body in range(change.shape[1]):
+            change[env, body].linear = vec3()
+            change[env, body].angular = vec3()
+            change[env, body].speed_squared = zero
 
     @wp.func
     def begin(rows: Rows, moving: Moving, change: Change, env: int, row: int, tolerance: real):
@@ -82,8 +90,7 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
             rows[env, row].couple = couple
             turn_1 += couple
             turn_2 += couple
-        push(moving, change, env, one_body, impulse, turn_1)
-        push(moving, change, env, other, -impulse, -turn_2)
+        push_both(moving, change, env, one_body, other, impulse, turn_1, -turn_2)
         hasten(change, env, one_body, squared, one_ease)
         hasten(change, env, other, squared, other_ease)
         return free, rho, trace, wp.length_sq(free) + wp.length_sq(impulse)
@@ -120,4 +127,26 @@ def functions(real: type, moves: bool, rolls: bool) -> SimpleNamespace:
             squared = wp.max(squared, change[env, other].speed_squared)
         return wp.max(rho * rho * squared, LEAST)
 
-    return SimpleNamespace(begin=begin, spread=spread, scale=scale)
+    @wp.func
+    def momentum(theta: real):
+        """Nesterov's: the next θ, and the share of the last step by which impulses go on."""
+        after = half * theta * (wp.sqrt(theta * theta + four) - theta)
+        return after, theta * (one - theta) / (theta * theta + after)
+
+    @wp.func
+    def take(moving: Moving, change: Change, env: int):
+        """Adds what has changed to the velocities."""
+        for body in range(change.shape[1]):
+            moving[env, body].linear = moving[env, body].linear + change[env, body].linear
+            moving[env, body].angular = moving[env, body].angular + change[env, body].angular
+
+    @wp.func
+    def report(outcome: Outcome, env: int, residual: real, iterations: int, converged: int):
+        """Says how a solve went."""
+        outcome.residual[env] = residual
+        outcome.iterations[env] = iterations
+        outcome.converged[env] = converged
+
+    return SimpleNamespace(
+        clear=clear, begin=begin, spread=spread, scale=scale, momentum=momentum, take=take, report=report
+    )

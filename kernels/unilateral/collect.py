@@ -25,20 +25,19 @@ def add_row(real: type) -> wp.Function:
     t = structs(real)
     vec3, State = t.vec3, t.State
     r, records = row_structs(real), record_structs(real)
-    Row, Rows, Outcome = r.Row, r.Rows, r.Outcome
-    Memories, Account, Material = records.Memories, records.Account, records.Material
+    Row = r.Row
     velocity_at = frames.functions(real).velocity_at
 
     @wp.func
     def add_row(
         state: State,
-        rows: Rows,
-        outcome: Outcome,
-        memory: Memories,
-        account: Account,
+        rows: r.Rows,
+        outcome: r.Outcome,
+        memory: records.Memories,
+        account: records.Account,
         env: int,
         contact: int,
-        material: Material,
+        material: records.Material,
         body_1: int,
         body_2: int,
         arm_1: vec3,
@@ -82,13 +81,6 @@ def mesh(real: type) -> wp.Kernel:
     t = structs(real)
     Model, State, Contacts, Near = t.Model, t.State, t.Contacts, t.Near
     r, records = row_structs(real), record_structs(real)
-    Rows, Outcome, Memories, Account, Material = (
-        r.Rows,
-        r.Outcome,
-        records.Memories,
-        records.Account,
-        records.Material,
-    )
     apart = frames.functions(real).apart
     add = add_row(real)
 
@@ -103,11 +95,11 @@ def mesh(real: type) -> wp.Kernel:
         blocks: wp.array(dtype=wp.int32),  # those of hard contacts
         block_count: wp.int32,
         recovery: real,  # [1/s]
-        material: wp.array2d(dtype=Material),
-        memory: Memories,
-        account: Account,
-        rows: Rows,
-        outcome: Outcome,
+        material: wp.array2d(dtype=records.Material),
+        memory: records.Memories,
+        account: records.Account,
+        rows: r.Rows,
+        outcome: r.Outcome,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task
@@ -152,13 +144,6 @@ def smooth(real: type, rolls: bool) -> wp.Kernel:
     """
     State, Smooth = structs(real).State, contact_structs(real).Smooth
     r, records = row_structs(real), record_structs(real)
-    Rows, Outcome, Memories, Account, Material = (
-        r.Rows,
-        r.Outcome,
-        records.Memories,
-        records.Account,
-        records.Material,
-    )
     add = add_row(real)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
@@ -173,11 +158,11 @@ def smooth(real: type, rolls: bool) -> wp.Kernel:
         settings: wp.array2d(dtype=Settings),
         smooth: Smooth,
         recovery: real,  # [1/s]
-        material: wp.array2d(dtype=Material),
-        memory: Memories,
-        account: Account,
-        rows: Rows,
-        outcome: Outcome,
+        material: wp.array2d(dtype=records.Material),
+        memory: records.Memories,
+        account: records.Account,
+        rows: r.Rows,
+        outcome: r.Outcome,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task
@@ -211,13 +196,6 @@ def pile(real: type) -> wp.Kernel:
     p = pile_structs(real)
     Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
     r, records = row_structs(real), record_structs(real)
-    Rows, Outcome, Memories, Account, Material = (
-        r.Rows,
-        r.Outcome,
-        records.Memories,
-        records.Account,
-        records.Material,
-    )
     add = add_row(real)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
@@ -232,11 +210,11 @@ def pile(real: type) -> wp.Kernel:
         first: wp.int32,  # number of the contact of the first record
         substance: wp.int32,  # number of the material of all pairs
         recovery: real,  # [1/s]
-        material: wp.array2d(dtype=Material),
-        memory: Memories,
-        account: Account,
-        rows: Rows,
-        outcome: Outcome,
+        material: wp.array2d(dtype=records.Material),
+        memory: records.Memories,
+        account: records.Account,
+        rows: r.Rows,
+        outcome: r.Outcome,
     ):
         for task in range(wp.tid(), work.tasks, work.threads):
             env = work.first + task

@@ -68,14 +68,16 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
     basis, one_contact = c.basis, c.one_contact
     f = impulses.functions(real, moves)
     spin_after, spin_changed = relative.functions(real, moves).spin_after, f.spin_changed
-    changed_at, push, turning_ease, in_discs = f.changed_at, f.push, f.turning_ease, f.in_discs
+    changed_at, push, push_both = f.changed_at, f.push, f.push_both
+    turning_ease, in_discs = f.turning_ease, f.in_discs
     block_of, inverse_of, in_cone, off_squared = f.block, f.inverse_of, f.in_cone, f.off_squared
     if not moves:
         stood_still = standing.functions(real, scratch(real, rolls))
         at_rest, stand, settle = stood_still.at_rest, stood_still.stand, stood_still.settle
     first = begin.functions(real, moves, rolls)
-    begin_row, spread, scale_of = first.begin, first.spread, first.scale
-    zero, half, one, three, four = (wp.constant(real(x)) for x in (0.0, 0.5, 1.0, 3.0, 4.0))
+    clear, begin_row, spread, scale_of = first.clear, first.begin, first.spread, first.scale
+    momentum, take, report = first.momentum, first.take, first.report
+    zero, one, three = (wp.constant(real(x)) for x in (0.0, 1.0, 3.0))
     raw, softened = wp.constant(RAW), wp.constant(SOFTENED)
     soft, softer = wp.constant(real(SOFT)), wp.constant(real(SOFTER))
     patience = wp.constant(PATIENCE)
@@ -123,15 +125,10 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                 continue
             count = outcome.count[env]
             if count == 0:
-                outcome.residual[env] = zero
-                outcome.iterations[env] = 0
-                outcome.converged[env] = 1
+                report(outcome, env, zero, 0, 1)
                 continue
 
-            for body in range(change.shape[1]):
-                change[env, body].linear = vec3()
-                change[env, body].angular = vec3()
-                change[env, body].speed_squared = zero
+            clear(change, env)
             finite = zero  # only if all terms are
             for row in range(count):
                 free, rho, _trace, size = begin_row(rows, moving, change, env, row, tolerance)
@@ -142,9 +139,7 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                     turning = spin_after(moving, env, rows[env, row].body_1, rows[env, row].body_2)
                     scratch[env, row].turning = turning
             if not wp.isfinite(finite):
-                outcome.residual[env] = finite
-                outcome.iterations[env] = 0
-                outcome.converged[env] = 0
+                report(outcome, env, finite, 0, 0)
                 continue
             spread(rows, change, env, count)
 
@@ -234,8 +229,8 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                         if rough == 1:
                             worst = wp.max(worst, wp.length_sq(step) / scale)
                         rows[env, row].impulse = new
-                        push(moving, change, env, one_body, step, wp.cross(arm_1, step))
-                        push(moving, change, env, other, -step, -wp.cross(arm_2, step))
+                        turn_1, turn_2 = wp.cross(arm_1, step), -wp.cross(arm_2, step)
+                        push_both(moving, change, env, one_body, other, step, turn_1, turn_2)
                         impulse = new
                     if wp.static(rolls):
                         trace = turning_ease(moving, env, one_body) + turning_ease(moving, env, other)
@@ -282,9 +277,7 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                 # A sweep is a step down a hill. Its momentum leads on, and starts again where it leads uphill.
                 if uphill > zero:
                     theta = one
-                theta_next = half * theta * (wp.sqrt(theta * theta + four) - theta)
-                beta = theta * (one - theta) / (theta * theta + theta_next)
-                theta = theta_next
+                theta, beta = momentum(theta)
                 for row in range(count):
                     swept = rows[env, row].impulse
                     new = swept
@@ -295,14 +288,13 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                         step = new - swept
                         one_body = rows[env, row].body_1
                         other = rows[env, row].body_2
-                        push(moving, change, env, one_body, step, wp.cross(rows[env, row].arm_1, step))
-                        push(moving, change, env, other, -step, -wp.cross(rows[env, row].arm_2, step))
+                        turn_1 = wp.cross(rows[env, row].arm_1, step)
+                        turn_2 = -wp.cross(rows[env, row].arm_2, step)
+                        push_both(moving, change, env, one_body, other, step, turn_1, turn_2)
                     scratch[env, row].before = new
                     scratch[env, row].swept = swept
 
-            for body in range(change.shape[1]):
-                moving[env, body].linear = moving[env, body].linear + change[env, body].linear
-                moving[env, body].angular = moving[env, body].angular + change[env, body].angular
+            take(moving, change, env)
             if wp.static(not moves):  # noqa: SIM102  only a static condition alone is pruned
                 if worst <= goal and stops == sweeps:
                     settle(rows, moving, change, env, count, stops)
@@ -312,8 +304,6 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                         rows[env, row].impulse = scratch[env, row].guess
                         if wp.static(rolls):
                             rows[env, row].couple = scratch[env, row].couple_guess
-            outcome.residual[env] = wp.sqrt(worst)
-            outcome.iterations[env] = sweeps
-            outcome.converged[env] = wp.where(worst <= goal, 1, 0)
+            report(outcome, env, wp.sqrt(worst), sweeps, wp.where(worst <= goal, 1, 0))
 
     return gauss_seidel

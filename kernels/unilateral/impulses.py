@@ -79,6 +79,21 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
             change[env, body].angular = change[env, body].angular + moving[env, body].by_torque * turning
 
     @wp.func
+    def push_both(
+        moving: Moving,
+        change: Change,
+        env: int,
+        body_1: int,
+        body_2: int,
+        impulse: vec3,
+        turning_1: vec3,
+        turning_2: vec3,
+    ):
+        """Adds what an impulse on the first body and its opposite on the second do, each with an own turning."""
+        push(moving, change, env, body_1, impulse, turning_1)
+        push(moving, change, env, body_2, -impulse, turning_2)
+
+    @wp.func
     def ease(moving: Moving, env: int, body: int, arm: vec3):
         """Trace of the block of one body: how easily an impulse at ``arm`` moves that place [1/kg]."""
         if body < 0:
@@ -233,6 +248,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         changed_at=changed_at,
         spin_changed=spin_changed,
         push=push,
+        push_both=push_both,
         ease=ease,
         turning_ease=turning_ease,
         block=block,

@@ -16,8 +16,15 @@ from warpcontact.scene import Surface
 from warpcontact.smooth.elements import Shape
 from warpcontact.smooth.tessellate import tessellate
 
-# Direction of the light on the ground, from the upper left.
-LIGHT = np.array([-0.5, 0.5, 0.7]) / np.linalg.norm([-0.5, 0.5, 0.7])
+# Greys of what is lowest and highest, and how much darker what is vertical is.
+DARKEST, LIGHTEST, STEEP = 0.46, 0.92, 0.3
+# What is less high than this part of its width is level.
+LEVEL = 1.0e-6
+# Faces are upright that go no farther sideways than this part of their height.
+UPRIGHT = 1.0e-2
+# Contours in a picture at most, about, their colour and that of their heights, and how far apart these are, in
+# widths of the window.
+CONTOURS, CONTOUR, HEIGHT, APART = 8, (0.0, 0.0, 0.0, 0.35), (0.0, 0.0, 0.0, 0.75), 0.05
 # What grey is multiplied with, red, green and blue, where faces are active and where not: no track is so coloured.
 ACTIVE, INACTIVE = np.array([1.0, 1.0, 1.0]), np.array([0.62, 0.90, 0.92])
 # Grey of patches in the legend.
@@ -89,53 +96,128 @@ def grounds_of(recording: Recording, reach: float) -> list[Ground]:
     return sorted(grounds, key=lambda ground: float(ground.corners[..., 2].mean()))
 
 
-def draw_from_above(axes: Any, ground: Ground, lower: Array, upper: Array) -> None:
-    """Draws the faces within a window, lower ones first, grey by height and by their slope to the light.
+def contour_step(grounds: list[Ground], lower: Array, upper: Array) -> float:
+    """Returns how far apart contours are [m]: 1, 2 or 5 times a power of ten; 0 where all in a window is level.
+
+    Args:
+        grounds: Of what.
+        lower: Lower left corner of the window, x and y [m].
+        upper: Upper right corner.
+    """
+    inclined = [_inclined(ground.corners[_within(ground, lower, upper)]) for ground in grounds]
+    heights = np.concatenate([np.zeros(0), *(corners[..., 2].ravel() for corners in inclined)])
+    span = float(np.ptp(heights)) if len(heights) else 0.0
+    if span <= LEVEL * float(np.max(upper - lower)):
+        return 0.0
+    power = 10.0 ** np.floor(np.log10(span / CONTOURS))
+    return float(min(power * nice for nice in (1.0, 2.0, 5.0, 10.0) if power * nice >= span / CONTOURS))
+
+
+def draw_from_above(axes: Any, ground: Ground, lower: Array, upper: Array, step: float) -> None:
+    """Draws the faces within a window, lower ones first, with contours of their height.
+
+    They are the lighter the higher they are above the mean plane of all, and the darker the steeper on it: a light
+    from one side would hide ridges along its direction, and the inclination of the whole the shape.
 
     Args:
         axes: Where to draw.
         ground: What to draw.
         lower: Lower left corner of the window, x and y [m].
         upper: Upper right corner.
+        step: How far apart contours are [m]; 0: there are none.
     """
-    low, high = ground.corners[..., :2].min(axis=1), ground.corners[..., :2].max(axis=1)
-    near = (high >= lower).all(axis=1) & (low <= upper).all(axis=1)
+    near = _within(ground, lower, upper)
     corners, active = ground.corners[near], ground.active[near]
     if not len(corners):
         return
-    height = corners[..., 2].mean(axis=1)
-    order = np.argsort(height)
-    corners, active, height = corners[order], active[order], height[order]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # Seen from above whatever its outer side.
-    normal *= np.where(normal[:, 2:] < 0.0, -1.0, 1.0)
-    level = (height - height[0]) / max(float(height[-1] - height[0]), 1.0e-9)
-    grey = np.clip(0.45 + 0.25 * level + 0.35 * (normal @ LIGHT - LIGHT[2]) + 0.2, 0.0, 1.0)
+    order = np.argsort(corners[..., 2].mean(axis=1))
+    corners, active = corners[order], active[order]
     tint = np.where(active[:, None], ACTIVE, INACTIVE)
-    polygons = PolyCollection(list(corners[..., :2]), facecolors=grey[:, None] * tint, edgecolors="face")
+    polygons = PolyCollection(list(corners[..., :2]), facecolors=greys(corners)[:, None] * tint, edgecolors="face")
     # Smoothed edges would leave a seam between neighbours.
     polygons.set(linewidth=0.5, antialiased=False)
     axes.add_collection(polygons)
+    if step > 0.0:
+        _draw_contours(axes, corners, lower, upper, step)
+
+
+def _draw_contours(axes: Any, corners: Array, lower: Array, upper: Array, step: float) -> None:
+    """Draws contours of faces (n, 3, 3), each with its height once, where no other is written."""
+    corners = _inclined(corners)
+    written: list[Array] = []
+    if not len(corners):
+        return
+    low, high = float(corners[..., 2].min()), float(corners[..., 2].max())
+    for level in step * np.arange(np.floor(low / step), np.ceil(high / step) + 1.0):
+        lines = _cut(corners, 2, level)[0][..., :2]
+        axes.add_collection(LineCollection(list(lines), colors=CONTOUR, linewidths=0.5, zorder=1))
+        # In parts of the window, of which a margin stays free.
+        places = (lines.mean(axis=1) - lower) / (upper - lower)
+        places = places[(np.abs(places - 0.5) < 0.45).all(axis=1)]
+        for other in written:
+            places = places[np.linalg.norm(places - other, axis=1) > APART]
+        if len(places):
+            written.append(places[np.argmin(np.linalg.norm(places - 0.5, axis=1))])
+            x, y = lower + written[-1] * (upper - lower)
+            axes.text(x, y, f"{level:.10g}", fontsize=7, color=HEIGHT, ha="center", va="center", zorder=1.2)
+
+
+def greys(corners: Array) -> Array:
+    """Returns the greys of faces seen from above, (n,) in 0…1, by their corners (n, 3, 3) [m]."""
+    middle = corners.mean(axis=1)
+    middle = middle - middle.mean(axis=0)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # Areas as they are seen; of vertical faces there is nothing to see.
+    seen = np.abs(normal[:, 2])
+    weight = np.sqrt(seen / (seen.max() or 1.0))
+    plane = np.stack([middle[:, 0], middle[:, 1], np.ones(len(middle))], axis=1)
+    slopes = np.linalg.lstsq(weight[:, None] * plane, weight * middle[:, 2])[0]
+    height = middle[:, 2] - plane @ slopes
+    span = float(np.ptp(height))
+    # Rounding of what is plane is no relief.
+    relief = span > LEVEL * float(np.ptp(middle, axis=0).max())
+    level = (height - height.min()) / span if relief else np.full(len(height), 0.5)
+    upright = np.array([-slopes[0], -slopes[1], 1.0]) / np.linalg.norm([*slopes[:2], 1.0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1.0e-300)
+    # Of an angle, whatever the outer side of a face.
+    sine = np.sqrt(np.clip(1.0 - (normal @ upright) ** 2, 0.0, 1.0))
+    return np.clip(DARKEST + (LIGHTEST - DARKEST) * level - STEEP * sine, 0.0, 1.0)
+
+
+def _inclined(corners: Array) -> Array:
+    """Returns those of some faces that have contours: neither level nor upright, of which there is but an edge."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = np.linalg.norm(normal[:, :2], axis=1)
+    upwards = np.abs(normal[:, 2])
+    return corners[(across > LEVEL * upwards) & (upwards > UPRIGHT * across)]
+
+
+def _within(ground: Ground, lower: Array, upper: Array) -> NDArray[np.bool_]:
+    """Returns a mask (F,) of the faces that reach into a window."""
+    low, high = ground.corners[..., :2].min(axis=1), ground.corners[..., :2].max(axis=1)
+    return np.asarray((high >= lower).all(axis=1) & (low <= upper).all(axis=1))
+
+
+def _cut(corners: Array, axis: int, value: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Returns where a plane across an axis cuts faces: ends of lines (n, 2, 3) [m], and a mask of the faces."""
+    # Not through vertices and along edges.
+    value += 1.0e-6 * float(np.ptp(corners[..., axis]) or 1.0)
+    side = corners[..., axis] > value
+    cut = np.asarray(side.any(axis=1) & ~side.all(axis=1))
+    corners, side = corners[cut], side[cut]
+    ends = np.roll(corners, -1, axis=1)
+    crossing = side != np.roll(side, -1, axis=1)  # two of the three edges
+    start, end = corners[crossing], ends[crossing]
+    part = (value - start[:, axis]) / (end[:, axis] - start[:, axis])
+    return (start + part[:, None] * (end - start)).reshape(-1, 2, 3), cut
 
 
 def draw_section(axes: Any, ground: Ground, y: float) -> None:
     """Draws where the plane at ``y`` [m] cuts a surface."""
-    corners = ground.corners
-    # Not through vertices and along edges.
-    y += 1.0e-6 * float(np.ptp(corners[..., 1]) or 1.0)
-    side = corners[..., 1] > y
-    cut = side.any(axis=1) & ~side.all(axis=1)
-    corners, side, active = corners[cut], side[cut], ground.active[cut]
-    if not len(corners):
-        return
-    ends = np.roll(corners, -1, axis=1)
-    crossing = side != np.roll(side, -1, axis=1)  # two of the three edges
-    start, end = corners[crossing], ends[crossing]
-    part = (y - start[:, 1]) / (end[:, 1] - start[:, 1])
-    points = (start + part[:, None] * (end - start))[:, [0, 2]]
-    colors = np.where(active[:, None], ACTIVE_LINE, INACTIVE_LINE)
-    axes.add_collection(LineCollection(list(points.reshape(-1, 2, 2)), colors=colors, linewidths=2.0, zorder=0))
+    lines, cut = _cut(ground.corners, 1, y)
+    if len(lines):
+        colors = np.where(ground.active[cut][:, None], ACTIVE_LINE, INACTIVE_LINE)
+        axes.add_collection(LineCollection(list(lines[..., [0, 2]]), colors=colors, linewidths=2.0, zorder=0))
 
 
 def legend_entries(from_above: bool) -> list[Any]:

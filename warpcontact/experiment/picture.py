@@ -5,6 +5,7 @@ Tracks are seen from above, or from the side if they run in the plane of x and z
 The picture is made of what the recording has. Without a display, and without matplotlib's global state.
 """
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from warpcontact.experiment.ground import Ground, draw_from_above, draw_section, grounds_of, legend_entries
+from warpcontact.experiment.ground import (
+    Ground,
+    contour_step,
+    draw_from_above,
+    draw_section,
+    grounds_of,
+    legend_entries,
+)
 from warpcontact.experiment.store import CHUNK
 from warpcontact.health import Health
 from warpcontact.picture_file import save
@@ -40,6 +48,8 @@ FLAT = 0.02
 WIDE = 1.8
 # What is shown is at least this part of the couplings: lines may be far longer than the tracks.
 ENOUGH_OF_COUPLINGS = 0.25
+# Of a scale of colours, at both ends, without other ticks.
+ROOM = 0.15
 # The shorter side is at least this part of the longer.
 NARROWEST = 0.3
 
@@ -143,9 +153,10 @@ def _draw_tracks(
     tracks = [_tracks(recording, body, chosen) for body in scene.bodies]
     lower, upper = window
     from_above = plane == [0, 1]
+    step = contour_step(grounds, lower, upper) if from_above else 0.0
     for ground in grounds:
         if from_above:
-            draw_from_above(axes, ground, lower, upper)
+            draw_from_above(axes, ground, lower, upper, step)
         else:
             draw_section(axes, ground, float(np.mean([track[..., 1].mean() for track in tracks])))
     for shape in shapes:
@@ -175,16 +186,18 @@ def _draw_tracks(
     first = [] if all(ground.shared for ground in grounds) else ["surfaces"]
     first += ["couplings"] if shapes else []
     as_first = f"; {' and '.join(first)} as in environment 0" if first else ""
+    contours = f"; contours every {step:g} m" if step else ""
     # From the left, where it may be wider than what it is of.
-    axes.set_title(f"tracks {view}, {which}; dots: the end{as_first}", fontsize="medium", loc="left")
+    axes.set_title(f"tracks {view}, {which}; dots: the end{contours}{as_first}", fontsize="medium", loc="left")
     if envs > 1:
         # Beside the tracks if they are wide, otherwise below.
         bar: dict[str, Any] = (
             {"location": "right", "aspect": 25} if wide else {"location": "bottom", "shrink": 0.7, "aspect": 40}
         )
-        if not isinstance(norm, LogNorm):
-            bar["ticks"] = MaxNLocator(4, integer=bool((values == np.round(values)).all()))
-        figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, label=label, pad=0.01, **bar)
+        drawn = figure.colorbar(ScalarMappable(norm, COLORS), ax=axes, label=label, pad=0.01, **bar)
+        drawn.minorticks_off()
+        ticks, names = _ticks(norm, whole=bool((values == np.round(values)).all()))
+        drawn.set_ticks(ticks, labels=names)
 
 
 def _tracks(recording: Recording, body: Body, chosen: NDArray[np.int_]) -> NDArray[Any]:
@@ -264,6 +277,30 @@ def _color_values(recording: Recording, varied: list[str]) -> tuple[NDArray[Any]
 def _norm(values: NDArray[Any]) -> Normalize:
     low, high = float(values.min()), float(values.max())
     return LogNorm(low, high) if low > 0.0 and high > LOGARITHMIC * low else Normalize(low, high)
+
+
+def _ticks(norm: Normalize, whole: bool) -> tuple[list[float], list[str]]:
+    """Returns where a scale of colours has ticks: at both ends, and at round numbers that leave these room."""
+    ends = norm.vmin, norm.vmax
+    low, high = (0.0 if end is None else float(end) for end in ends)
+    if not 0.0 < high - low < math.inf:
+        return [low], [f"{low:.4g}"]
+    digits = 3
+    if isinstance(norm, LogNorm):
+        between = 10.0 ** np.arange(np.ceil(np.log10(low)), np.floor(np.log10(high)) + 1.0)
+        between = between[:: math.ceil(len(between) / 4) or 1]
+    else:
+        between = np.asarray(
+            MaxNLocator(4, steps=[1.0, 2.0, 2.5, 5.0, 10.0], integer=whole).tick_values(low, high)
+        )
+        # So many that ticks differ, also far from 0.
+        digits += max(math.ceil(np.log10(max(abs(low), abs(high)) / (high - low))), 0)
+    places = np.asarray(norm(between))
+    inner = between[(places > ROOM) & (places < 1.0 - ROOM)].tolist()
+    ticks = [low, *inner, high]
+    # Without powers of ten below a million.
+    digits = max(digits, min(math.floor(np.log10(max(abs(low), abs(high)))) + 1, 6))
+    return ticks, [f"{tick:.{digits}g}" for tick in ticks]
 
 
 def _label(name: str, array: xr.DataArray) -> str:

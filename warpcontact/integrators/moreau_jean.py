@@ -22,13 +22,11 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
     from warpcontact.unilateral.hard_contacts import HardContacts
 
-SOLVERS = {
-    "auto": (gauss_seidel, accelerated),
-    "gauss_seidel": (gauss_seidel,),
-    "accelerated": (accelerated,),
-}
+KERNELS = {"gauss_seidel": gauss_seidel, "accelerated": accelerated}
+#: What is chosen by a name: these, one where those before do not converge.
+SOLVERS = {"auto": tuple(KERNELS), **{name: (name,) for name in KERNELS}}
 #: Most iterations of each in a step, if nothing is said.
-ITERATIONS = {gauss_seidel: 200, accelerated: 2000}
+ITERATIONS = {"gauss_seidel": 200, "accelerated": 2000}
 #: Relative residual to reach, if nothing is said, by precision.
 TOLERANCES = {wp.float32: 1.0e-5, wp.float64: 1.0e-8}
 #: Share of a step within which velocities of functions of time are those of an instant.
@@ -141,7 +139,7 @@ class MoreauJean(Integrator):
         """Declares the hard contacts of ``model``."""
         from warpcontact.unilateral.hard_contacts import HardContacts
 
-        scratch = [solver.scratch for solver in SOLVERS[self.solver]]
+        scratch = {name: KERNELS[name].scratch for name in SOLVERS[self.solver]}
         tolerance = TOLERANCES[model.types.real] if self.tolerance is None else self.tolerance
         recovery = 0.0 if self.recovery_time is None else 1.0 / self.recovery_time
         return HardContacts(model, self.compliant, scratch, tolerance, recovery, layout)
@@ -191,9 +189,9 @@ class MoreauJean(Integrator):
         assert hard is not None
         launches: list[wp.Launch] = []
         places: list[dict[str, bool]] = [{}] if len(hard.scratch) == 1 else [{"before": True}, {"after": True}]
-        for solver, scratch, place in zip(SOLVERS[self.solver], hard.scratch, places, strict=True):
-            iterations = ITERATIONS[solver] if self.iterations is None else self.iterations
-            kernel = solver.kernel(real, span.model.moves, hard.rolls, **place)
+        for (name, scratch), place in zip(hard.scratch.items(), places, strict=True):
+            iterations = ITERATIONS[name] if self.iterations is None else self.iterations
+            kernel = KERNELS[name].kernel(real, span.model.moves, hard.rolls, **place)
             inputs = [status, hard.rows, hard.moving, hard.outcome, hard.tolerance, iterations]
             launches += span.prepare(kernel, 1, [*inputs, scratch, hard.change])
         return launches

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, per_env
 from warpcontact.captures import beside_captures
+from warpcontact.formula_errors import told_by_warp
 from warpcontact.kernels import measures
 from warpcontact.kernels.motions.measures import coordinates
 from warpcontact.kernels.outcomes import events, reduce, stop
@@ -126,7 +127,7 @@ class Observer:
                 kernel = reduce.report(outcome.update, outcome.result, kept.length, forms)
                 kernel.module.load(self._device, block_dim=None if self._device.is_cuda else 1)
             except Exception as error:
-                text = str(error).replace("\\n", "\n")
+                text = told_by_warp(error, [type(outcome)])
                 raise TypeError(
                     f"outcomes[{kept.name!r}]: {type(outcome).__name__} does not compile: {text}\n"
                     "m is the memory, a vector of float64, x a float64, or a vector of them of an outcome of a "

@@ -19,6 +19,8 @@ LEAST = 1.4
 BESIDE = 1.0
 # What is lower, or farther off in other directions, in sizes of all that stands still, is not looked for.
 BELOW, AWAY = 0.25, 2.0
+# Part of what moves that a plane without end is at least below.
+NEARLY = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,13 +115,14 @@ def spheres_to_see(drawing: Drawing, items: Sequence[tuple[Items, bool]]) -> tup
         drawing: What it is of.
         items: Shapes that were placed, and whether each moves.
     """
-    nothing = (np.zeros((0, 3)), np.zeros(0), np.zeros(0))
-    balls = {moves: [nothing] for moves in (True, False)}
-    for group, moves in items:
-        balls[moves].append(_balls(group))
-    (centres, radii, _), (still, sizes, spans) = (
-        tuple(np.concatenate(column) for column in zip(*balls[moves], strict=True)) for moves in (True, False)
-    )
+    centres, radii, _ = _all_balls([group for group, moves in items if moves])
+    standing = [group for group, moves in items if not moves]
+    if len(centres):
+        # A plane without end is below nearly all that moves; a few bodies may have been thrown out of the world.
+        middle = np.median(centres, axis=0)
+        reach = float(np.quantile(np.linalg.norm((centres - middle)[:, :2], axis=1), NEARLY))
+        standing = [group.spread(middle, reach) for group in standing]
+    still, sizes, spans = _all_balls(standing)
     if not len(centres):
         centres, radii, still, sizes, spans = still, sizes, still[:0], sizes[:0], spans[:0]
     if not len(centres):
@@ -136,6 +139,13 @@ def spheres_to_see(drawing: Drawing, items: Sequence[tuple[Items, bool]]) -> tup
     return np.concatenate([centres, still[beside]]), np.concatenate([radii, sizes[beside]])
 
 
+def _all_balls(items: Sequence[Items]) -> tuple[Array, Array, Array]:
+    """Returns what encloses items, one after the other, see ``_balls``."""
+    nothing = (np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    centres, radii, spans = zip(nothing, *map(_balls, items), strict=True)
+    return np.concatenate(centres), np.concatenate(radii), np.concatenate(spans)
+
+
 def _balls(items: Items) -> tuple[Array, Array, Array]:
     """Returns what encloses items: centres and radii of balls, or corners of boxes; and the length of all."""
     centres, halves = items.boxes()
@@ -144,7 +154,9 @@ def _balls(items: Items) -> tuple[Array, Array, Array]:
         return centres, radii, 2.0 * radii
     corners = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
     points = (centres[:, None] + corners * halves[:, None]).reshape(-1, 3)
-    return points, np.zeros(len(points)), np.repeat(2.0 * np.linalg.norm(halves, axis=1), 8)
+    # A plane without end is longer than anything.
+    spans = np.full(len(halves), np.inf) if items.endless else 2.0 * np.linalg.norm(halves, axis=1)
+    return points, np.zeros(len(points)), np.repeat(spans, 8)
 
 
 def moving(drawing: Drawing) -> list[bool]:

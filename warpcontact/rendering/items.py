@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,18 @@ class Items:
         if self.kind == SPHERE:
             return centres, np.linalg.norm(axes, axis=1)
         return centres, np.abs(half[:, None] * axes).sum(axis=1)
+
+    def spread(self, point: Array, reach: float) -> "Items":
+        """Returns planes without end as squares about where they are nearest to a point [m].
+
+        Half their sides are ``reach`` [m], or as long as they were. Other items are returned as they are.
+        """
+        if not self.endless or self.shape is None:
+            return self
+        normals = turned_axes(self.rotations)[:, 2]
+        above = ((point - self.positions) * normals).sum(axis=1, keepdims=True)
+        half = float(bounds(self.shape)[1].max())
+        return replace(self, positions=point - above * normals, scales=np.maximum(self.scales, reach / half))
 
 
 @functools.lru_cache(maxsize=1024)

@@ -22,6 +22,13 @@ BACKGROUNDS = {
 #: Smallest and largest side of a picture [pixels], and rays of a pixel.
 SIDES = (16, 8192)
 SAMPLES = (1, 1024)
+# Where the eye may be: from steeper in front, over what is low; from other sides; from above, into what is deep.
+_FRONT, _SIDES, _SLOPES = -60.0, (30.0, -150.0, 120.0), (22.0, 35.0, 50.0)
+_PLACES = [
+    *((_FRONT, elevation) for elevation in _SLOPES),
+    *((side, elevation) for elevation in _SLOPES for side in _SIDES),
+    *((_FRONT, elevation) for elevation in (65.0, 80.0, 90.0)),
+]
 _HEX = re.compile(r"#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})")
 
 
@@ -29,7 +36,7 @@ class LookOptions(TypedDict, total=False):
     """The options of ``Look``, all of which may be left out."""
 
     size: tuple[int, int]
-    view_from: tuple[float, float]
+    view_from: tuple[float, float] | None
     look_at: Sequence[float] | None
     distance: float | None
     fov: float
@@ -51,7 +58,7 @@ class Look:
     Args:
         size: Width and height [pixels].
         view_from: Where the eye is: azimuth, from the x axis towards the y axis, and elevation above the
-            horizontal [degrees].
+            horizontal [degrees]; ``None``: −60 and 22, or from where what stands still hides nothing that moves.
         look_at: The point in the middle of the picture, world [m]; ``None``: of what moves.
         distance: From there to the eye [m]; ``None``: so that all that moves is in the picture.
         fov: Angle of view, from top to bottom [degrees].
@@ -72,7 +79,7 @@ class Look:
     """
 
     size: tuple[int, int] = (1280, 720)
-    view_from: tuple[float, float] = (-60.0, 22.0)
+    view_from: tuple[float, float] | None = None
     look_at: Sequence[float] | None = None
     distance: float | None = None
     fov: float = 30.0
@@ -89,8 +96,9 @@ class Look:
     def __post_init__(self) -> None:
         sides = checks.numbers("size", self.size, (2,), limits("pixels", at_least=SIDES[0], at_most=SIDES[1]))
         checks.whole_numbers("size", sides)
-        checks.numbers("view_from", self.view_from, (2,))
-        checks.numbers("view_from[1]", self.view_from[1], (), limits("degrees", at_least=-90.0, at_most=90.0))
+        if self.view_from is not None:
+            checks.numbers("view_from", self.view_from, (2,))
+            checks.numbers("view_from[1]", self.view_from[1], (), limits("degrees", at_least=-90.0, at_most=90.0))
         if self.look_at is not None:
             checks.numbers("look_at", self.look_at, (3,))
         if self.distance is not None:
@@ -121,10 +129,10 @@ class Look:
         return find_device(self.device)
 
     @property
-    def angles(self) -> tuple[float, float, float]:
-        """Azimuth and elevation of the eye, and the angle of view [rad]."""
-        azimuth, elevation = (math.radians(float(angle)) for angle in self.view_from)
-        return azimuth, elevation, math.radians(float(self.fov))
+    def places(self) -> list[tuple[float, float]]:
+        """Azimuths and elevations of the eye [rad], the first from which what moves is seen is taken."""
+        places = _PLACES if self.view_from is None else [self.view_from]
+        return [(math.radians(float(azimuth)), math.radians(float(elevation))) for azimuth, elevation in places]
 
 
 def environment_numbers(env: Any) -> list[int] | None:

@@ -66,12 +66,11 @@ class Painter:
         device = self._stage.device
         # Lengths are in halves of the view, so that no tolerance depends on the scene.
         unit = camera.reach
+        items, (self._backdrop.fade_from, self._backdrop.fade_to) = without_edges(items, camera)
         worlds = [self._stage.world(group, camera.target, unit) for group in (items, marks)]
         view, light = _view(camera, unit, width, height, samples), light_of(camera)
         pixels = wp.empty((width * height, 3), dtype=wp.uint8, device=device)
         grid = _grid(camera, height)
-        away = max([1.0, *(_farthest(group, camera.target) / unit for group in items if group.endless)])
-        self._backdrop.fade_from, self._backdrop.fade_to = (away * distance for distance in _FADE)
         inputs = [view, *(world.struct for world in worlds), light, grid, self._backdrop]
         paint.module.load(device)
         rows = height if device.is_cuda else _ROWS
@@ -88,6 +87,17 @@ class Painter:
             with ThreadPoolExecutor(min(self._threads, len(launches))) as pool:
                 list(pool.map(lambda launch: launch.launch(), launches))
         return pixels.numpy().reshape(height, width, 3)
+
+
+def without_edges(items: Sequence[Items], camera: Camera) -> tuple[list[Items], tuple[float, float]]:
+    """Returns items with planes without end as far as they are seen, and where these fade into the background.
+
+    They begin to at the first distance from the target, and have at the second, in halves of the view.
+    """
+    unit = camera.reach
+    away = max([1.0, *(_farthest(group, camera.target) / unit for group in items if group.endless)])
+    begin, end = (away * distance for distance in _FADE)
+    return [group.spread(camera.target, end * unit) for group in items], (begin, end)
 
 
 def _view(camera: Camera, unit: float, width: int, height: int, samples: int) -> View:

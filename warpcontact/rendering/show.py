@@ -1,5 +1,6 @@
 """Pictures of a drawing, one record after the other, all from the same place and in the same light."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from warpcontact.rendering.camera import LEAST, Camera, direction, framed, movin
 from warpcontact.rendering.items import Items, of_curve, of_figure, of_touch
 from warpcontact.rendering.look import Look
 from warpcontact.rendering.painter import Painter, Picture
+from warpcontact.rendering.sight import Sight, best_seen, targets
 from warpcontact.rendering.stage import Stage
 from warpcontact.replay.colors import Scale
 from warpcontact.replay.drawing import Drawing
@@ -133,7 +135,6 @@ class Show:
         ]
 
     def _camera(self, overview: Sequence[int], aspect: float) -> Camera:
-        azimuth, elevation, angle = self._look.angles
         rows = list(range(len(self.drawing.envs)))
         items = [
             (group, moves)
@@ -150,16 +151,24 @@ class Show:
             ]
             centres = np.concatenate([centres, *tips])
             radii = np.concatenate([radii, np.zeros(len(centres) - len(radii))])
-        return framed(
-            centres,
-            radii,
-            direction(azimuth, elevation),
-            angle,
-            aspect,
-            target=None if self._look.look_at is None else np.array(self._look.look_at, dtype=np.float64),
-            distance=None if self._look.distance is None else float(self._look.distance),
-            least=LEAST * self.drawing.size,
-        )
+        target = None if self._look.look_at is None else np.array(self._look.look_at, dtype=np.float64)
+        cameras = [
+            framed(
+                centres,
+                radii,
+                direction(azimuth, elevation),
+                math.radians(float(self._look.fov)),
+                aspect,
+                target=target,
+                distance=None if self._look.distance is None else float(self._look.distance),
+                least=LEAST * self.drawing.size,
+            )
+            for azimuth, elevation in self._look.places
+        ]
+        if len(cameras) == 1:
+            return cameras[0]
+        panels = targets(self.drawing, self._panels, overview)
+        return best_seen(Sight(self._stage, panels, cameras[0]), cameras, aspect)
 
 
 def _largest(drawing: Drawing, records: Sequence[int]) -> float:

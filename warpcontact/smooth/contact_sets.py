@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact import elements as limits_of
 from warpcontact.arrays import fixed, per_env
+from warpcontact.formula_errors import told_by_warp
 from warpcontact.groups import compile_forces, memory_view
 from warpcontact.kernels import reset
 from warpcontact.kernels.formula import Formula, coefficient_struct
@@ -284,7 +285,7 @@ class SmoothSet:
             try:
                 kernel.module.load(device, block_dim=None if device.is_cuda else 1)
             except Exception as error:
-                text = str(error).replace("\\n", "\n")
+                text = told_by_warp(error, kinds)
                 given = "\n".join(
                     f"In {kind.__name__}, p has {', '.join(kind.device_names()) or 'nothing'}." for kind in kinds
                 )

@@ -1,6 +1,6 @@
 """Hard contacts of a model on its device: the rows of a step, what is remembered, and what the step launches."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -59,8 +59,8 @@ class HardContacts:
     Args:
         model: The model, or what is drawn up of it.
         compliant: Names of the contacts that are not hard, beside those of contact couplings.
-        scratch: For each solver, what returns the struct of what it keeps of a row, by precision and whether
-            anything opposes rolling or spinning.
+        scratch: For each solver, by its name, what returns the struct of what it keeps of a row, by precision and
+            whether anything opposes rolling or spinning.
         tolerance: Of a solve.
         recovery: Share of an overlap that is taken back in a second [1/s].
         layout: Where to declare arrays.
@@ -88,7 +88,7 @@ class HardContacts:
         self,
         model: "Model | PartDraft",
         compliant: Collection[str],
-        scratch: Sequence[Callable[[type, bool], Any]],
+        scratch: Mapping[str, Callable[[type, bool], Any]],
         tolerance: float,
         recovery: float,
         layout: Layout,
@@ -146,9 +146,9 @@ class HardContacts:
         for name, (struct, shape) in made.items():
             layout.array(PURPOSE, self, name, struct, shape)
         self._scratch = SimpleNamespace()
-        for number, make in enumerate(scratch):
-            setattr(self._scratch, str(number), None)
-            layout.array(PURPOSE, self._scratch, str(number), make(t.real, self.rolls), each_row)
+        for name, make in scratch.items():
+            setattr(self._scratch, name, None)
+            layout.array(PURPOSE, self._scratch, name, make(t.real, self.rolls), each_row)
         self.outcome = layout.struct(PURPOSE, rows.Outcome, per_env())
         self.restraint = layout.struct(PURPOSE, records.Restraint, per_env())
         self.account = layout.struct(PURPOSE, records.Account, per_env())
@@ -216,9 +216,9 @@ class HardContacts:
                 array.assign(values)
 
     @property
-    def scratch(self) -> list[Any]:
-        """What each solver works in [env, row]."""
-        return list(vars(self._scratch).values())
+    def scratch(self) -> dict[str, Any]:
+        """What each solver, by its name, works in [env, row]."""
+        return vars(self._scratch)
 
     def acts(self, name: str) -> bool:
         """Whether the contact ``name`` acts by the force of its law."""

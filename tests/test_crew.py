@@ -1,0 +1,59 @@
+"""Crews of several devices: GPUs do not wait for each other, and begin before the CPU."""
+
+import threading
+
+from warpcontact import crew
+
+
+class Listed:
+    """A device by name, which cannot be a key, like those of Warp."""
+
+    __hash__ = None
+
+    def __init__(self, name):
+        self.name, self.is_cuda, self.is_cpu = name, name != "cpu", name == "cpu"
+
+    def __str__(self):
+        return self.name
+
+
+class Piece:
+    """Stands for a slice, and writes down who steps it."""
+
+    envs = 10**6
+
+    def __init__(self, name, captured, log, meeting=None):
+        self.device, self.captured, self.log, self.meeting = Listed(name), captured, log, meeting
+
+    def capture(self, count):
+        pass
+
+    def step(self, count, after_look):
+        if self.meeting is not None:
+            self.meeting.wait(timeout=10.0)  # a BrokenBarrierError if the others are not stepped meanwhile
+        self.log.append((str(self.device), threading.current_thread() is threading.main_thread()))
+
+
+def test_gpus_that_the_host_decides_about_do_not_wait_for_each_other():
+    log, meeting = [], threading.Barrier(3)
+    pieces = [Piece(name, False, log, meeting) for name in ("cuda:0", "cuda:1", "cpu")]
+    assert list(crew.Crew(pieces, 1).step(8)) == [8]
+    assert sorted(name for name, _ in log) == ["cpu", "cuda:0", "cuda:1"]
+
+
+def test_of_one_gpu_only_one_slice_is_launched_at_a_time():
+    log = []
+    pieces = [Piece(name, False, log) for name in ("cuda:0", "cuda:1", "cuda:0")]
+    made = crew.Crew(pieces, 8)
+    list(made.step(8))
+    assert made._threads == 2
+    assert sorted(name for name, _ in log) == ["cuda:0", "cuda:0", "cuda:1"]
+
+
+def test_graphs_are_given_to_gpus_in_turn_before_the_cpu_begins():
+    log = []
+    pieces = [Piece(name, True, log) for name in ("cpu", "cuda:0", "cpu", "cuda:1")]
+    list(crew.Crew(pieces, 2).step(32))
+    assert log[:2] == [("cuda:0", True), ("cuda:1", True)]
+    assert [name for name, _ in log[2:]] == ["cpu", "cpu"]
+    assert not any(alone for _, alone in log[2:])

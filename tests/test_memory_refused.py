@@ -1,0 +1,137 @@
+"""What does not fit into memory is refused before it is taken, with what would fit."""
+
+import numpy as np
+import pytest
+from memory_scenes import MIB, ball_scene, with_room
+from scenes import dropped_sphere
+
+import warpcontact as wc
+from warpcontact import available, footprint
+from warpcontact.build import draw_up
+
+
+def test_too_many_environments_are_refused_before_anything_is_allocated(device, monkeypatch, counted):
+    with_room(monkeypatch, 400 * MIB)
+    with pytest.raises(MemoryError) as caught:
+        ball_scene().build(10_000_000, device)
+    assert counted.used == 0
+    message = str(caught.value)
+    assert message.startswith("10000000 environments need ")
+    assert "of which 340 MiB can be used (85% of the 400 MiB available)" in message
+    most = caught.value.most
+    batches = -(-10_000_000 // most)
+    assert f"at most {most} environments at once fit on {device}" in message
+    assert f"run them in {batches} batches of {-(-10_000_000 // batches)}" in message
+    assert caught.value.needed > caught.value.available == int(0.85 * 400 * MIB)
+    # So many do fit, and one more does not.
+    draft = draw_up(ball_scene(), device)
+    rooms = footprint.rooms_of(draft.memory(1))
+    assert footprint.shortage(draft.memory(most, graphs=False), rooms) is None
+    assert footprint.shortage(draft.memory(most + 1, graphs=False), rooms) is not None
+    with_room(monkeypatch, 100_000)
+    with pytest.raises(MemoryError, match="not even one environment fits"):
+        ball_scene().build(1, device)
+
+
+def test_the_device_that_has_too_little_is_named(monkeypatch):
+    def split(envs):
+        """Twice as much on the first device as on the second."""
+        return footprint.total(
+            footprint.Footprint(envs // 2, name, (footprint.Need("state", name, size * envs // 2, size),))
+            for name, size in (("cuda:0", 2 * MIB), ("cuda:1", MIB))
+        )
+
+    rooms = {"cuda:0": 200 * MIB, "cuda:1": 20 * MIB}
+    monkeypatch.setattr(available, "_device", rooms.get)
+    with pytest.raises(MemoryError) as caught:
+        footprint.require(split, 100)
+    assert str(caught.value) == (
+        "100 environments need 50 MiB of the memory of cuda:1, of which 17 MiB can be used (85% of the 20 MiB "
+        "available); at most 34 environments at once fit on cuda:0, cuda:1: run them in 3 batches of 34"
+    )
+    footprint.require(split, 34)
+
+
+def test_a_split_model_is_refused_before_anything_is_allocated(device, monkeypatch, counted):
+    with_room(monkeypatch, 400 * MIB)
+    with pytest.raises(MemoryError, match=r"at most \d+ environments at once fit on \w+") as caught:
+        ball_scene().build(10_000_000, [device] * 2)
+    assert counted.used == 0
+    draft = draw_up(ball_scene(), [device] * 2)
+    rooms = footprint.rooms_of(draft.memory(1))
+    most = caught.value.most
+    assert footprint.shortage(draft.memory(most, graphs=False), rooms) is None
+    assert footprint.shortage(draft.memory(most + 1, graphs=False), rooms) is not None
+
+
+def test_steps_that_do_not_fit_are_refused_before_they_are_captured(monkeypatch):
+    model = ball_scene().build(20_000, "cpu")
+    with_room(monkeypatch, 100 * MIB)
+    message = r"to step them, 20000 environments need .* at most \d+ environments at once .*, or take graphs=False"
+    with pytest.raises(MemoryError, match=message):
+        wc.Simulation(model, dt=1e-4)
+    assert wc.Simulation(model, dt=1e-4, graphs=False).memory().of("launches") < 10 * MIB
+
+
+def test_nothing_is_refused_where_nobody_knows_what_there_is(device, monkeypatch):
+    with_room(monkeypatch, None)
+    assert ball_scene().build(2, device).envs == 2
+    draft = draw_up(ball_scene(), device)
+    assert footprint.rooms_of(draft.memory(10**12)) == ()
+
+
+def test_recordings_that_do_not_fit_are_refused_before_anything_runs(device, monkeypatch):
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=100, device=device)
+    sim = wc.Simulation(model, dt=1e-4)
+    with_room(monkeypatch, 64 * MIB)
+    with pytest.raises(MemoryError) as caught:
+        sim.run(10.0, ["touch.normal", "touch.gap"])
+    message = str(caught.value)
+    assert message.startswith("the recording of 100001 frames: 100 environments need ")
+    assert "make every" in message
+    assert "times as long, or record less" in message
+    assert "ball.position 229 MiB" in message  # the largest: in float64
+    assert sim.steps == 0
+    assert len(sim.run(0.01, ["touch.gap"], every=1e-3).time) == 11
+    with_room(monkeypatch, 1000)
+    with pytest.raises(MemoryError, match="not even one frame fits"):
+        sim.run(0.01, ["touch.gap"])
+    with pytest.raises(MemoryError, match="100 environments need"):
+        model.reading("touch.point")
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+def test_values_for_each_environment_that_do_not_fit_are_refused(parts, device, monkeypatch):
+    model = ball_scene().build(1000, [device] * parts)
+    mass = np.linspace(1, 2, 1000)
+    with_room(monkeypatch, 5000)  # the host keeps 8 bytes of each
+    message = (
+        r"^for a value of ball\.mass in each, 1000 environments need .*; at most \d+ environments at once fit on"
+    )
+    with pytest.raises(MemoryError, match=message):
+        model["ball.mass"] = mass
+    assert not model.varies("ball.mass")
+    assert (model["ball.mass"] == 0.5).all()
+    model["ball.mass"] = 2.0
+    assert (model["ball.mass"] == 2.0).all()
+    with_room(monkeypatch, 50_000)
+    model["ball.mass"] = mass
+    with_room(monkeypatch, 5000)  # nothing more is taken
+    model["ball.mass"] = 2.0 * mass
+    assert (model["ball.mass"] == 2.0 * mass).all()
+
+
+def test_what_all_parts_measure_into_is_refused_together(device, monkeypatch):
+    """What fits for each part alone may be too much for all."""
+    model = ball_scene().build(100, [device] * 2)
+    sim = wc.Simulation(model, dt=1e-4, graphs=False)
+    part = model.parts[0]
+    needed = sum(need.size for need in part.measures_needs(part.device, {"points"}, part.envs))
+    with_room(monkeypatch, int(1.5 * needed / 0.85))
+    with pytest.raises(MemoryError, match=r"^to measure them, 100 environments need"):
+        model.reading("touch.point")
+    with pytest.raises(MemoryError, match=r"^to measure them, 100 environments need"):
+        sim.run(1e-3, ["touch.point"])
+    assert [part.arrays.points for part in model.parts] == [None, None]
+    with_room(monkeypatch, None)
+    assert model.reading("touch.point").shape == (100, 3)
