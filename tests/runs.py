@@ -234,13 +234,14 @@ store.Ledger.commit, store.Ledger._publish, store.write_json = committing, publi
 
 
 def asking_at(number, steps):
-    """Returns what lets a process be sent the signal ``number`` once a shard of it has done so many steps."""
+    """Returns what lets a process be sent the signal ``number`` once a shard of it has done so many steps or more."""
     return f"""
 import os
 from warpcontact.experiment import shards
-tell = shards.Beacon.tell
+tell, asked = shards.Beacon.tell, []
 def telling(self, steps):
-    if steps == {steps}:
+    if steps >= {steps} and not asked:
+        asked.append(steps)
         os.kill(os.getpid(), {int(number)})
     return tell(self, steps)
 shards.Beacon.tell = telling

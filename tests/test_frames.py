@@ -1,5 +1,7 @@
 """Frames: what is looked at while steps go on is what one would see by stopping there, and changes nothing."""
 
+import threading
+
 import numpy as np
 import pytest
 import warp as wp
@@ -7,6 +9,7 @@ from test_schedule import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
 from warpcontact import crew, stepping
+from warpcontact.captures import capturing
 from warpcontact.looks import in_parts
 from warpcontact.model import WITHOUT_CONTACT
 from warpcontact.schedule import Span, force_stages
@@ -149,6 +152,35 @@ def test_steps_after_frames_are_those_without(name, every, device):
         for key in STATE:
             reading = f"{body.name}.{key}"
             np.testing.assert_array_equal(model.reading(reading), plain.model.reading(reading), err_msg=reading)
+
+
+def test_steps_after_looks_are_captured_where_there_are_some(device):
+    sim = simulation("two bodies", device)
+    needs = sim.model.find_reading("lower.normal_force").needs
+
+    def captured():
+        _, made = sim._prepared
+        return {key for piece in made._slices for key in piece._graphs}
+
+    sim.step_in_frames(1, 8, needs, lambda part, own, number: None)
+    assert captured() == {(8, False)}
+    sim.step_in_frames(2, 4, needs, lambda part, own, number: None)
+    assert captured() == {(8, False), (2, False), (2, True)}
+
+
+def test_looks_are_not_prepared_while_another_thread_captures(device):
+    sim = simulation("two bodies", device)
+    sim.step(8)
+    piece = sim._prepared[1]._slices[0]
+    needs = frozenset(("contacts",))
+    for prepare in (lambda: piece._span.model.look(0, 1, needs), lambda: piece.ready_after_look(needs)):
+        ended = threading.Event()
+        waiting = threading.Thread(target=lambda work=prepare, end=ended: (work(), end.set()))
+        with capturing():
+            waiting.start()
+            assert not ended.wait(0.2)
+        waiting.join(10.0)
+        assert ended.is_set()
 
 
 def test_frames_of_what_needs_all_environments_at_once(device):

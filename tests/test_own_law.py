@@ -1,11 +1,15 @@
 """A law defined outside the package runs like one of the catalogue."""
 
+from typing import Any
+
 import numpy as np
 import own_law
 import pytest
+import warp as wp
 from scenes import dropped_sphere
 
 import warpcontact as wc
+from warpcontact.formula_errors import _functions
 
 pytestmark = pytest.mark.installed
 
@@ -80,3 +84,13 @@ def test_a_law_that_does_not_compile_is_explained(device):
     np.testing.assert_allclose(model.reading("touch.normal_force"), 20.0, rtol=1e-4)
     with pytest.raises(TypeError, match=r"(?s)law Careless does not compile in float64: .*type\(c.delta\)\(1.5\)"):
         dropped_sphere(law, device=device, precision="float64")
+
+
+def test_a_function_that_is_not_there_yet_does_not_hide_the_mistake():
+    @wp.func
+    def early(p: Any, c: Any):
+        return later(p) * c.delta
+
+    found = list(_functions([type("Early", (wc.Law,), {"force": early})]))
+    later = early
+    assert found[0] is later

@@ -257,6 +257,7 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
             check_usable(Path(arguments.out), overwrite=False, resume=True)
             arguments.file = Path(arguments.out) / EXPERIMENT
         folder = _results(arguments)
+        begun.resumed = folder if arguments.resume else None
         # Before the experiment is checked, for which kernels may have to be compiled.
         check_usable(folder, overwrite=arguments.overwrite, resume=arguments.resume)
         experiment = _experiment(arguments)

@@ -72,12 +72,13 @@ class Crew:
                 some -= over if over < some and done + some < count else 0
                 ways = frames.cut(done, some)
             for piece in self._slices:
+                looked = False
                 if frames is not None:
                     piece.ready_look(frames.needs)
-                for way in set(ways):
-                    piece.capture(way)
-                    if frames is not None and piece.ready_after_look(frames.needs):
-                        piece.capture(way, after_look=True)
+                    looked = piece.ready_after_look(frames.needs)
+                piece.capture(ways[0])
+                for way in set(ways[1:]):
+                    piece.capture(way, looked)
             start = time.perf_counter()
             with _uninterrupted():
                 self._step_all(some, functools.partial(_step, done=done, ways=ways, frames=frames))

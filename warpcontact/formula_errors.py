@@ -1,8 +1,8 @@
 """What to say where a user's formula does not compile."""
 
+import contextlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ _TYPE = re.compile(r"<class '(?:\w+\.)*(\w+)'>|wp::| \((?:\w+\.)+\w+\)")
 _NOT_THEIRS = tuple(Path(str(package.__file__)).parent for package in (kernels, wp))
 
 
-@contextmanager
+@contextlib.contextmanager
 def explained(
     formulas: Mapping[str, type[Formula]],
     real: type,
@@ -109,7 +109,14 @@ def _functions(formulas: Iterable[type]) -> Iterator[wp.Function]:
             seen.add(function.func)
             yield function
             waiting += [*function.func.__globals__.values()]
-            waiting += [cell.cell_contents for cell in function.func.__closure__ or ()]
+            waiting += _enclosed(function.func)
+
+
+def _enclosed(function: Callable[..., Any]) -> Iterator[Any]:
+    """Iterates over what a function has of those around it; of what is not there yet there is nothing."""
+    for cell in function.__closure__ or ():
+        with contextlib.suppress(ValueError):
+            yield cell.cell_contents
 
 
 def _returned(formulas: Iterable[type[Formula]]) -> str:

@@ -303,6 +303,7 @@ class Model(Environments, OfScene):
                 device=self.device,
             )
 
+    @beside_captures()
     def look(self, first: int, count: int, needs: Set[str]) -> list[wp.Launch]:
         """Returns the launches that compute what readings need of some environments, of frozen ones too.
 

@@ -260,7 +260,8 @@ class Slice:
         if not self._after_look:
             own, other = self._states
             span = replace(self._span, looked_at=own)
-            self._after_look = self._stages(span, self._times.whole, own, other, self._mark)
+            with beside_captures():
+                self._after_look = self._stages(span, self._times.whole, own, other, self._mark)
         return True
 
     def ready_look(self, needs: frozenset[str]) -> None:

@@ -117,6 +117,7 @@ def stepping_footprint(
             look = look_stages(tally, looks, part.no_step, None)
             size += _captured_bytes(look) if one.captured else LAUNCH_BYTES * len(look)
             if one.ready_after_look(looks):
+                # A rest of one step, after the last frame of many, would have a smaller one beside it.
                 size += LAUNCH_BYTES * len(one.graph(1, after_look=True)) + _captured_bytes(
                     one.graph(2, after_look=True)
                 )
