@@ -234,7 +234,7 @@ store.Ledger.commit, store.Ledger._publish, store.write_json = committing, publi
 
 
 def asking_at(number, steps):
-    """Returns what lets a process be sent the signal ``number`` once a shard of it has done so many steps or more."""
+    """Returns what lets a process send itself the signal ``number`` once a shard did so many steps, or more."""
     return f"""
 import os
 from warpcontact.experiment import shards
