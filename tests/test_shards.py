@@ -300,7 +300,7 @@ def test_command_runs_in_shards(device, tmp_path, capsys):
     assert "5 environments × 0.01 s in 10 steps of 0.001 s" in out
     assert "in 3 shards, " in out
     assert "all 5 environments are active" in out
-    assert main([*words, "--shard", "0"]) == 2
+    assert main([*words, "--overwrite", "--shard", "0"]) == 2
     assert "--shard 0: shard must be" in capsys.readouterr().err
 
 
