@@ -76,7 +76,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
     spin_after, spin_changed = relative.functions(real, moves).spin_after, f.spin_changed
     changed_at, push_both = f.changed_at, f.push_both
     turning_ease, in_cone, in_discs = f.turning_ease, f.in_cone, f.in_discs
-    off_squared, pressing = f.off_squared, f.pressing
+    lifted, off_squared, pressing = f.lifted, f.off_squared, f.pressing
     first = begin.functions(real, moves, rolls)
     clear, begin_row, spread, scale_of = first.clear, first.begin, first.spread, first.scale
     momentum, take, report = first.momentum, first.take, first.report
@@ -171,9 +171,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                     if rho > zero and steps > 0:
                         bent += wp.dot(step, w - trial_w)
                         gone += wp.length_sq(step) / rho
-                        w_n = wp.dot(trial_w, n)
-                        lifted = trial_w + mu * wp.length(trial_w - w_n * n) * n
-                        uphill += wp.dot(lifted, impulse - scratch[env, row].before)
+                        uphill += wp.dot(lifted(trial_w, n, mu), impulse - scratch[env, row].before)
                     if wp.static(rolls):
                         arm = scratch[env, row].arm
                         if arm > zero:
@@ -235,9 +233,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
                         scratch[env, row].moved_before = w
                         scratch[env, row].trial = trial
                         scratch[env, row].moved_trial = trial_w
-                        w_n = wp.dot(trial_w, n)
-                        lift = mu * wp.length(trial_w - w_n * n)
-                        new = trial - length * rho * (trial_w + lift * n)
+                        new = trial - length * rho * lifted(trial_w, n, mu)
                         turn_step = vec3()
                         if wp.static(rolls):
                             arm = scratch[env, row].arm

@@ -66,13 +66,13 @@ def functions(real: type) -> SimpleNamespace:
         return wp.length(lam - project(lam - rho * (w + vec3(shift, zero, zero)), mu))
 
     @wp.func
-    def one_contact(W: mat33, b: vec3, mu: real):
-        """The l of one contact with w = W l + ``b``, W symmetric and positive semidefinite: exact to rounding.
+    def across_normal(W: mat33, c1: real, c2: real):
+        """S: change of w_t over l_t with w_n held, without rows; the parts (1, 1), (1, 2), (2, 2)."""
+        return W[1, 1] - c1 * W[1, 0], W[1, 2] - c1 * W[2, 0], W[2, 2] - c2 * W[2, 0]
 
-        Open if b_n ≥ 0; else it sticks, w = 0, if the cone allows, and else slips against l_t. Where nothing moves
-        along the normal l is 0. Where there are several solutions it is one of them. There is one unless W is
-        singular and ``b`` asks for what cannot move; what is returned then is finite and breaks the law.
-        """
+    @wp.func
+    def loose_contact(W: mat33, b: vec3, mu: real):
+        """``one_contact`` of what the cone does not allow to stick: it is open or slips."""
         # An approach that is less than the rounding of a rounding of the slip is none.
         least_approach = LEAST * (wp.abs(b[1]) + wp.abs(b[2]))
         if b[0] + least_approach >= zero or W[0, 0] <= NOTHING:
@@ -85,22 +85,11 @@ def functions(real: type) -> SimpleNamespace:
         # With w_n = 0: l_n = press − c·l_t and w_t = S l_t + e.
         c1 = W[1, 0] * inverse
         c2 = W[2, 0] * inverse
-        S11 = W[1, 1] - c1 * W[1, 0]
-        S12 = W[1, 2] - c1 * W[2, 0]
-        S22 = W[2, 2] - c2 * W[2, 0]
+        S11, S12, S22 = across_normal(W, c1, c2)
         e1 = b[1] - c1 * b[0]
         e2 = b[2] - c2 * b[0]
-
-        # Stick: S l_t = −e, by Cramer's rule.
         trace = W[1, 1] + W[2, 2]
-        det = S11 * S22 - S12 * S12
-        regular = det > SINGULAR * trace * trace
-        if regular:
-            l1 = (S12 * e2 - S22 * e1) / det
-            l2 = (S12 * e1 - S11 * e2) / det
-            l_n = press - c1 * l1 - c2 * l2
-            if l_n >= zero and l1 * l1 + l2 * l2 <= mu * mu * l_n * l_n:
-                return vec3(l_n, l1, l2)
+        regular = S11 * S22 - S12 * S12 > SINGULAR * trace * trace
         size = wp.sqrt(e1 * e1 + e2 * e2)
         noise = SINGULAR * (wp.abs(b[1]) + wp.abs(b[2]) + (wp.abs(c1) + wp.abs(c2)) * wp.abs(b[0])) + NOTHING
         if size <= noise:
@@ -108,12 +97,10 @@ def functions(real: type) -> SimpleNamespace:
 
         # Slip: w_t = −σ l_t, hence (S + σ) l_t = −e. In numbers without unit, S and σ over the trace, l over
         # press, and in the principal axes of S, first that in which it moves most: l_t = m p / det.
-        unit = trace
-        if trace <= LEAST * W[0, 0]:
-            unit = W[0, 0]
-        S11 /= unit
-        S12 /= unit
-        S22 /= unit
+        unit = one / wp.where(trace > LEAST * W[0, 0], trace, W[0, 0])
+        S11 *= unit
+        S12 *= unit
+        S22 *= unit
         apart = half * (S11 - S22)
         radius = wp.sqrt(apart * apart + S12 * S12)
         most = wp.max(half * (S11 + S22) + radius, LEAST)
@@ -122,16 +109,15 @@ def functions(real: type) -> SimpleNamespace:
         x2 = zero
         if radius > zero:
             # The half of an angle, from the side that does not cancel.
-            x1 = apart + radius
-            x2 = S12
-            if apart < zero:
-                x1 = S12
-                x2 = radius - apart
-            length = wp.sqrt(x1 * x1 + x2 * x2)
-            x1 /= length
-            x2 /= length
-        q1 = (x1 * e1 + x2 * e2) / size
-        q2 = (x1 * e2 - x2 * e1) / size
+            along = wp.abs(apart) + radius
+            x1 = wp.where(apart < zero, S12, along)
+            x2 = wp.where(apart < zero, along, S12)
+            over = one / wp.sqrt(x1 * x1 + x2 * x2)
+            x1 *= over
+            x2 *= over
+        over = one / size
+        q1 = (x1 * e1 + x2 * e2) * over
+        q2 = (x1 * e2 - x2 * e1) * over
         d1 = x1 * c1 + x2 * c2
         d2 = x1 * c2 - x2 * c1
         if not regular:
@@ -141,45 +127,69 @@ def functions(real: type) -> SimpleNamespace:
                 # ever more of friction and pressure.
                 q2 = zero
                 least = most
-        m = size / (unit * press)
-        sigma = zero
-        p1 = -q1 * least
-        p2 = -q2 * most
-        det = most * least
-        across = wp.sqrt(p1 * p1 + p2 * p2)
-        pressed = det - m * (d1 * p1 + d2 * p2)  # l_n det
+        m = size * unit / press
         # g = μ l_n / |l_t| − 1 is to be 0, is negative where the contact does not stick, and positive at the upper
-        # end. It is almost straight, and is straight if S is isotropic: Newton's method, kept between the ends.
-        g = mu * pressed / (m * across) - one
-        if g < zero:
-            low = zero
-            high = two * m * (one + mu * (wp.abs(d1) + wp.abs(d2))) / mu
-            for _ in range(STEPS):
-                slope = most + least + two * sigma + m * (d1 * q1 + d2 * q2)
-                rise = slope + pressed * (p1 * q1 + p2 * q2) / (across * across)
-                new = half * (low + high)
-                if rise > zero:
-                    newton = sigma - g * m * across / (mu * rise)
-                    if newton > low and newton < high:
-                        new = newton
-                if new == sigma:
-                    break
-                sigma = new
-                p1 = -q1 * (least + sigma)
-                p2 = -q2 * (most + sigma)
-                det = (most + sigma) * (least + sigma)
-                across = wp.sqrt(p1 * p1 + p2 * p2)
-                pressed = det - m * (d1 * p1 + d2 * p2)
-                g = mu * pressed / (m * across) - one
-                if wp.abs(g) <= CLOSE:
-                    break
-                if g < zero:
-                    low = sigma
-                else:
-                    high = sigma
+        # end. It is almost straight, and is straight if S is isotropic: Newton's method, kept between the ends,
+        # from where slip across all of S is: there g is 0 but for the square of S over σ.
+        lean = d1 * q1 + d2 * q2
+        low = zero
+        high = two * m * (one + mu * (wp.abs(d1) + wp.abs(d2))) / mu
+        sigma = wp.max(m * (one / mu - lean) - most * q1 * q1 - least * q2 * q2, zero)
+        p1 = zero
+        p2 = zero
+        det = zero
+        for _ in range(STEPS):
+            p1 = -q1 * (least + sigma)
+            p2 = -q2 * (most + sigma)
+            det = (most + sigma) * (least + sigma)
+            over = one / wp.sqrt(p1 * p1 + p2 * p2)
+            pressed = (det - m * (d1 * p1 + d2 * p2)) * over  # l_n det / |p|
+            g = mu * pressed - m  # times m
+            if wp.abs(g) <= CLOSE * m or (g > zero and sigma == zero):
+                break
+            if g < zero:
+                low = sigma
+            else:
+                high = sigma
+            new = half * (low + high)
+            rise = most + least + two * sigma + m * lean + pressed * (p1 * q1 + p2 * q2) * over
+            if rise > zero:
+                newton = sigma - g / (mu * over * rise)
+                if newton > low and newton < high:
+                    new = newton
+            if new == sigma:
+                break
+            sigma = new
         scale = press * m / det
         l1 = scale * (x1 * p1 - x2 * p2)
         l2 = scale * (x2 * p1 + x1 * p2)
         return vec3(press - c1 * l1 - c2 * l2, l1, l2)
 
-    return SimpleNamespace(basis=basis, project=project, residual=residual, one_contact=one_contact)
+    @wp.func
+    def one_contact(W: mat33, b: vec3, mu: real):
+        """The l of one contact with w = W l + ``b``, W symmetric and positive semidefinite: exact to rounding.
+
+        Open if b_n ≥ 0; else it sticks, w = 0, if the cone allows, and else slips against l_t. Where nothing moves
+        along the normal l is 0. Where there are several solutions it is one of them. There is one unless W is
+        singular and ``b`` asks for what cannot move; what is returned then is finite and breaks the law.
+        """
+        if b[0] < zero and W[0, 0] > NOTHING and mu > zero:
+            # Stick: S l_t = −e, by Cramer's rule.
+            inverse = one / W[0, 0]
+            c1 = W[1, 0] * inverse
+            c2 = W[2, 0] * inverse
+            S11, S12, S22 = across_normal(W, c1, c2)
+            e1 = b[1] - c1 * b[0]
+            e2 = b[2] - c2 * b[0]
+            det = S11 * S22 - S12 * S12
+            if det > SINGULAR * (W[1, 1] + W[2, 2]) * (W[1, 1] + W[2, 2]):
+                l1 = (S12 * e2 - S22 * e1) / det
+                l2 = (S12 * e1 - S11 * e2) / det
+                l_n = -b[0] * inverse - c1 * l1 - c2 * l2
+                if l_n >= zero and l1 * l1 + l2 * l2 <= mu * mu * l_n * l_n:
+                    return vec3(l_n, l1, l2)
+        return loose_contact(W, b, mu)
+
+    return SimpleNamespace(
+        basis=basis, project=project, residual=residual, one_contact=one_contact, loose_contact=loose_contact
+    )

@@ -65,12 +65,13 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
     Change = wp.array2d(dtype=impulses.change_struct(real))
     Scratch = wp.array2d(dtype=scratch(real, rolls))
     c = cone.functions(real)
-    basis, one_contact = c.basis, c.one_contact
+    basis, loose_contact = c.basis, c.loose_contact
     f = impulses.functions(real, moves)
     spin_after, spin_changed = relative.functions(real, moves).spin_after, f.spin_changed
     changed_at, push, push_both = f.changed_at, f.push, f.push_both
     turning_ease, in_discs = f.turning_ease, f.in_discs
-    block_of, inverse_of, in_cone, off_squared = f.block, f.inverse_of, f.in_cone, f.off_squared
+    block_of, inverse_of, in_cone = f.block, f.inverse_of, f.in_cone
+    lifted, off_squared = f.lifted, f.off_squared
     if not moves:
         stood_still = standing.functions(real, scratch(real, rolls))
         at_rest, stand, settle = stood_still.at_rest, stood_still.stand, stood_still.settle
@@ -106,6 +107,36 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                 scratch[env, row].guess = impulse
                 if wp.static(rolls):
                     scratch[env, row].couple_guess = rows[env, row].couple
+
+    @wp.func
+    def exact(rows: Rows, moving: Moving, scratch: Scratch, env: int, row: int, impulse: vec3, w: vec3, stage: int):
+        """The impulse that solves a row alone, from that which it has and its velocity ``w``, W."""
+        n = rows[env, row].normal
+        mu = rows[env, row].mu
+        across_1, across_2 = basis(n)
+        if scratch[env, row].stage != stage:
+            scratch[env, row].stage = stage
+            rho = scratch[env, row].rho
+            W = block_of(moving, env, rows[env, row].body_1, rows[env, row].arm_1)
+            W += block_of(moving, env, rows[env, row].body_2, rows[env, row].arm_2)
+            inverse, invertible = inverse_of(W)
+            if rho > zero and (stage == softened or invertible == 0):
+                more = wp.where(stage == softened, softer, soft) / rho
+                W += wp.diag(vec3(more, more, more))
+                inverse, invertible = inverse_of(W)
+            R = wp.matrix_from_cols(n, across_1, across_2)
+            scratch[env, row].block = wp.transpose(R) * W * R
+            scratch[env, row].inverse = inverse
+        # Without slip, if the cone allows.
+        new = impulse - scratch[env, row].inverse * w
+        along = wp.dot(new, n)
+        if along >= zero and wp.length_sq(new) <= (one + mu * mu) * along * along:
+            return new
+        W = scratch[env, row].block
+        local = vec3(wp.dot(impulse, n), wp.dot(impulse, across_1), wp.dot(impulse, across_2))
+        b = vec3(wp.dot(w, n), wp.dot(w, across_1), wp.dot(w, across_2)) - W * local
+        local = loose_contact(W, b, mu)
+        return local[0] * n + local[1] * across_1 + local[2] * across_2
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def gauss_seidel(
@@ -197,31 +228,12 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                         start(rows, scratch, env, count)
                     if rough == 1 or (last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal))):
                         changes += 1
-                        if scratch[env, row].stage != stage:
-                            scratch[env, row].stage = stage
-                            W = block_of(moving, env, one_body, arm_1) + block_of(moving, env, other, arm_2)
-                            inverse, invertible = inverse_of(W)
-                            if rho > zero and (stage == softened or invertible == 0):
-                                more = wp.where(stage == softened, softer, soft) / rho
-                                W += wp.diag(vec3(more, more, more))
-                                inverse, invertible = inverse_of(W)
-                            across_1, across_2 = basis(n)
-                            R = wp.matrix_from_cols(n, across_1, across_2)
-                            scratch[env, row].block = wp.transpose(R) * W * R
-                            scratch[env, row].inverse = inverse
-                        # Without slip, if the cone allows.
-                        sticks = wp.int32(0)
-                        new = impulse - scratch[env, row].inverse * w
-                        along = wp.dot(new, n)
-                        if along >= zero and wp.length_sq(new) <= (one + mu * mu) * along * along:
-                            sticks = 1
-                        if sticks == 0:
-                            across_1, across_2 = basis(n)
-                            W = scratch[env, row].block
-                            local = vec3(wp.dot(impulse, n), wp.dot(impulse, across_1), wp.dot(impulse, across_2))
-                            b = vec3(wp.dot(w, n), wp.dot(w, across_1), wp.dot(w, across_2)) - W * local
-                            local = one_contact(W, b, mu)
-                            new = local[0] * n + local[1] * across_1 + local[2] * across_2
+                        new = impulse
+                        if sweeps == 0:
+                            # As the residual is measured: near the solution, where guesses are, that does as well.
+                            new = in_cone(impulse - rho * lifted(w, n, mu), n, mu)
+                        else:
+                            new = exact(rows, moving, scratch, env, row, impulse, w, stage)
                         if rho > zero:
                             back = scratch[env, row].before - new
                             uphill += wp.dot(back, new - scratch[env, row].swept) / rho

@@ -216,6 +216,11 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return wp.max(pressed, zero)
 
     @wp.func
+    def lifted(w: vec3, n: vec3, mu: real):
+        """De Saxcé's velocity: ``w`` with what its slip lifts it, W."""
+        return w + mu * wp.length(w - wp.dot(w, n) * n) * n
+
+    @wp.func
     def off_squared(impulse: vec3, w: vec3, n: vec3, mu: real, rho: real):
         """Square of how far an impulse is from its law at the velocity ``w``, as ``cone.residual``; all in W."""
         w_n = wp.dot(w, n)
@@ -223,13 +228,13 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         l_n = wp.dot(impulse, n)
         l_t = impulse - l_n * n
         slip_squared = wp.length_sq(w_t)
-        lifted = w_n + mu * wp.sqrt(slip_squared)
-        z_n = l_n - rho * lifted
+        parting = w_n + mu * wp.sqrt(slip_squared)
+        z_n = l_n - rho * parting
         z_t = l_t - rho * w_t
         limit = mu * z_n
         across_squared = wp.length_sq(z_t)
         if z_n >= zero and across_squared <= limit * limit:
-            return rho * rho * (lifted * lifted + slip_squared)
+            return rho * rho * (parting * parting + slip_squared)
         across = wp.sqrt(across_squared)
         a = z_n + mu * across
         if a <= zero:
@@ -254,5 +259,6 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         block=block,
         in_cone=in_cone,
         inverse_of=inverse_of,
+        lifted=lifted,
         off_squared=off_squared,
     )
