@@ -89,7 +89,8 @@ def functions(real: type) -> SimpleNamespace:
         e1 = b[1] - c1 * b[0]
         e2 = b[2] - c2 * b[0]
         trace = W[1, 1] + W[2, 2]
-        regular = S11 * S22 - S12 * S12 > SINGULAR * trace * trace
+        det = S11 * S22 - S12 * S12
+        regular = det > SINGULAR * trace * trace
         size = wp.sqrt(e1 * e1 + e2 * e2)
         noise = SINGULAR * (wp.abs(b[1]) + wp.abs(b[2]) + (wp.abs(c1) + wp.abs(c2)) * wp.abs(b[0])) + NOTHING
         if size <= noise:
@@ -137,7 +138,6 @@ def functions(real: type) -> SimpleNamespace:
         sigma = wp.max(m * (one / mu - lean) - most * q1 * q1 - least * q2 * q2, zero)
         p1 = zero
         p2 = zero
-        det = zero
         for _ in range(STEPS):
             p1 = -q1 * (least + sigma)
             p2 = -q2 * (most + sigma)

@@ -14,6 +14,8 @@ LATE = 50
 # How much softer, over a third of its trace: a block without an inverse, and any block late. A row then goes less
 # far from where it was, to the same solution; exact steps may go in circles, or grow, where friction is strong.
 SOFT, SOFTER = 0.02, 0.3
+# How often the direction of a slip is tried before an equation is solved for it.
+TURNS = 4
 # Sweeps that may pass without a smaller residual where that is of the size of rounding.
 PATIENCE = 50
 
@@ -71,7 +73,7 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
     changed_at, push, push_both = f.changed_at, f.push, f.push_both
     turning_ease, in_discs = f.turning_ease, f.in_discs
     block_of, inverse_of, in_cone = f.block, f.inverse_of, f.in_cone
-    lifted, off_squared = f.lifted, f.off_squared
+    eased, off_squared = f.eased, f.off_squared
     if not moves:
         stood_still = standing.functions(real, scratch(real, rolls))
         at_rest, stand, settle = stood_still.at_rest, stood_still.stand, stood_still.settle
@@ -92,6 +94,8 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
     KEPT = wp.constant(real(0.1))
     # Residual from which impulses on what is at rest are made right: of the size of rounding.
     STEADY = wp.constant(real(8.0 * float(rounding.eps)))
+    # The direction of a slip is known where it turns no more than that.
+    STRAIGHT = wp.constant(real(16.0 * float(rounding.eps)))
     # Velocity, over that of the impulse alone, squared, up to which a contact may soon stick.
     SLOW = wp.constant(real(0.1))
 
@@ -109,7 +113,43 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                     scratch[env, row].couple_guess = rows[env, row].couple
 
     @wp.func
-    def exact(rows: Rows, moving: Moving, scratch: Scratch, env: int, row: int, impulse: vec3, w: vec3, stage: int):
+    def slide(rows: Rows, moving: Moving, env: int, row: int, impulse: vec3, w: vec3, rho: real):
+        """What ``exact`` finds where a row slips fast, and whether it does.
+
+        Friction is against the slip, and turns it little: what is found for one direction gives the next.
+        """
+        n = rows[env, row].normal
+        slip = w - wp.dot(w, n) * n
+        speed_squared = wp.length_sq(slip)
+        if rho * rho * speed_squared <= wp.length_sq(impulse):
+            return impulse, 0
+        mu = rows[env, row].mu
+        one_body = rows[env, row].body_1
+        other = rows[env, row].body_2
+        arm_1 = rows[env, row].arm_1
+        arm_2 = rows[env, row].arm_2
+        free = w - eased(moving, env, one_body, arm_1, impulse) - eased(moving, env, other, arm_2, impulse)
+        back = slip / wp.sqrt(speed_squared)
+        for _ in range(TURNS):
+            along = n - mu * back
+            moved = eased(moving, env, one_body, arm_1, along) + eased(moving, env, other, arm_2, along)
+            parting = wp.dot(moved, n)
+            size = -wp.dot(free, n) / parting
+            if parting <= zero or size <= zero:
+                return impulse, 0
+            slip = free + size * moved
+            slip -= wp.dot(slip, n) * n
+            turned = slip / wp.length(slip)
+            off = wp.length_sq(turned - back)
+            back = turned
+            if off <= STRAIGHT * STRAIGHT:
+                return size * along, 1
+        return impulse, 0
+
+    @wp.func
+    def exact(
+        rows: Rows, moving: Moving, scratch: Scratch, env: int, row: int, impulse: vec3, w: vec3, stage: int
+    ):
         """The impulse that solves a row alone, from that which it has and its velocity ``w``, W."""
         n = rows[env, row].normal
         mu = rows[env, row].mu
@@ -228,11 +268,11 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
                         start(rows, scratch, env, count)
                     if rough == 1 or (last == 0 and (off > goal or (changes > 0 and off > KEPT * KEPT * goal))):
                         changes += 1
+                        slides = wp.int32(0)
                         new = impulse
                         if sweeps == 0:
-                            # As the residual is measured: near the solution, where guesses are, that does as well.
-                            new = in_cone(impulse - rho * lifted(w, n, mu), n, mu)
-                        else:
+                            new, slides = slide(rows, moving, env, row, impulse, w, rho)
+                        if slides == 0:
                             new = exact(rows, moving, scratch, env, row, impulse, w, stage)
                         if rho > zero:
                             back = scratch[env, row].before - new

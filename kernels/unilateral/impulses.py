@@ -122,6 +122,21 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         return C[0, 0] + C[1, 1] + C[2, 2]
 
     @wp.func
+    def eased(moving: Moving, env: int, body: int, arm: vec3, impulse: vec3):
+        """Change of the velocity at ``arm`` that an impulse there makes: ``block`` times it."""
+        if body < 0:
+            return vec3()
+        turning = wp.cross(arm, impulse)
+        spin = moving[env, body].by_torque * turning
+        if wp.static(moves):
+            B = moving[env, body].across
+            linear = moving[env, body].by_force * impulse + B * turning
+            spin += wp.transpose(B) * impulse
+        else:
+            linear = moving[env, body].inverse_mass * impulse
+        return linear + wp.cross(spin, arm)
+
+    @wp.func
     def block(moving: Moving, env: int, body: int, arm: vec3):
         """Change of the velocity at ``arm`` over an impulse there, W."""
         if body < 0:
@@ -256,6 +271,7 @@ def functions(real: type, moves: bool) -> SimpleNamespace:
         push_both=push_both,
         ease=ease,
         turning_ease=turning_ease,
+        eased=eased,
         block=block,
         in_cone=in_cone,
         inverse_of=inverse_of,

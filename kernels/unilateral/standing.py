@@ -52,29 +52,46 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
         return 1
 
     @wp.func
-    def share(
-        rows: Rows, change: Change, scratch: Scratches, env: int, first: int, last: int, body: int, other: int
+    def weight(rows: Rows, env: int, row: int, by_load: int):
+        """The part that a row takes of what its body needs, over that of others."""
+        return wp.where(by_load == 1, wp.dot(rows[env, row].impulse, rows[env, row].normal), one)
+
+    @wp.func
+    def spread_out(
+        rows: Rows,
+        change: Change,
+        scratch: Scratches,
+        env: int,
+        first: int,
+        last: int,
+        body: int,
+        by_load: int,
     ):
-        """Puts what rows carry to stop ``body`` into ``before``; returns whether they can."""
-        if change[env, body].held == 1:
-            return 0
+        """Puts what rows carry to stop ``body`` into ``before``; returns whether they can, and the couple.
+
+        That is the one of the added impulses on the other body, about its centre of mass.
+        """
+        total = zero
         middle = vec3()
         for row in range(first, last):
-            middle += wp.where(rows[env, row].body_1 == body, rows[env, row].arm_1, rows[env, row].arm_2)
-        part = one / real(last - first)
-        middle = part * middle
+            part = weight(rows, env, row, by_load)
+            total += part
+            middle += part * wp.where(rows[env, row].body_1 == body, rows[env, row].arm_1, rows[env, row].arm_2)
+        turning = vec3()
+        if total <= zero:
+            return 0, turning
+        middle /= total
         spread = mat33()
         for row in range(first, last):
             arm = wp.where(rows[env, row].body_1 == body, rows[env, row].arm_1, rows[env, row].arm_2) - middle
             size = wp.length_sq(arm)
-            spread += wp.diag(vec3(size, size, size)) - wp.outer(arm, arm)
+            spread += weight(rows, env, row, by_load) * (wp.diag(vec3(size, size, size)) - wp.outer(arm, arm))
         inverse, invertible = inverse_of(spread)
         if invertible == 0:
-            return 0
+            return 0, turning
         impulse = change[env, body].needs
         turn = inverse * (change[env, body].needs_turning - wp.cross(middle, impulse))
-        impulse = part * impulse
-        turning = vec3()
+        impulse /= total
         for row in range(first, last):
             arm = rows[env, row].arm_1
             arm_of_other = rows[env, row].arm_2
@@ -83,14 +100,31 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
                 arm = rows[env, row].arm_2
                 arm_of_other = rows[env, row].arm_1
                 sign = -one
-            added = impulse + wp.cross(turn, arm - middle)
+            added = weight(rows, env, row, by_load) * (impulse + wp.cross(turn, arm - middle))
             new = rows[env, row].impulse + sign * added
             along = wp.dot(new, rows[env, row].normal)
             limit = ROUNDED_UP * rows[env, row].mu * along
             if along < zero or wp.length_sq(new - along * rows[env, row].normal) > limit * limit:
-                return 0
+                return 0, turning
             scratch[env, row].before = new
             turning += wp.cross(arm_of_other, added)
+        return 1, turning
+
+    @wp.func
+    def share(
+        rows: Rows, change: Change, scratch: Scratches, env: int, first: int, last: int, body: int, other: int
+    ):
+        """Lets rows stop ``body``; returns whether they can. The other body needs as much more.
+
+        Evenly, which is the least change; else each as it is loaded, since what carries nothing has no friction.
+        """
+        if change[env, body].held == 1:
+            return 0
+        stands, turning = spread_out(rows, change, scratch, env, first, last, body, 0)
+        if stands == 0:
+            stands, turning = spread_out(rows, change, scratch, env, first, last, body, 1)
+        if stands == 0:
+            return 0
         change[env, body].held = 1
         if other >= 0:
             if change[env, other].held == 1:
