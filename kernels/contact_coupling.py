@@ -5,7 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.formula import Formula, coefficient_struct
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, structs
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, first_env, structs, task_count
 
 
 @wp.struct
@@ -51,8 +51,8 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
         coefficients: Coefficients,
         reached: Reached,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             coupling = first_coupling + task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

@@ -9,7 +9,16 @@ import functools
 import warp as wp
 from warpcontact.kernels import frames, touch
 from warpcontact.kernels.touch import Parts, group_structs, touch_structs
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, INLINED, Work, structs
+from warpcontact.kernels.types import (
+    CONTACT,
+    ENV_ACTIVE,
+    HERTZ_PATCH,
+    INLINED,
+    Work,
+    first_env,
+    structs,
+    task_count,
+)
 
 
 @functools.cache
@@ -139,8 +148,8 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         ordered: wp.bool,
         wrenches: Wrenches,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             block = first_block + task % work.items
             if status[env] != ENV_ACTIVE or near.count[env, block] == 0:
                 continue

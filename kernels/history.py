@@ -9,7 +9,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.memory import memory_struct
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, structs
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, first_env, structs, task_count
 
 
 @functools.cache
@@ -32,8 +32,8 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
         near: Near,
         history: History,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             block = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -87,8 +87,8 @@ def memory_kernel(formula: type[Formula], real: type) -> wp.Kernel:
         kept: Array,
         memory: Array,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             block = task % work.items
             block += first_block
             if status[env] != ENV_ACTIVE:

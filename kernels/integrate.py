@@ -13,7 +13,9 @@ from warpcontact.kernels.types import (
     FREE,
     NO_CAUSE,
     Work,
+    first_env,
     structs,
+    task_count,
 )
 
 
@@ -59,8 +61,8 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
         wrenches: Wrenches,
         state_out: State,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -133,8 +135,8 @@ def change_step(real: type, moves: bool = False) -> wp.Kernel:
         wrenches: Wrenches,  # of this instant
         state: State,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -175,8 +177,8 @@ def finish(real: type) -> wp.Kernel:
         state_in: State,
         state_out: State,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             before = status[env]
             if before == ENV_ACTIVE:
                 time[env] = time[env] + step[env, 0]
@@ -196,8 +198,8 @@ def adopt(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def adopt(work: Work, status: wp.array(dtype=wp.int32), source: State, target: State):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, structs, task_count
 
 
 @wp.struct
@@ -34,8 +34,8 @@ def bodies(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_bodies(work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Bodies):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -71,8 +71,8 @@ def points(real: type) -> wp.Kernel:
         contacts: Contacts,
         measured: Points,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             contact = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

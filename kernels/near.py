@@ -13,7 +13,17 @@ import warp as wp
 from warpcontact.kernels import closest_point as closest
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels.closest_point import ROUNDING, WHOLE
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, INLINED, LATCHED, OPEN, Work, structs
+from warpcontact.kernels.types import (
+    CONTACT,
+    ENV_ACTIVE,
+    INLINED,
+    LATCHED,
+    OPEN,
+    Work,
+    first_env,
+    structs,
+    task_count,
+)
 
 # Of what a block is free by: a contact with less left would soon be looked at again.
 FEW = 0.25
@@ -189,8 +199,8 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
         contacts: Contacts,
         near: Near,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             block = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

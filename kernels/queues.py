@@ -10,7 +10,7 @@ import functools
 import warp as wp
 from warpcontact.kernels import near as nearness
 from warpcontact.kernels.closest_point import KNOWN, LATER, LISTED, SEARCH
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
 
 # Queues of contacts, by what they need; that of blocks to probe comes first.
 QUEUE_OF = {KNOWN: 1, LISTED: 2, SEARCH: 3}
@@ -46,9 +46,9 @@ def pick(real: type, follows: bool) -> wp.Kernel:
     def pick_contacts(
         work: Work, contacts: wp.int32, status: wp.array(dtype=wp.int32), model: Model, cache: Cache
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
+        for task in range(wp.tid(), task_count(work), work.threads):
             member = task // work.items
-            env = work.first + member
+            env = first_env(work) + member
             block = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -94,7 +94,7 @@ def probe(real: type, follows: bool) -> wp.Kernel:
         for i in range(spread(wp.tid(), work.threads), cache.waiting[0], work.threads):
             task = cache.waiting_block[i]
             member = task // work.items
-            env = work.first + member
+            env = first_env(work) + member
             block = task % work.items
             number = model.block_set[block]
             travel = cache.set_travel[env, number]
@@ -141,7 +141,7 @@ def work_off(real: type, follows: bool, part: str) -> wp.Kernel:
             thread = spread(thread, work.threads)
         for i in range(thread, cache.waiting[queue], work.threads):
             task = cache.waiting_contact[queue, i]
-            env = work.first + task // work.items
+            env = first_env(work) + task // work.items
             contact = task % work.items
             number = model.contact_set[contact]
             view = view_of(model, state, env, number)
@@ -164,8 +164,8 @@ def gather(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def gather_contacts(work: Work, status: wp.array(dtype=wp.int32), model: Model, cache: Cache, near: Near):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             block = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

@@ -16,7 +16,9 @@ from warpcontact.kernels.types import (
     LATCHED,
     SWEPT,
     Work,
+    first_env,
     structs,
+    task_count,
 )
 
 # Rounding of the test, in units of epsilon times the size of the coordinates: what passes between two faces would
@@ -194,8 +196,8 @@ def kernel(real: type) -> wp.Kernel:
         mark: wp.int32,  # whether environments with a crossing are to take the step again
         marked: wp.array(dtype=wp.int32),  # [0] set if there are any
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             block = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -247,8 +249,8 @@ def turn() -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def take_turns(work: Work, status: wp.array(dtype=wp.int32), back: wp.int32):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             if back != 0:
                 if status[env] == ENV_WAITING or status[env] == ENV_CROSSED:
                     status[env] = ENV_ACTIVE

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, QUEUES, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, QUEUES, Work, first_env, structs, task_count
 
 # Rounding of a position, in units of epsilon times the size of what it is computed from.
 ROUNDING = 32.0
@@ -75,8 +75,8 @@ def kernel(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def add_travel(work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, cache: Cache):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             number = task % work.items
             if task == 0:
                 for kind in range(QUEUES):

@@ -130,12 +130,30 @@ class Work:
     """What a launch is to do: tasks, an item of an environment each, shared out among its threads.
 
     A thread on a GPU has one. On the CPU one thread has all: it looks at the arguments once, not for every task.
+    What is launched for one slice of the environments after another, on the CPU, reads which from memory.
     """
 
     first: wp.int32  # environment
+    envs: wp.int32
     items: wp.int32  # of an environment
-    tasks: wp.int32
     threads: wp.int32
+    slice: wp.array(dtype=wp.int32)  # the first environment and how many, in place of these; or nothing
+
+
+@wp.func
+def first_env(work: Work):
+    """First environment of a launch."""
+    if work.slice.shape[0] > 0:
+        return work.slice[0]
+    return work.first
+
+
+@wp.func
+def task_count(work: Work):
+    """How many tasks a launch has."""
+    if work.slice.shape[0] > 0:
+        return work.slice[1] * work.items
+    return work.envs * work.items
 
 
 @wp.struct

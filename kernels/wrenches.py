@@ -3,7 +3,7 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.types import ENV_ACTIVE, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, structs, task_count
 
 
 @functools.cache
@@ -48,8 +48,8 @@ def clear(real: type, coupled: bool = False, pushed: bool = False) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def clear_wrenches(work: Work, status: wp.array(dtype=wp.int32), model: Model, ends: Ends, wrenches: Wrenches):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -74,8 +74,8 @@ def add_up(real: type, coupled: bool = False, pushed: bool = False) -> wp.Kernel
     def add_up_blocks(
         work: Work, status: wp.array(dtype=wp.int32), model: Model, near: Near, ends: Ends, wrenches: Wrenches
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

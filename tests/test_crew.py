@@ -17,13 +17,14 @@ class Listed:
         return self.name
 
 
-class Piece:
-    """Stands for a slice, and writes down who steps it."""
-
-    envs = 10**6
+class Stepper:
+    """Stands for one of a slice, and writes down who steps it."""
 
     def __init__(self, name, captured, log, meeting=None):
         self.device, self.captured, self.log, self.meeting = Listed(name), captured, log, meeting
+
+    def go_to(self, own):
+        pass
 
     def capture(self, count):
         pass
@@ -34,17 +35,24 @@ class Piece:
         self.log.append((str(self.device), threading.current_thread() is threading.main_thread()))
 
 
+def shares(names, *args, members=1):
+    """A share of a slice for each device, with a stepper for each of its threads."""
+    return [
+        crew.Share([slice(0, 10**6)], [Stepper(name, *args) for _ in range(members if name == "cpu" else 1)])
+        for name in names
+    ]
+
+
 def test_gpus_that_the_host_decides_about_do_not_wait_for_each_other():
     log, meeting = [], threading.Barrier(3)
-    pieces = [Piece(name, False, log, meeting) for name in ("cuda:0", "cuda:1", "cpu")]
-    assert list(crew.Crew(pieces, 1).step(8)) == [8]
+    parts = shares(("cuda:0", "cuda:1", "cpu"), False, log, meeting)
+    assert list(crew.Crew(parts, 1).step(8)) == [8]
     assert sorted(name for name, _ in log) == ["cpu", "cuda:0", "cuda:1"]
 
 
 def test_of_one_gpu_only_one_slice_is_launched_at_a_time():
     log = []
-    pieces = [Piece(name, False, log) for name in ("cuda:0", "cuda:1", "cuda:0")]
-    made = crew.Crew(pieces, 8)
+    made = crew.Crew(shares(("cuda:0", "cuda:1", "cuda:0"), False, log), 8)
     list(made.step(8))
     assert made._threads == 2
     assert sorted(name for name, _ in log) == ["cuda:0", "cuda:0", "cuda:1"]
@@ -52,8 +60,8 @@ def test_of_one_gpu_only_one_slice_is_launched_at_a_time():
 
 def test_graphs_are_given_to_gpus_in_turn_before_the_cpu_begins():
     log = []
-    pieces = [Piece(name, True, log) for name in ("cpu", "cuda:0", "cpu", "cuda:1")]
-    list(crew.Crew(pieces, 2).step(32))
+    parts = shares(("cpu", "cuda:0", "cpu", "cuda:1"), True, log, members=2)
+    list(crew.Crew(parts, 2).step(32))
     assert log[:2] == [("cuda:0", True), ("cuda:1", True)]
     assert [name for name, _ in log[2:]] == ["cpu", "cpu"]
     assert not any(alone for _, alone in log[2:])

@@ -160,20 +160,20 @@ def test_steps_after_looks_are_captured_where_there_are_some(device):
 
     def captured():
         _, made = sim._prepared
-        return {key for piece in made._slices for key in piece._graphs}
+        return {key for stepper in made._steppers for key in stepper._graphs}
 
     sim.step_in_frames(1, 8, needs, lambda part, own, number: None)
     assert captured() == {(8, False)}
     sim.step_in_frames(2, 4, needs, lambda part, own, number: None)
-    assert captured() == {(8, False), (2, False), (2, True)}
+    assert captured() == {(8, False), (2, False), (4, True)}
 
 
 def test_looks_are_not_prepared_while_another_thread_captures(device):
     sim = simulation("two bodies", device)
     sim.step(8)
-    piece = sim._prepared[1]._slices[0]
+    stepper = sim._prepared[1]._steppers[0]
     needs = frozenset(("contacts",))
-    for prepare in (lambda: piece._span.model.look(0, 1, needs), lambda: piece.ready_after_look(needs)):
+    for prepare in (lambda: sim.model.parts[0].look(needs), lambda: stepper.ready_after_look(needs)):
         ended = threading.Event()
         waiting = threading.Thread(target=lambda work=prepare, end=ended: (work(), end.set()))
         with capturing():

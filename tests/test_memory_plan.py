@@ -97,9 +97,11 @@ def test_a_split_model_takes_what_its_parts_take(device, counted):
 
 
 def test_as_many_threads_step_all_parts_on_the_cpu():
-    """Slices are as long as if the environments were not split."""
+    """Each has steps of each part, however many environments there are."""
     one, two = (draw_up(ball_scene(), where).memory(1000, threads=2) for where in ("cpu", ["cpu", "cpu"]))
-    assert two.of("launches") == one.of("launches")
+    assert two.of("launches") == 2 * one.of("launches")
+    assert draw_up(ball_scene(), "cpu").memory(100_000, threads=2).of("launches") == one.of("launches")
+    assert draw_up(ball_scene(), "cpu").memory(1, threads=2).of("launches") == one.of("launches") // 2
 
 
 def test_one_environment_more_takes_as_much_as_is_said(device):

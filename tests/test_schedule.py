@@ -145,12 +145,12 @@ def assert_same(left, right):
 def with_queues(monkeypatch):
     """Has one thread look at contacts as a GPU does."""
 
-    def queued(model, first, count, cached, ordered, _queued, hard):
+    def queued(model, first, count, cached, ordered, _queued, hard, **own):
         tasks, contacts = model.envs * model.blocks.count, model.envs * model.contact_count
         cache = model.arrays.cache
         cache.waiting_block = wp.zeros(tasks, dtype=wp.int32, device="cpu")
         cache.waiting_contact = wp.zeros((QUEUES, contacts), dtype=wp.int32, device="cpu")
-        return Span(model, first, count, cached, ordered, queued=True, hard=hard)
+        return Span(model, first, count, cached, ordered, queued=True, hard=hard, **own)
 
     monkeypatch.setattr(simulation, "Span", queued)
     # A GPU looks at frames with nothing remembered: its lists are shorter than those of a CPU.
@@ -158,7 +158,7 @@ def with_queues(monkeypatch):
         "warpcontact.model.Span",
         lambda model, first, count, _cached, **options: Span(model, first, count, cached=False, **options),
     )
-    monkeypatch.setattr(simulation, "slice_size", lambda model, envs, *_: envs)
+    monkeypatch.setattr(simulation, "slice_sizes", lambda shares, _: [envs for _, envs in shares])
 
 
 @PRECISIONS
@@ -372,8 +372,11 @@ def test_an_interruption_leaves_all_environments_at_one_time(crossing_steps, dev
 def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
     """However long a step takes, and however many are asked for."""
 
-    class Piece:
-        envs, captured, device = 1, False, wp.get_device("cpu")
+    class Stepper:
+        captured, device = False, wp.get_device("cpu")
+
+        def go_to(self, own):
+            pass
 
         def capture(self, count):
             pass
@@ -381,7 +384,7 @@ def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
         def step(self, count, after_look):
             time.sleep(0.02 * count)
 
-    assert list(crew.Crew([Piece()], 1).step(24)) == [8, 16, 24]
+    assert list(crew.Crew([crew.Share([slice(0, 1)], [Stepper()])], 1).step(24)) == [8, 16, 24]
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "4"])

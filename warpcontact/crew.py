@@ -6,13 +6,14 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
 
-from warpcontact.slices import Frames, Slice
+from warpcontact.slices import Frames, Stepper
 
 # Between two looks at whether somebody wants to interrupt [s]; the threads wait for each other then.
 _CHUNK = 0.1
@@ -28,31 +29,49 @@ def available_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+@dataclass(frozen=True)
+class Share:
+    """The environments of a part of the model.
+
+    Attributes:
+        slices: Them, in pieces that share nothing that is written.
+        steppers: What steps them, one for each thread that may.
+    """
+
+    slices: Sequence[slice]
+    steppers: Sequence[Stepper]
+
+    @property
+    def device(self) -> wp.Device:
+        """Where they are."""
+        return self.steppers[0].device
+
+
 class Crew:
-    """Steps slices of one simulation, which share nothing that they write.
+    """Steps the environments of one simulation.
 
     Args:
-        slices: All slices.
+        shares: All of them, by parts of the model.
         threads: How many threads step those on the CPU.
     """
 
-    def __init__(self, slices: list[Slice], threads: int) -> None:
-        self._slices = slices
-        on_cpu = [piece for piece in slices if piece.device.is_cpu]
+    def __init__(self, shares: Sequence[Share], threads: int) -> None:
+        self._steppers = [stepper for share in shares for stepper in share.steppers]
         # GPUs are given their graphs in turn, which takes no time. What Python launches, and waits for, has a
         # thread for each GPU, so that none waits for another.
-        self._queued = [piece for piece in slices if piece.device.is_cuda and piece.captured]
-        launched: dict[str, list[Slice]] = {}
-        for piece in slices:
-            if piece.device.is_cuda and not piece.captured:
-                launched.setdefault(str(piece.device), []).append(piece)
+        self._queued = _pieces(share for share in shares if share.device.is_cuda and share.steppers[0].captured)
+        launched: dict[str, list[Share]] = {}
+        for share in shares:
+            if share.device.is_cuda and not share.steppers[0].captured:
+                launched.setdefault(str(share.device), []).append(share)
+        on_cpu = _pieces(share for share in shares if share.device.is_cpu)
         # Kernels in Warp's debug mode share a pointer to the storage of tiles, which they look at when they end.
         threads = 1 if wp.config.mode == "debug" else threads
         # The other slices, and how many threads share them.
-        self._teams = [(own, 1) for own in launched.values()] + [(on_cpu, min(threads, len(on_cpu)))]
+        self._teams = [(_pieces(own), 1) for own in launched.values()] + [(on_cpu, min(threads, len(on_cpu)))]
         self._threads = sum(members for _, members in self._teams)
         self._pool: ThreadPoolExecutor | None = None
-        self._envs = sum(piece.envs for piece in slices)
+        self._envs = sum(own.stop - own.start for share in shares for own in share.slices)
         self._fewest = _FEWEST_QUEUED if self._queued else _FEWEST
         self._chunk = self._fewest
 
@@ -71,14 +90,14 @@ class Crew:
                 over = (done + some) % frames.every
                 some -= over if over < some and done + some < count else 0
                 ways = frames.cut(done, some)
-            for piece in self._slices:
+            for stepper in self._steppers:
                 looked = False
                 if frames is not None:
-                    piece.ready_look(frames.needs)
-                    looked = piece.ready_after_look(frames.needs)
-                piece.capture(ways[0])
+                    stepper.ready_look(frames.needs)
+                    looked = stepper.ready_after_look(frames.needs)
+                stepper.capture(ways[0])
                 for way in set(ways[1:]):
-                    piece.capture(way, looked)
+                    stepper.capture(way, looked)
             start = time.perf_counter()
             with _uninterrupted():
                 self._step_all(some, functools.partial(_step, done=done, ways=ways, frames=frames))
@@ -90,38 +109,45 @@ class Crew:
             elif took > 2.0 * _CHUNK and self._chunk > self._fewest:
                 self._chunk //= 2
 
-    def _step_all(self, count: int, work: Callable[[Slice], None]) -> None:
-        _step_each(iter(self._queued), work)
+    def _step_all(self, count: int, work: Callable[[Stepper], None]) -> None:
+        _step_each(0, iter(self._queued), work)
         if self._threads < 2 or count * self._envs < ALONE:
-            for slices, _ in self._teams:
-                _step_each(iter(slices), work)
+            for pieces, _ in self._teams:
+                _step_each(0, iter(pieces), work)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="warpcontact")
         futures = []
-        for slices, members in self._teams:
-            waiting = iter(slices)
-            futures += [self._pool.submit(_step_each, waiting, work) for _ in range(members)]
+        for pieces, members in self._teams:
+            waiting = iter(pieces)
+            futures += [self._pool.submit(_step_each, member, waiting, work) for member in range(members)]
         wait(futures)
         for future in futures:
             future.result()
 
 
-def _step_each(waiting: Iterator[Slice], work: Callable[[Slice], None]) -> None:
-    """Does the work on each slice that nobody else has taken."""
-    for piece in waiting:
-        work(piece)
+def _pieces(shares: Iterable[Share]) -> list[tuple[Share, slice]]:
+    """Returns all slices, each with its share."""
+    return [(share, own) for share in shares for own in share.slices]
 
 
-def _step(piece: Slice, *, done: int, ways: list[int], frames: Frames | None) -> None:
+def _step_each(member: int, waiting: Iterator[tuple[Share, slice]], work: Callable[[Stepper], None]) -> None:
+    """Does the work, as a member of a team, on each slice that nobody else has taken."""
+    for share, own in waiting:
+        stepper = share.steppers[member]
+        stepper.go_to(own)
+        work(stepper)
+
+
+def _step(stepper: Stepper, *, done: int, ways: list[int], frames: Frames | None) -> None:
     """Takes steps in a slice, ``done`` being those before, and looks at it wherever a frame is due."""
     looked = False
     for way in ways:
-        piece.step(way, looked)
+        stepper.step(way, looked)
         done += way
         looked = False
         if frames is not None and done % frames.every == 0:
-            looked = piece.look(frames, done // frames.every - 1)
+            looked = stepper.look(frames, done // frames.every - 1)
 
 
 @contextlib.contextmanager

@@ -174,14 +174,13 @@ def most_that_fit(
     return low
 
 
-def require(footprint: Callable[[int], Footprint], envs: int, what: str = "", hint: str = "") -> None:
+def require(footprint: Callable[[int], Footprint], envs: int, what: str = "") -> None:
     """Raises ``MemoryShortage`` unless ``envs`` environments fit, with how many would.
 
     Args:
         footprint: Returns what a number of environments take; grows with it.
         envs: How many are wanted.
         what: What they take it for, if not for everything.
-        hint: What else may be done.
     """
     takes = footprint(envs)
     rooms = rooms_of(takes)
@@ -197,7 +196,7 @@ def require(footprint: Callable[[int], Footprint], envs: int, what: str = "", hi
         )
     else:
         advice = "not even one environment fits"
-    raise MemoryShortage(f"{what}{said(takes, room)}; {advice}{hint}", takes.on(room.place), usable(room), most)
+    raise MemoryShortage(f"{what}{said(takes, room)}; {advice}", takes.on(room.place), usable(room), most)
 
 
 def said(footprint: Footprint, room: Room) -> str:

@@ -304,17 +304,16 @@ class Model(Environments, OfScene):
             )
 
     @beside_captures()
-    def look(self, first: int, count: int, needs: Set[str]) -> list[wp.Launch]:
-        """Returns the launches that compute what readings need of some environments, of frozen ones too.
+    def look(self, needs: Set[str], own: wp.array | None = None) -> list[wp.Launch]:
+        """Returns the launches that compute what readings need, of frozen environments too.
 
         ``measure_all`` does the rest.
 
         Args:
-            first: The first environment.
-            count: How many.
             needs: Those of the readings.
+            own: Of which environments, see ``Span.slice``; ``None``: of all.
         """
-        span = look_span(Span, self, first, count, self.hard, needs)
+        span = look_span(Span, self, self.envs, self.hard, needs, own)
         return look_stages(span, needs, self.no_step, self.all_active)
 
     @beside_captures()
@@ -324,7 +323,7 @@ class Model(Environments, OfScene):
             self._looks = (self.revision, {})
         known, own = self._looks[1], frozenset(needs)
         if own not in known:
-            known[own] = self.look(0, self.envs, own)
+            known[own] = self.look(own)
         for launch in known[own]:
             launch.launch()
         self.measure_all(needs)

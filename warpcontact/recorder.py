@@ -110,19 +110,16 @@ class _Channel:
         self._sample = self.reading.finish(source[:1].numpy()[None], axis=2)[0, 0]
         self.frame = Frame(name, row, self._sample.nbytes)
         self.result = np.zeros((0, model.envs, *self._sample.shape), dtype=self._sample.dtype)
+        self.ways: dict[Model, _Window | _Ring] = {}
         self.rings: list[_Ring] = []
-        self._ways: dict[Model, _Window | _Ring] = {}
 
     @beside_captures()
     def allocate(self, frames: int) -> None:
         self.result = np.zeros((frames, self.model.envs, *self._sample.shape), dtype=self._sample.dtype)
         for part, own in self.model.shares():
             way = _Window if part.device.is_cpu else _Ring
-            self._ways[part] = way(part, self.frame, self.result[:, own])
-        self.rings = [way for way in self._ways.values() if isinstance(way, _Ring)]
-
-    def take(self, part: Model, own: slice, number: int) -> None:
-        self._ways[part].take(own, number)
+            self.ways[part] = way(part, self.frame, self.result[:, own])
+        self.rings = [way for way in self.ways.values() if isinstance(way, _Ring)]
 
     def drain(self) -> None:
         for ring in self.rings:
@@ -144,14 +141,15 @@ class _Window:
     """
 
     def __init__(self, part: Model, frame: Frame, result: NDArray[Any]) -> None:
-        self.reading = part.readings[frame.name]
+        reading = part.readings[frame.name]
         # A view, which keeps what is measured into.
-        self.values = self.reading.array(part.arrays).numpy()
+        self.values = reading.array(part.arrays).numpy()
         self.result = result
+        self._finish = reading.finish if reading.total else None
 
     def take(self, own: slice, number: int) -> None:
         """Writes the environments ``own`` of a frame; other threads may write others meanwhile."""
-        self.result[number, own] = self.reading.finish(self.values[own])
+        self.result[number, own] = self._finish(self.values[own]) if self._finish else self.values[own]
 
 
 class _Ring:
@@ -278,6 +276,8 @@ class Recorder:
         self.needs = {need for reading in readings for need in reading.needs}
         model.make_measures(self.needs)
         self.channels = [_Channel(model, reading.name) for reading in readings]
+        # How all of them take a frame of a part: looked up once, for there is a frame of every slice.
+        self._ways: dict[Model, list[_Window | _Ring]] = {}
         self.times = np.zeros(frames)
         self.taken = 0
 
@@ -312,6 +312,7 @@ class Recorder:
             raise MemoryShortage(self._too_much(footprint, room), footprint.on(room.place), usable(room))
         for channel in self.channels:
             channel.allocate(frames)
+        self._ways = {part: [channel.ways[part] for channel in self.channels] for part in self.model.parts}
 
     def _too_much(self, footprint: Footprint, room: Room) -> str:
         envs, frames = self.model.envs, len(self.times)
@@ -345,8 +346,8 @@ class Recorder:
             own: Which of its environments.
             number: The frame, less than ``room`` beyond those that are counted.
         """
-        for channel in self.channels:
-            channel.take(part, own, number)
+        for way in self._ways[part]:
+            way.take(own, number)
 
     def count(self, times: Sequence[float]) -> None:
         """Counts the next frames, at ``times`` [s], of which all environments are taken."""

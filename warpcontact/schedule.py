@@ -43,6 +43,8 @@ class Span:
         queued: Whether threads share out contacts by what they need, not by blocks: for many threads.
         hard: The contacts that are solved for impulses and have no force; ``None``: all have theirs.
         looked_at: A state whose contacts are known, as nothing changed since they were looked at; ``None``: none.
+        slice: Where launches read, when they run, which of these environments they are for: the first and how
+            many; ``None``: for all.
     """
 
     model: "Model"
@@ -53,6 +55,7 @@ class Span:
     queued: bool = False
     hard: "HardContacts | None" = None
     looked_at: Any = None
+    slice: wp.array | None = None
 
     def prepare(
         self,
@@ -75,8 +78,10 @@ class Span:
             return []
         device = self.model.device
         work = Work()
-        work.first, work.items, work.tasks = self.first, items, self.count * items
-        work.threads = (threads or work.tasks) if device.is_cuda else 1
+        work.first, work.envs, work.items = self.first, self.count, items
+        work.threads = (threads or self.count * items) if device.is_cuda else 1
+        if self.slice is not None:
+            work.slice = self.slice
         inputs = [work, *inputs]
         return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=together)]
 

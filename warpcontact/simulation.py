@@ -16,7 +16,7 @@ from warpcontact.advice import ContactWarning, advice
 from warpcontact.arrays import Layout
 from warpcontact.available import HOST
 from warpcontact.captures import beside_captures
-from warpcontact.crew import Crew, available_threads
+from warpcontact.crew import Crew, Share, available_threads
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, Need, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
@@ -28,8 +28,8 @@ from warpcontact.parameters import rounded
 from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
-from warpcontact.slices import Buffers, Frames, Slice, Times
-from warpcontact.stepping import on_cpu, slice_size, stepping_footprint
+from warpcontact.slices import Buffers, Frames, Stepper, Times
+from warpcontact.stepping import slice_sizes, stepping_footprint, stepping_threads
 from warpcontact.whole_steps import frame_count, recorded_steps
 
 # Labelled data, and what reads and writes it, takes as long to import as all the rest; who only steps has no need.
@@ -115,8 +115,7 @@ class Simulation:
         self.watch = Watch.of(outcomes, stop, events, quarantine)
         # Whether the first step has nothing to warn of any more.
         self.advised = False
-        launched = ", or take graphs=False" if any(device.is_cpu for device in model.devices) else ""
-        require(self._stepping, model.envs, "to step them, ", launched if self.graphs else "")
+        require(self._stepping, model.envs, "to step them, ")
         self._buffers = [
             Buffers(part, integrator, self.dt, self.crossing_steps, self.watch) for part in model.parts
         ]
@@ -319,7 +318,7 @@ class Simulation:
         revisions = tuple(part.revision for part in model.parts)
         prepared, crew = self._prepared
         if crew is None or prepared != revisions:
-            crew = Crew(self._slices(), self.threads)
+            crew = Crew(self._shares(), self.threads)
             self._prepared = (revisions, crew)
         done = 0
         while done < count:
@@ -340,31 +339,24 @@ class Simulation:
             model.check_piles()
 
     @beside_captures()
-    def _slices(self) -> list[Slice]:
-        parts = self.model.parts
-        on_threads = on_cpu((part, part.envs) for part in parts)
-        return [
-            piece
-            for part, buffers in zip(parts, self._buffers, strict=True)
-            for piece in self._slices_of(part, buffers, slice_size(part, part.envs, on_threads, self.threads))
-        ]
+    def _shares(self) -> list[Share]:
+        parts = [(part, part.envs) for part in self.model.parts]
+        sizes = slice_sizes(parts, self.threads)
+        members = stepping_threads(parts, sizes, self.threads)
+        shares = []
+        for (part, envs), size, buffers in zip(parts, sizes, self._buffers, strict=True):
+            slices = [slice(first, min(first + size, envs)) for first in range(0, envs, size)]
+            count = members if part.device.is_cpu else 1
+            shares.append(Share(slices, [self._stepper(part, buffers) for _ in range(count)]))
+        return shares
 
-    def _slices_of(self, model: Model, buffers: Buffers, size: int) -> list[Slice]:
+    def _stepper(self, model: Model, buffers: Buffers) -> Stepper:
         # On the CPU a slice is stepped by one thread, so the order is the same in any case.
         queued = model.device.is_cuda
         ordered = self.deterministic or not queued
-        return [
-            Slice(
-                Span(
-                    model, first, min(size, model.envs - first), self.distance_cache, ordered, queued, buffers.hard
-                ),
-                self.integrator,
-                buffers,
-                parts=self.crossing_steps,
-                captured=self.graphs,
-            )
-            for first in range(0, model.envs, size)
-        ]
+        own = None if queued else wp.array([0, model.envs], dtype=wp.int32, device=model.device)
+        span = Span(model, 0, model.envs, self.distance_cache, ordered, queued, buffers.hard, slice=own)
+        return Stepper(span, self.integrator, buffers, parts=self.crossing_steps, captured=self.graphs)
 
     def run(
         self,

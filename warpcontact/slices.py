@@ -1,7 +1,8 @@
-"""A slice of the environments: so few that their state stays in the cache of a core, which steps them alone.
+"""Steps of slices of the environments: so few that their state stays in the cache of the core that steps them.
 
 A step is a list of launches. Where nothing has to be decided on the host they are captured once, many steps at a
-time, and replayed; launches and replays compute the same.
+time, and replayed; launches and replays compute the same. They are the same for all slices on the CPU, and read
+from memory which slice they are for: each thread has its own, and takes them from slice to slice.
 """
 
 from collections.abc import Callable, Iterator, Set
@@ -30,9 +31,11 @@ if TYPE_CHECKING:
     from warpcontact.model import Model
 
 # Steps in a graph, the most first; whatever is asked for is made up of these. An odd one ends in the other buffer
-# and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, and slices are many.
+# and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
 CPU_GRAPH_STEPS = (8, 2, 1)
+# Steps in the graph of those after a look, at most.
+MOST_AFTER_LOOK = 16
 
 
 @dataclass(frozen=True)
@@ -134,18 +137,18 @@ class _Step:
     back: list[wp.Launch]  # copies the second buffer to the first
 
 
-class Slice:
-    """Steps the environments of a span, between the model's state and another buffer.
+class Stepper:
+    """Steps one slice of a span after the other, between the model's state and another buffer.
 
     Args:
-        span: The environments.
+        span: All environments.
         integrator: The scheme.
         buffers: What steps need on the device.
         parts: Parts into which a step with a crossing is divided.
         captured: Whether steps are captured and replayed.
 
     Attributes:
-        envs: Number of environments.
+        slice: The environments that are stepped next; at first all.
         device: Their device.
         captured: Whether steps are replayed: on a GPU nothing is then waited for.
         graph_steps: Steps in its graphs, the most first.
@@ -156,7 +159,8 @@ class Slice:
     ) -> None:
         model = span.model
         self._span = span
-        self.envs = span.count
+        self.slice = slice(span.first, span.first + span.count)
+        self._place = None if span.slice is None else span.slice.numpy()
         self.device = model.device
         self._parts = parts
         self._observer = buffers.observer
@@ -178,6 +182,12 @@ class Slice:
         # By their steps, and whether the first of these comes after a look.
         self._graphs: dict[tuple[int, bool], wp.Graph] = {}
         self._looks: dict[frozenset[str], list[wp.Launch] | wp.Graph] = {}
+
+    def go_to(self, own: slice) -> None:
+        """Takes the environments that are stepped next: others than all of the span only if it has slices."""
+        self.slice = own
+        if self._place is not None:
+            self._place[:] = own.start, own.stop - own.start
 
     def _prepare(self, state_in: Any, state_out: Any) -> _Step:
         span, times, part, divide, resume = self._span, self._times, [], [], []
@@ -218,8 +228,8 @@ class Slice:
     def _graphs_of(self, count: int, after_look: bool) -> Iterator[tuple[int, bool]]:
         """Yields the graphs that make up ``count`` steps."""
         if after_look and count:
-            # The shortest that ends in the model's buffer: others are there anyway.
-            first = min(2, count)
+            # All of them if they are few, as between frames.
+            first = min(MOST_AFTER_LOOK, count)
             yield first, True
             count -= first
         for steps in self.graph_steps:
@@ -269,7 +279,7 @@ class Slice:
         if needs in self._looks:
             return
         span = self._span
-        launches = span.model.look(span.first, span.count, needs)
+        launches = span.model.look(needs, span.slice)
         if not self.captured or not launches:
             self._looks[needs] = launches
             return
@@ -285,7 +295,7 @@ class Slice:
         else:
             with beside_captures():
                 _launch(look)
-        frames.take(self._span.model, slice(self._span.first, self._span.first + self.envs), number)
+        frames.take(self._span.model, self.slice, number)
         return looks_at_near(self._span, frames.needs)
 
     def _take(self, way: int) -> None:

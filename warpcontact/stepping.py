@@ -1,7 +1,7 @@
 """What stepping takes beside the model: a second buffer of the state, and the prepared launches and graphs."""
 
 import ctypes
-from collections.abc import Collection, Iterable, Mapping, Sequence, Set
+from collections.abc import Collection, Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any, cast
 
 import warp as wp
@@ -14,7 +14,7 @@ from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.looks import in_parts, look_span, look_stages
 from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.schedule import Span
-from warpcontact.slices import Buffers, Slice
+from warpcontact.slices import MOST_AFTER_LOOK, Buffers, Stepper
 
 if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
@@ -26,8 +26,6 @@ CACHE_BYTES = 512 * 1024
 CONTACT_BYTES = 300
 BODY_BYTES = 400
 LARGEST_SLICE = 128
-# Slices beyond this number are made larger instead: each is captured on its own, which takes tens of milliseconds.
-MOST_SLICES = 1024
 
 # What a prepared launch takes, a graph, and what is captured in it for each byte of the arguments of its launches,
 # which are kept with the places of all pointers among them; measured with Warp 1.19 (tests/test_memory_plan.py).
@@ -46,26 +44,31 @@ class _Tally(Span):
         return [kernel] if items else []
 
 
-def slice_size(model: "Model | PartDraft", envs: int, on_cpu: int, threads: int) -> int:
-    """Returns how many environments a slice has: as many as fit into the cache of a core, and enough slices.
+def slice_sizes(shares: "Sequence[tuple[Model | PartDraft, int]]", threads: int) -> list[int]:
+    """Returns how many environments a slice has, by part: as fit into the cache of a core, and enough slices.
 
     Args:
-        model: What is sliced.
-        envs: Number of its environments.
-        on_cpu: Number of environments that the threads have to step, of all parts.
-        threads: The threads.
+        shares: The parts, each with how many environments it has.
+        threads: How many threads step those on the CPU.
     """
-    if model.device.is_cuda:
-        return envs
-    per_slice = CONTACT_BYTES * (model.contact_count + model.smooth_count) + BODY_BYTES * model.body_count
-    per_slice += sum(pile.bytes_near for pile in model.piles)
-    largest = max(LARGEST_SLICE, -(-envs // MOST_SLICES))
-    return max(1, min(CACHE_BYTES // per_slice, largest, -(-on_cpu // threads)))
+    on_cpu = sum(envs for part, envs in shares if part.device.is_cpu)
+    largest = min(LARGEST_SLICE, -(-on_cpu // threads))
+    return [
+        max(1, min(CACHE_BYTES // _bytes_of(part), largest)) if part.device.is_cpu else envs
+        for part, envs in shares
+    ]
 
 
-def on_cpu(shares: Iterable[tuple["Model | PartDraft", int]]) -> int:
-    """Returns how many environments are on the CPU, of parts with a number of environments each."""
-    return sum(envs for part, envs in shares if part.device.is_cpu)
+def stepping_threads(shares: "Sequence[tuple[Model | PartDraft, int]]", sizes: Sequence[int], threads: int) -> int:
+    """Returns how many of the threads have slices on the CPU to step, of parts with slices of these sizes."""
+    counts = [-(-envs // size) for (part, envs), size in zip(shares, sizes, strict=True) if part.device.is_cpu]
+    return min(threads, sum(counts))
+
+
+def _bytes_of(part: "Model | PartDraft") -> int:
+    """Returns what an environment takes of a cache."""
+    of_contacts = CONTACT_BYTES * (part.contact_count + part.smooth_count) + BODY_BYTES * part.body_count
+    return of_contacts + sum(pile.bytes_near for pile in part.piles)
 
 
 @beside_captures()
@@ -92,7 +95,7 @@ def stepping_footprint(
     threads = available_threads() if threads is None else threads
     integrator = SemiImplicitEuler() if integrator is None else integrator
     watch = Watch.of(outcomes, stop, events, quarantine)
-    on_threads = on_cpu(shares)
+    members = stepping_threads(shares, slice_sizes(shares, threads), threads)
     footprints = []
     for part, envs in shares:
         buffers = Buffers(part, integrator, watch=watch)
@@ -108,26 +111,18 @@ def stepping_footprint(
             queued=queued,
             hard=buffers.hard,
         )
-        one = Slice(span, integrator, buffers, parts=crossing_steps, captured=graphs)
+        one = Stepper(span, integrator, buffers, parts=crossing_steps, captured=graphs)
         size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
         for steps in one.graph_steps:
             size += _captured_bytes(one.graph(steps))
         if watch.quarantine == "freeze" and in_parts(part.device, buffers.hard, looks):
-            tally = look_span(_Tally, part, 0, 1, buffers.hard, looks)
+            tally = look_span(_Tally, part, 1, buffers.hard, looks)
             look = look_stages(tally, looks, part.no_step, None)
             size += _captured_bytes(look) if one.captured else LAUNCH_BYTES * len(look)
             if one.ready_after_look(looks):
-                # A rest of one step, after the last frame of many, would have a smaller one beside it.
-                size += LAUNCH_BYTES * len(one.graph(1, after_look=True)) + _captured_bytes(
-                    one.graph(2, after_look=True)
-                )
-        length = slice_size(part, envs, on_threads, threads)
-        # The first environments of each thread make its slice longer.
-        longest = slice_size(part, envs, LARGEST_SLICE * threads, threads)
-        grows = size / longest if part.device.is_cpu and on_threads > threads * length else 0.0
-        if length > LARGEST_SLICE:
-            grows = 0.0  # as many slices, and longer ones
-        launches = Need("launches", HOST, -(-envs // length) * size, grows)
+                first = one.graph(MOST_AFTER_LOOK, after_look=True)
+                size += LAUNCH_BYTES * len(one.graph(1, after_look=True)) + _captured_bytes(first)
+        launches = Need("launches", HOST, size * (members if part.device.is_cpu else 1))
         needs = [*buffers.layout.needs(envs), launches]
         if observer is not None:
             # What is there already is the model's.

@@ -6,7 +6,15 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.couplings import ends
-from warpcontact.kernels.types import COUPLING_ACTIVE, COUPLING_DISABLED, ENV_ACTIVE, Work, structs
+from warpcontact.kernels.types import (
+    COUPLING_ACTIVE,
+    COUPLING_DISABLED,
+    ENV_ACTIVE,
+    Work,
+    first_env,
+    structs,
+    task_count,
+)
 
 
 @functools.cache
@@ -68,8 +76,8 @@ def kernel(real: type) -> wp.Kernel:
         bushings: Bushings,
         ends: Ends,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             bushing = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

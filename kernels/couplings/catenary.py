@@ -23,7 +23,9 @@ from warpcontact.kernels.types import (
     LINE_SUNK,
     LINE_TAUT,
     Work,
+    first_env,
     structs,
+    task_count,
 )
 
 zero = wp.constant(wp.float64(0.0))
@@ -168,8 +170,8 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
         lines: Lines,
         ends: Ends,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             line = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -296,8 +298,8 @@ def remember(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def remember_lines(work: Work, status: wp.array(dtype=wp.int32), found: Held, held: Held, lines: Lines):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             line = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

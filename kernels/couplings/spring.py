@@ -20,7 +20,9 @@ from warpcontact.kernels.types import (
     COUPLING_SLACK,
     ENV_ACTIVE,
     Work,
+    first_env,
     structs,
+    task_count,
 )
 
 
@@ -173,8 +175,8 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
         springs: Springs,
         ends: Ends,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             spring = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -238,8 +240,8 @@ def remember(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def remember_springs(work: Work, status: wp.array(dtype=wp.int32), springs: Springs):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             spring = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

@@ -14,7 +14,7 @@ from warpcontact.kernels import frames
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.base import Motion
-from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, Work, first_env, structs, task_count
 
 # Differences in time from which a velocity and an acceleration are computed [s]: short against what moves bodies
 # that one can see, long against the rounding of float64.
@@ -120,8 +120,8 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
         wrenches: Wrenches,
         state_out: State,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             item = task % work.items
             body = members[item]
             if status[env] != ENV_ACTIVE:
@@ -203,8 +203,8 @@ def change_step(motion: type[Motion], real: type) -> wp.Kernel:
         samples: wp.array2d(dtype=wp.float64),
         state: State,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             item = task % work.items
             body = members[item]
             if status[env] != ENV_ACTIVE:

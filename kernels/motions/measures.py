@@ -5,7 +5,18 @@ import functools
 import warp as wp
 from warpcontact.kernels.motions import bodies, step
 from warpcontact.kernels.motions.bodies import momentum_of, turn_about
-from warpcontact.kernels.types import DRIVEN, ENV_ACTIVE, FREE, HINGE, PLANAR, SLIDER, Work, structs
+from warpcontact.kernels.types import (
+    DRIVEN,
+    ENV_ACTIVE,
+    FREE,
+    HINGE,
+    PLANAR,
+    SLIDER,
+    Work,
+    first_env,
+    structs,
+    task_count,
+)
 
 
 @wp.struct
@@ -77,8 +88,8 @@ def coordinates(real: type) -> wp.Kernel:
     def measure_coordinates(
         work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Coordinates
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

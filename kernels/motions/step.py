@@ -24,7 +24,9 @@ from warpcontact.kernels.types import (
     SLIDER,
     TRANSLATION,
     Work,
+    first_env,
     structs,
+    task_count,
 )
 
 
@@ -54,8 +56,8 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
         wrenches: Wrenches,
         state_out: State,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = members[task % work.items]
             if status[env] != ENV_ACTIVE:
                 continue
@@ -136,8 +138,8 @@ def change_step(real: type) -> wp.Kernel:
         wrenches: Wrenches,  # of this instant
         state: State,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = members[task % work.items]
             if status[env] != ENV_ACTIVE:
                 continue

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.outcomes.source import Form, value
-from warpcontact.kernels.types import ENV_ACTIVE, Work
+from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, task_count
 
 
 @wp.struct
@@ -37,8 +37,8 @@ def kernel(form: Form) -> wp.Kernel:
         a: wp.array3d(dtype=dtype),
         events: Events,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             if status[env] != ENV_ACTIVE:
                 continue
             for item in range(a.shape[1]):

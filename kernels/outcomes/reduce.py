@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.outcomes.source import Form, array_types, values
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_FROZEN, Work
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_FROZEN, Work, first_env, task_count
 
 
 @wp.struct
@@ -73,11 +73,11 @@ def observe(update: wp.Function, length: int, forms: tuple[Form, ...], single: b
         d: wp.array3d(dtype=type_3),
         memory: wp.array2d(dtype=Memory),  # [env, result]
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             number = wp.int32(0)
             if wp.static(not single):
-                env = work.first + task // work.items
+                env = first_env(work) + task // work.items
                 number = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -111,8 +111,8 @@ def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[F
         memory: wp.array2d(dtype=Memory),
         results: wp.array2d(dtype=wp.float64),  # [env, result]
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             number = task % work.items
             x = seen(sight, a, b, c, d, env, number)
             m = memory[env, number]

@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.outcomes.source import Form, value
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_HALTED, Work
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_HALTED, Work, first_env, task_count
 
 #: Clocks are sums: a time is reached within this share of a step.
 NEARLY = wp.constant(wp.float64(1.0e-6))
@@ -44,8 +44,8 @@ def kernel(form: Form) -> wp.Kernel:
         a: wp.array3d(dtype=dtype),
         stops: Stops,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             if status[env] != ENV_ACTIVE:
                 continue
             x = condition.sign * (seen(a, env, 0, 0) - condition.limit)

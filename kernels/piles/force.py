@@ -12,7 +12,7 @@ from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.piles import meeting
 from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, pile_structs
 from warpcontact.kernels.touch import Parts, group_structs, touch_structs
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
 
 
 @functools.cache
@@ -188,8 +188,8 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
         kept: Memory,
         wrenches: Wrenches,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             shape = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -337,8 +337,8 @@ def add(real: type, alone: bool) -> wp.Kernel:
         touches: Touches,
         wrenches: Wrenches,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             carrier = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

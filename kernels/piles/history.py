@@ -5,7 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.piles.base import TOUCHED, TOUCHES, pile_structs
 from warpcontact.kernels.touch import Parts, group_structs
-from warpcontact.kernels.types import ENV_ACTIVE, Work
+from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, task_count
 
 
 @functools.cache
@@ -46,8 +46,8 @@ def advance(parts: Parts, real: type, hard: bool = False) -> wp.Kernel:
         kept: Memory,
         memory: Memory,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             shape = task % work.items
             if status[env] != ENV_ACTIVE or touches.busy[env, shape] == 0:
                 continue

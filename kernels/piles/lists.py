@@ -18,7 +18,7 @@ from warpcontact.kernels.piles import meeting
 from warpcontact.kernels.piles.base import NONE, TOUCHED, Form, owns, pile_structs
 from warpcontact.kernels.piles.history import copy_memory
 from warpcontact.kernels.touch import Parts, group_structs
-from warpcontact.kernels.types import ENV_ACTIVE, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, structs, task_count
 from warpcontact.kernels.unilateral.records import record_structs
 
 # Of half the skin, what a shape may move before lists are stale: the rest is for rounding.
@@ -49,8 +49,8 @@ def check(form: Form, real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def check_pile(work: Work, status: wp.array(dtype=wp.int32), state: State, shapes: Shapes, grid: Grid):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             shape = task % work.items
             if status[env] != ENV_ACTIVE or grid.stale[env] != 0:
                 continue
@@ -78,8 +78,8 @@ def clear(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def clear_buckets(work: Work, status: wp.array(dtype=wp.int32), grid: Grid):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             if status[env] == ENV_ACTIVE and grid.stale[env] != 0:
                 grid.head[env, task % work.items] = NONE
 
@@ -105,8 +105,8 @@ def fill(form: Form, real: type) -> wp.Kernel:
     def fill_buckets(
         work: Work, status: wp.array(dtype=wp.int32), buckets: wp.int32, state: State, shapes: Shapes, grid: Grid
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             shape = task % work.items
             if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
                 continue
@@ -178,8 +178,8 @@ def gather(form: Form, real: type) -> wp.Kernel:
         touches: Touches,
         grid: Grid,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             shape = task % work.items
             if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
                 continue
@@ -252,8 +252,8 @@ def carry(parts: Parts, real: type) -> wp.Kernel:
         kept: Memory,
         memory: Memory,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             shape = task % work.items
             if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
                 continue
@@ -331,8 +331,8 @@ def carry_impulses(real: type) -> wp.Kernel:
         first: wp.int32,  # number of the contact of the first record
         memory: Memories,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             shape = task % work.items
             if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
                 continue
@@ -393,8 +393,8 @@ def join(real: type) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def join_lists(work: Work, status: wp.array(dtype=wp.int32), shapes: Shapes, lists: Lists, grid: Grid):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             shape = task % work.items
             if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
                 continue

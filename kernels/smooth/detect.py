@@ -23,7 +23,9 @@ from warpcontact.kernels.types import (
     UNSOLVED,
     WRONG_SIDE,
     Work,
+    first_env,
     structs,
+    task_count,
 )
 
 # Size of what has no end [m].
@@ -221,8 +223,8 @@ def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, o
         found: Seeds,
         smooth: Smooth,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             contact = first + task % work.items
             if status[env] != ENV_ACTIVE:
                 continue

@@ -11,7 +11,7 @@ import functools
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
 from warpcontact.kernels.unilateral import begin, impulses, relative
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 
@@ -100,8 +100,8 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
         scratch: Scratch,
         change: Change,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             if status[env] != ENV_ACTIVE:
                 continue
             done = wp.int32(0)

@@ -9,7 +9,17 @@ import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.piles.base import TOUCHES, pile_structs
 from warpcontact.kernels.smooth.records import Members, Settings, contact_structs
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, HERTZ_PATCH, INLINED, MODE_SLIP, Work, structs
+from warpcontact.kernels.types import (
+    CONTACT,
+    ENV_ACTIVE,
+    HERTZ_PATCH,
+    INLINED,
+    MODE_SLIP,
+    Work,
+    first_env,
+    structs,
+    task_count,
+)
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import row_structs
 
@@ -101,8 +111,8 @@ def mesh(real: type) -> wp.Kernel:
         rows: r.Rows,
         outcome: r.Outcome,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             if status[env] != ENV_ACTIVE:
                 continue
             for number in range(block_count):
@@ -164,8 +174,8 @@ def smooth(real: type, rolls: bool) -> wp.Kernel:
         rows: r.Rows,
         outcome: r.Outcome,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             if status[env] != ENV_ACTIVE:
                 continue
             for place in range(item_count):
@@ -216,8 +226,8 @@ def pile(real: type) -> wp.Kernel:
         rows: r.Rows,
         outcome: r.Outcome,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             if status[env] != ENV_ACTIVE:
                 continue
             own = material[env, substance]

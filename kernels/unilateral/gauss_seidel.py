@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
 from warpcontact.kernels.unilateral import begin, cone, impulses, relative, standing
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 
@@ -190,8 +190,8 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
         scratch: Scratch,
         change: Change,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             if status[env] != ENV_ACTIVE:
                 continue
             count = outcome.count[env]

@@ -13,7 +13,9 @@ from warpcontact.kernels.types import (
     MODE_SLIP,
     MODE_STICK,
     Work,
+    first_env,
     structs,
+    task_count,
 )
 from warpcontact.kernels.unilateral import relative
 from warpcontact.kernels.unilateral.records import record_structs
@@ -66,8 +68,8 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
         account: Account,
         reactions: Wrenches,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             if status[env] == ENV_RESTING:
                 status[env] = ENV_ACTIVE
                 continue
@@ -160,8 +162,8 @@ def read(real: type, Contacts: Any) -> wp.Kernel:
         contacts: Contacts,
         shown: Shown,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             item = items[task % work.items]
             if status[env] != ENV_ACTIVE:
                 continue

@@ -7,7 +7,7 @@ of these the next does not either, until something is changed from outside. ``re
 import functools
 
 import warp as wp
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_RESTING, Work
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_RESTING, Work, first_env, task_count
 from warpcontact.kernels.unilateral.records import record_structs
 
 
@@ -27,8 +27,8 @@ def kernel(real: type) -> wp.Kernel:
         time: wp.array(dtype=wp.float64),  # [env] [s]
         account: Account,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             if status[env] == ENV_ACTIVE and account.calm[env] == 2:
                 time[env] = time[env] + step[env, 0]
                 status[env] = ENV_RESTING

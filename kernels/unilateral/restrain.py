@@ -8,7 +8,7 @@ round, or contacts of different restitution are hit together, it may do more wor
 import functools
 
 import warp as wp
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_WAITING, Work, structs
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_WAITING, Work, first_env, structs, task_count
 from warpcontact.kernels.unilateral import impulses, relative
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
@@ -85,8 +85,8 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
         tolerance: real,
         restraint: Restraint,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task
             restraint.status[env] = ENV_WAITING
             if status[env] != ENV_ACTIVE:
                 continue

@@ -30,7 +30,9 @@ from warpcontact.kernels.types import (
     SLIDER,
     TRANSLATION,
     Work,
+    first_env,
     structs,
+    task_count,
 )
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
@@ -63,8 +65,8 @@ def middle(real: type, moves: bool) -> wp.Kernel:
         outcome: Outcome,
         restraint: Restraint,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -224,8 +226,8 @@ def free(real: type, moves: bool) -> wp.Kernel:
         state_out: State,
         moving: Moving,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
@@ -331,8 +333,8 @@ def advance(real: type, moves: bool) -> wp.Kernel:
         wrenches: Wrenches,
         state_out: State,
     ):
-        for task in range(wp.tid(), work.tasks, work.threads):
-            env = work.first + task // work.items
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
