@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 CACHE_BYTES = 512 * 1024
 CONTACT_BYTES = 300
 BODY_BYTES = 400
-LARGEST_SLICE = 128
+LARGEST_SLICE = 256
 
 # What a prepared launch takes, a graph, and what is captured in it for each byte of the arguments of its launches,
 # which are kept with the places of all pointers among them; measured with Warp 1.19 (tests/test_memory_plan.py).
