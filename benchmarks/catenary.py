@@ -51,7 +51,7 @@ def seconds(model: wc.Model, places: np.ndarray, moves: int, *, warm: bool) -> t
     device = model.device
     clock = time.process_time if device.is_cpu else time.perf_counter
     lines = model.couplings[0]
-    span = Span(model, 0, model.envs, cached=False, ordered=True)
+    span = Span(model, model.envs, cached=False, ordered=True)
     solve = lines.force_stages(span, model.arrays.state, model.arrays.status)
     accept = lines.accept_stages(span)
     everywhere = wp.ones(model.envs, dtype=wp.bool, device=device)

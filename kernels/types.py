@@ -133,11 +133,10 @@ class Work:
     What is launched for one slice of the environments after another, on the CPU, reads which from memory.
     """
 
-    first: wp.int32  # environment
-    envs: wp.int32
+    envs: wp.int32  # from the first on
     items: wp.int32  # of an environment
     threads: wp.int32
-    slice: wp.array(dtype=wp.int32)  # the first environment and how many, in place of these; or nothing
+    slice: wp.array(dtype=wp.int32)  # the first environment and how many, in place of all; or nothing
 
 
 @wp.func
@@ -145,7 +144,7 @@ def first_env(work: Work):
     """First environment of a launch."""
     if work.slice.shape[0] > 0:
         return work.slice[0]
-    return work.first
+    return 0
 
 
 @wp.func

@@ -224,7 +224,7 @@ def launch(solver, arrays, real, moves, rolls, tolerance, iterations, status, ch
         change = wp.zeros(moving.shape, dtype=change_struct(real), device=DEVICE)
     kernel = module.kernel(real, moves, rolls, **options)
     work = Work()
-    work.first, work.envs, work.items = 0, len(status), 1
+    work.envs, work.items = len(status), 1
     work.threads = work.envs if wp.get_device(DEVICE).is_cuda else 1
     states = wp.array(np.asarray(status, np.int32), device=DEVICE)
     inputs = [work, states, rows, moving, outcome, real(tolerance), iterations, scratch, change]

@@ -46,13 +46,13 @@ def shares(names, *args, members=1):
 def test_gpus_that_the_host_decides_about_do_not_wait_for_each_other():
     log, meeting = [], threading.Barrier(3)
     parts = shares(("cuda:0", "cuda:1", "cpu"), False, log, meeting)
-    assert list(crew.Crew(parts, 1).step(8)) == [8]
+    assert list(crew.Crew(parts).step(8)) == [8]
     assert sorted(name for name, _ in log) == ["cpu", "cuda:0", "cuda:1"]
 
 
 def test_of_one_gpu_only_one_slice_is_launched_at_a_time():
     log = []
-    made = crew.Crew(shares(("cuda:0", "cuda:1", "cuda:0"), False, log), 8)
+    made = crew.Crew(shares(("cuda:0", "cuda:1", "cuda:0"), False, log))
     list(made.step(8))
     assert made._threads == 2
     assert sorted(name for name, _ in log) == ["cuda:0", "cuda:0", "cuda:1"]
@@ -61,7 +61,7 @@ def test_of_one_gpu_only_one_slice_is_launched_at_a_time():
 def test_graphs_are_given_to_gpus_in_turn_before_the_cpu_begins():
     log = []
     parts = shares(("cpu", "cuda:0", "cpu", "cuda:1"), True, log, members=2)
-    list(crew.Crew(parts, 2).step(32))
+    list(crew.Crew(parts).step(32))
     assert log[:2] == [("cuda:0", True), ("cuda:1", True)]
     assert [name for name, _ in log[2:]] == ["cpu", "cpu"]
     assert not any(alone for _, alone in log[2:])

@@ -6,7 +6,7 @@ from hard_scenes import ENERGY, HARD, G, energy, rigid
 from scenes import square
 
 import warpcontact as wc
-from warpcontact import stepping
+from warpcontact import crew, stepping
 
 RADIUS, MASS = 0.1, 2.0
 INERTIA = [0.4 * MASS * RADIUS**2] * 3
@@ -289,6 +289,7 @@ def test_parts_on_several_devices_give_the_same_bits(fallen, device):
 @pytest.mark.parametrize("options", [{"threads": 2}, {"threads": 1, "graphs": False}], ids=str)
 def test_slices_threads_and_graphs_give_the_same_bits(fallen, options, device, monkeypatch):
     monkeypatch.setattr(stepping, "LARGEST_SLICE", 1)
+    monkeypatch.setattr(crew, "ALONE", 0)
     model = start(0.3 * RADIUS, device)
     simulation = wc.Simulation(model, STEP, INTEGRATOR, **options)
     simulation.step(40)

@@ -64,7 +64,7 @@ def test_a_split_model_is_refused_before_anything_is_allocated(device, monkeypat
     assert footprint.shortage(draft.memory(most + 1, graphs=False), rooms) is not None
 
 
-def test_steps_that_do_not_fit_are_refused_before_they_are_captured(monkeypatch):
+def test_steps_that_do_not_fit_are_refused_before_anything_is_made_for_them(monkeypatch):
     model = ball_scene().build(200_000, "cpu")
     with_room(monkeypatch, 8 * MIB)
     message = r"to step them, 200000 environments need .* at most \d+ environments at once fit on cpu"

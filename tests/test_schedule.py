@@ -145,18 +145,18 @@ def assert_same(left, right):
 def with_queues(monkeypatch):
     """Has one thread look at contacts as a GPU does."""
 
-    def queued(model, first, count, cached, ordered, _queued, hard, **own):
+    def queued(model, count, cached, ordered, _queued, hard, **own):
         tasks, contacts = model.envs * model.blocks.count, model.envs * model.contact_count
         cache = model.arrays.cache
         cache.waiting_block = wp.zeros(tasks, dtype=wp.int32, device="cpu")
         cache.waiting_contact = wp.zeros((QUEUES, contacts), dtype=wp.int32, device="cpu")
-        return Span(model, first, count, cached, ordered, queued=True, hard=hard, **own)
+        return Span(model, count, cached, ordered, queued=True, hard=hard, **own)
 
     monkeypatch.setattr(simulation, "Span", queued)
     # A GPU looks at frames with nothing remembered: its lists are shorter than those of a CPU.
     monkeypatch.setattr(
         "warpcontact.model.Span",
-        lambda model, first, count, _cached, **options: Span(model, first, count, cached=False, **options),
+        lambda model, count, _cached, **options: Span(model, count, cached=False, **options),
     )
     monkeypatch.setattr(simulation, "slice_sizes", lambda shares, _: [envs for _, envs in shares])
 
@@ -384,7 +384,7 @@ def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
         def step(self, count, after_look):
             time.sleep(0.02 * count)
 
-    assert list(crew.Crew([crew.Share([slice(0, 1)], [Stepper()])], 1).step(24)) == [8, 16, 24]
+    assert list(crew.Crew([crew.Share([slice(0, 1)], [Stepper()])]).step(24)) == [8, 16, 24]
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, True, "4"])

@@ -51,11 +51,10 @@ class Crew:
     """Steps the environments of one simulation.
 
     Args:
-        shares: All of them, by parts of the model.
-        threads: How many threads step those on the CPU.
+        shares: All of them, by parts of the model; those on the CPU have a stepper for each thread there is to be.
     """
 
-    def __init__(self, shares: Sequence[Share], threads: int) -> None:
+    def __init__(self, shares: Sequence[Share]) -> None:
         self._steppers = [stepper for share in shares for stepper in share.steppers]
         # GPUs are given their graphs in turn, which takes no time. What Python launches, and waits for, has a
         # thread for each GPU, so that none waits for another.
@@ -64,11 +63,11 @@ class Crew:
         for share in shares:
             if share.device.is_cuda and not share.steppers[0].captured:
                 launched.setdefault(str(share.device), []).append(share)
-        on_cpu = _pieces(share for share in shares if share.device.is_cpu)
+        on_cpu = [share for share in shares if share.device.is_cpu]
         # Kernels in Warp's debug mode share a pointer to the storage of tiles, which they look at when they end.
-        threads = 1 if wp.config.mode == "debug" else threads
+        members = 1 if wp.config.mode == "debug" else max((len(share.steppers) for share in on_cpu), default=0)
         # The other slices, and how many threads share them.
-        self._teams = [(_pieces(own), 1) for own in launched.values()] + [(on_cpu, min(threads, len(on_cpu)))]
+        self._teams = [(_pieces(own), 1) for own in launched.values()] + [(_pieces(on_cpu), members)]
         self._threads = sum(members for _, members in self._teams)
         self._pool: ThreadPoolExecutor | None = None
         self._envs = sum(own.stop - own.start for share in shares for own in share.slices)

@@ -42,13 +42,13 @@ def look_span(
     needs: Set[str],
     own: wp.array | None = None,
 ) -> Span:
-    """Returns the first ``count`` environments, or the slice ``own`` of them, to be looked at.
+    """Returns ``count`` environments, or the slice ``own`` of them, to be looked at.
 
     Forces are told of what may touch alone, unless a reading is of what is far away: all is looked at then, and
     what is far is searched for, to the last digit. On a GPU steps alone leave out what cannot touch.
     """
     cached = model.device.is_cpu and needs.isdisjoint(OF_FAR)
-    return kind(model, 0, count, cached, ordered=True, hard=hard, slice=own)
+    return kind(model, count, cached, ordered=True, hard=hard, slice=own)
 
 
 def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> list[wp.Launch]:

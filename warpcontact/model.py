@@ -321,10 +321,10 @@ class Model(Environments, OfScene):
         """Computes what readings of the current state need, by their ``needs``; there is room to measure into."""
         if self._looks[0] != self.revision:
             self._looks = (self.revision, {})
-        known, own = self._looks[1], frozenset(needs)
-        if own not in known:
-            known[own] = self.look(own)
-        for launch in known[own]:
+        known, wanted = self._looks[1], frozenset(needs)
+        if wanted not in known:
+            known[wanted] = self.look(wanted)
+        for launch in known[wanted]:
             launch.launch()
         self.measure_all(needs)
 

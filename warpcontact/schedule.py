@@ -31,12 +31,11 @@ FEW_TOGETHER = 64
 
 @dataclass(frozen=True)
 class Span:
-    """Environments side by side, of one model, and how their contacts are computed.
+    """Environments of one model, and how their contacts are computed.
 
     Attributes:
         model: The model.
-        first: Their first environment.
-        count: How many.
+        count: How many, from the first on.
         cached: Whether what is known of distances saves work: gap, normal and point are not told of what is far
             away then, which steps do without.
         ordered: Whether wrenches are summed in one order, the same in every run.
@@ -48,7 +47,6 @@ class Span:
     """
 
     model: "Model"
-    first: int
     count: int
     cached: bool
     ordered: bool
@@ -78,7 +76,7 @@ class Span:
             return []
         device = self.model.device
         work = Work()
-        work.first, work.envs, work.items = self.first, self.count, items
+        work.envs, work.items = self.count, items
         work.threads = (threads or self.count * items) if device.is_cuda else 1
         if self.slice is not None:
             work.slice = self.slice

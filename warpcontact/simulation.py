@@ -29,7 +29,7 @@ from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
 from warpcontact.slices import Buffers, Frames, Stepper, Times
-from warpcontact.stepping import slice_sizes, stepping_footprint, stepping_threads
+from warpcontact.stepping import slice_sizes, stepping_footprint
 from warpcontact.whole_steps import frame_count, recorded_steps
 
 # Labelled data, and what reads and writes it, takes as long to import as all the rest; who only steps has no need.
@@ -318,7 +318,7 @@ class Simulation:
         revisions = tuple(part.revision for part in model.parts)
         prepared, crew = self._prepared
         if crew is None or prepared != revisions:
-            crew = Crew(self._shares(), self.threads)
+            crew = Crew(self._shares())
             self._prepared = (revisions, crew)
         done = 0
         while done < count:
@@ -342,20 +342,23 @@ class Simulation:
     def _shares(self) -> list[Share]:
         parts = [(part, part.envs) for part in self.model.parts]
         sizes = slice_sizes(parts, self.threads)
-        members = stepping_threads(parts, sizes, self.threads)
-        shares = []
-        for (part, envs), size, buffers in zip(parts, sizes, self._buffers, strict=True):
-            slices = [slice(first, min(first + size, envs)) for first in range(0, envs, size)]
-            count = members if part.device.is_cpu else 1
-            shares.append(Share(slices, [self._stepper(part, buffers) for _ in range(count)]))
-        return shares
+        slices = [
+            [slice(first, min(first + size, envs)) for first in range(0, envs, size)]
+            for (_, envs), size in zip(parts, sizes, strict=True)
+        ]
+        on_cpu = sum(len(own) for (part, _), own in zip(parts, slices, strict=True) if part.device.is_cpu)
+        members = min(self.threads, on_cpu)
+        return [
+            Share(own, [self._stepper(part, buffers) for _ in range(members if part.device.is_cpu else 1)])
+            for (part, _), own, buffers in zip(parts, slices, self._buffers, strict=True)
+        ]
 
     def _stepper(self, model: Model, buffers: Buffers) -> Stepper:
         # On the CPU a slice is stepped by one thread, so the order is the same in any case.
         queued = model.device.is_cuda
         ordered = self.deterministic or not queued
         own = None if queued else wp.array([0, model.envs], dtype=wp.int32, device=model.device)
-        span = Span(model, 0, model.envs, self.distance_cache, ordered, queued, buffers.hard, slice=own)
+        span = Span(model, model.envs, self.distance_cache, ordered, queued, buffers.hard, slice=own)
         return Stepper(span, self.integrator, buffers, parts=self.crossing_steps, captured=self.graphs)
 
     def run(

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
 CPU_GRAPH_STEPS = (8, 2, 1)
-# Steps in the graph of those after a look, at most.
-MOST_AFTER_LOOK = 16
 
 
 @dataclass(frozen=True)
@@ -159,7 +157,7 @@ class Stepper:
     ) -> None:
         model = span.model
         self._span = span
-        self.slice = slice(span.first, span.first + span.count)
+        self.slice = slice(0, span.count)
         self._place = None if span.slice is None else span.slice.numpy()
         self.device = model.device
         self._parts = parts
@@ -228,8 +226,8 @@ class Stepper:
     def _graphs_of(self, count: int, after_look: bool) -> Iterator[tuple[int, bool]]:
         """Yields the graphs that make up ``count`` steps."""
         if after_look and count:
-            # All of them if they are few, as between frames.
-            first = min(MOST_AFTER_LOOK, count)
+            # The shortest that ends in the model's buffer: others are there anyway.
+            first = min(2, count)
             yield first, True
             count -= first
         for steps in self.graph_steps:

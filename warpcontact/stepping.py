@@ -14,7 +14,7 @@ from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.looks import in_parts, look_span, look_stages
 from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.schedule import Span
-from warpcontact.slices import MOST_AFTER_LOOK, Buffers, Stepper
+from warpcontact.slices import Buffers, Stepper
 
 if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
@@ -59,12 +59,6 @@ def slice_sizes(shares: "Sequence[tuple[Model | PartDraft, int]]", threads: int)
     ]
 
 
-def stepping_threads(shares: "Sequence[tuple[Model | PartDraft, int]]", sizes: Sequence[int], threads: int) -> int:
-    """Returns how many of the threads have slices on the CPU to step, of parts with slices of these sizes."""
-    counts = [-(-envs // size) for (part, envs), size in zip(shares, sizes, strict=True) if part.device.is_cpu]
-    return min(threads, sum(counts))
-
-
 def _bytes_of(part: "Model | PartDraft") -> int:
     """Returns what an environment takes of a cache."""
     of_contacts = CONTACT_BYTES * (part.contact_count + part.smooth_count) + BODY_BYTES * part.body_count
@@ -95,7 +89,8 @@ def stepping_footprint(
     threads = available_threads() if threads is None else threads
     integrator = SemiImplicitEuler() if integrator is None else integrator
     watch = Watch.of(outcomes, stop, events, quarantine)
-    members = stepping_threads(shares, slice_sizes(shares, threads), threads)
+    # As many as may have a slice; with few environments some have none.
+    members = min(threads, sum(envs for part, envs in shares if part.device.is_cpu))
     footprints = []
     for part, envs in shares:
         buffers = Buffers(part, integrator, watch=watch)
@@ -104,7 +99,6 @@ def stepping_footprint(
         queued = part.device.is_cuda
         span = _Tally(
             cast("Model", part),
-            0,
             1,
             distance_cache and not (observer and observer.searches),
             ordered=not queued,
@@ -120,8 +114,10 @@ def stepping_footprint(
             look = look_stages(tally, looks, part.no_step, None)
             size += _captured_bytes(look) if one.captured else LAUNCH_BYTES * len(look)
             if one.ready_after_look(looks):
-                first = one.graph(MOST_AFTER_LOOK, after_look=True)
-                size += LAUNCH_BYTES * len(one.graph(1, after_look=True)) + _captured_bytes(first)
+                # A rest of one step, after the last frame of many, would have a smaller one beside it.
+                size += LAUNCH_BYTES * len(one.graph(1, after_look=True)) + _captured_bytes(
+                    one.graph(2, after_look=True)
+                )
         launches = Need("launches", HOST, size * (members if part.device.is_cpu else 1))
         needs = [*buffers.layout.needs(envs), launches]
         if observer is not None:

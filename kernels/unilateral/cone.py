@@ -123,7 +123,7 @@ def functions(real: type) -> SimpleNamespace:
         d2 = x1 * c2 - x2 * c1
         if not regular:
             least = zero
-            if wp.abs(q2) * size <= noise or mu * d2 * wp.sign(q2) >= one:
+            if wp.abs(q2) * size <= noise or mu * d2 * wp.sign(q2) >= one - CLOSE:
                 # Nothing moves that way. Either nothing asks it to, or there is no solution: it would jam, with
                 # ever more of friction and pressure.
                 q2 = zero

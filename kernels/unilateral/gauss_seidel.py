@@ -114,9 +114,10 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
 
     @wp.func
     def slide(rows: Rows, moving: Moving, env: int, row: int, impulse: vec3, w: vec3, rho: real):
-        """What ``exact`` finds where a row slips fast, and whether it does.
+        """The impulse of a row that slips fast, and whether it does: where it might stick as well, it need not.
 
-        Friction is against the slip, and turns it little: what is found for one direction gives the next.
+        Friction is against the slip, and turns it little: what is found for one direction gives the next. It is
+        not for a row that nothing moves apart.
         """
         n = rows[env, row].normal
         slip = w - wp.dot(w, n) * n
@@ -134,12 +135,16 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
             along = n - mu * back
             moved = eased(moving, env, one_body, arm_1, along) + eased(moving, env, other, arm_2, along)
             parting = wp.dot(moved, n)
-            size = -wp.dot(free, n) / parting
-            if parting <= zero or size <= zero:
+            size = -wp.dot(free, n)
+            if rho * parting <= soft or size <= zero:
                 return impulse, 0
+            size = size / parting
             slip = free + size * moved
             slip -= wp.dot(slip, n) * n
-            turned = slip / wp.length(slip)
+            speed = wp.length(slip)
+            if speed <= zero:
+                return impulse, 0
+            turned = slip / speed
             off = wp.length_sq(turned - back)
             back = turned
             if off <= STRAIGHT * STRAIGHT:

@@ -2,9 +2,9 @@
 
 Several feet share a load, and sweeps from one to the next take long to agree. Yet where nothing slides it is known
 what each body needs: the impulse that takes its velocity away. It comes from the contacts with one other body or
-with the world, is shared among them with the least change, and the other body needs as much more. So impulses pass
-from the last bodies on to the first, and there is nothing to repeat. Their sum is right to rounding: in the next
-steps nothing is left to do, where sweeps would leave what grows from step to step.
+with the world, is shared among them with the least change, or as they are loaded, and the other body needs as much
+more. So impulses pass from the last bodies on to the first, and there is nothing to repeat. Their sum is right to
+rounding: in the next steps nothing is left to do, where sweeps would leave what grows from step to step.
 """
 
 import functools
@@ -53,7 +53,7 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
 
     @wp.func
     def weight(rows: Rows, env: int, row: int, by_load: int):
-        """The part that a row takes of what its body needs, over that of others."""
+        """How much of what its body needs a row takes, beside others."""
         return wp.where(by_load == 1, wp.dot(rows[env, row].impulse, rows[env, row].normal), one)
 
     @wp.func
@@ -81,17 +81,18 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
         if total <= zero:
             return 0, turning
         middle /= total
+        over = one / total
         spread = mat33()
         for row in range(first, last):
             arm = wp.where(rows[env, row].body_1 == body, rows[env, row].arm_1, rows[env, row].arm_2) - middle
             size = wp.length_sq(arm)
-            spread += weight(rows, env, row, by_load) * (wp.diag(vec3(size, size, size)) - wp.outer(arm, arm))
+            part = over * weight(rows, env, row, by_load)
+            spread += part * (wp.diag(vec3(size, size, size)) - wp.outer(arm, arm))
         inverse, invertible = inverse_of(spread)
         if invertible == 0:
             return 0, turning
         impulse = change[env, body].needs
         turn = inverse * (change[env, body].needs_turning - wp.cross(middle, impulse))
-        impulse /= total
         for row in range(first, last):
             arm = rows[env, row].arm_1
             arm_of_other = rows[env, row].arm_2
@@ -100,11 +101,12 @@ def functions(real: type, Scratch: type) -> SimpleNamespace:
                 arm = rows[env, row].arm_2
                 arm_of_other = rows[env, row].arm_1
                 sign = -one
-            added = weight(rows, env, row, by_load) * (impulse + wp.cross(turn, arm - middle))
+            added = over * weight(rows, env, row, by_load) * (impulse + wp.cross(turn, arm - middle))
             new = rows[env, row].impulse + sign * added
             along = wp.dot(new, rows[env, row].normal)
             limit = ROUNDED_UP * rows[env, row].mu * along
-            if along < zero or wp.length_sq(new - along * rows[env, row].normal) > limit * limit:
+            holds = along >= zero and wp.length_sq(new - along * rows[env, row].normal) <= limit * limit
+            if not holds:
                 return 0, turning
             scratch[env, row].before = new
             turning += wp.cross(arm_of_other, added)

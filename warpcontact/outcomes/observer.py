@@ -211,7 +211,7 @@ class Observer:
 
         model = self._model
         assert model is not None
-        span = Span(model, 0, model.envs, cached=False, ordered=True)
+        span = Span(model, model.envs, cached=False, ordered=True)
         forms, views = self._look_at(kept, model.arrays.state)
         outcome = kept.outcome
         results = wp.empty((model.envs, kept.results), dtype=wp.float64, device=self._device)

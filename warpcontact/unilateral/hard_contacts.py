@@ -326,7 +326,7 @@ class HardContacts:
         from warpcontact.schedule import Span
 
         a, device, real = model.arrays, self._device, self._real
-        for launch in self.show_stages(Span(model, 0, model.envs, cached=False, ordered=True), model.all_active):
+        for launch in self.show_stages(Span(model, model.envs, cached=False, ordered=True), model.all_active):
             launch.launch()
         known = [self.memory, self.account]
         for pile, _ in self._piles:
