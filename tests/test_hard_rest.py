@@ -13,6 +13,8 @@ import warpcontact as wc
 READINGS = ("position", "orientation", "linear_velocity", "angular_velocity")
 SPEEDS = np.stack([np.linspace(0.0, 1.0, 7), np.linspace(0.3, -0.2, 7), np.zeros(7)], axis=1)
 EPSILON = {"float32": 1.2e-7, "float64": 2.3e-16}
+# Environments that rounding may leave to balance on two feet: of these speeds one, in float32.
+FEW = {"float32": 1, "float64": 0}
 
 
 def sliding(precision, device, *, stack=True, threads=None, **watched):
@@ -44,7 +46,7 @@ def test_what_came_to_rest_does_not_creep(precision, device):
     sim = sliding(precision, device)
     sim.step(300)
     speed = np.linalg.norm(sim.model.reading("box1.linear_velocity"), axis=-1)
-    assert np.count_nonzero(speed) <= 1
+    assert np.count_nonzero(speed) <= FEW[precision]
     # Not more than what the tolerance leaves of the velocity that gravity gives in a step.
     assert speed.max() < 1e-4 * G * sim.dt
     for _ in range(8):
@@ -76,7 +78,7 @@ def test_steps_that_are_left_out_would_change_nothing(precision, stack, device):
     calm = together.model.hard.account.calm.numpy() == 2
     moves = [together.model.reading(f"box{number}.linear_velocity").any(axis=-1) for number in range(1 + stack)]
     np.testing.assert_array_equal(calm, ~np.any(moves, axis=0))
-    assert calm.sum() >= len(SPEEDS) - 1
+    assert np.count_nonzero(~calm) <= FEW[precision]
     assert not (alone.model.hard.account.calm.numpy() == 2).any()
     expected = all_readings(alone)
     for name, values in all_readings(together).items():
