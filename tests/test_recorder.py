@@ -7,7 +7,8 @@ from scenes import dropped_sphere, square
 
 import warpcontact as wc
 from warpcontact import crew, stepping
-from warpcontact.recorder import Recorder
+from warpcontact.looks import IN_PARTS
+from warpcontact.recorder import Recorder, _Window
 
 WATCHED = ["ball.position", "touch.gap", "touch.normal_force", "scene.kinetic_energy"]
 
@@ -149,6 +150,43 @@ def test_a_recording_is_what_one_reads_by_stopping(stride, device, in_slices):
     expected = read_by_stopping(device, 100 // stride + 1, stride)
     for name, values in zip(WATCHED, expected, strict=True):
         np.testing.assert_array_equal(recording[name], values, err_msg=name)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_launches_copy_values_of_every_kind(precision, device, in_slices, monkeypatch):
+    """One recording after the other, each into memory of its own; sums over bodies are left to the host."""
+    scene = wc.Scene()
+    ground = scene.add_surface(square())
+    friction = wc.frictions.LuGre(mu_static=0.6, mu_dynamic=0.5, stribeck_speed=0.01, stiffness=1e3)
+    template = wc.Template(law=wc.laws.HuntCrossley(stiffness=1e4, restitution=0.5), friction=friction)
+    for name, x in (("one", 0.0), ("two", 0.4)):
+        body = scene.add_body(1.0, (0.01, 0.01, 0.01), position=(x, 0, 0.06), name=name)
+        scene.add_contact(scene.add_points(body, 0.05 * np.eye(3)), ground, template, name=f"feet_of_{name}")
+    sims = [
+        wc.Simulation(scene.build(envs=5, precision=precision, device=device), dt=1e-3, threads=2) for _ in "ab"
+    ]
+    for sim in sims:
+        sim.model["two.linear_velocity"] = np.linspace((0, 0, -1), (2, 0, -2), 5)
+    sim, stopped = sims
+    names = [name for name in sim.model.reading_names if IN_PARTS.issuperset(sim.model.find_reading(name).needs)]
+    assert {"one.position", "feet_of_two.status", "feet_of_two.friction.deflection", "scene.kinetic_energy"} <= {
+        *names
+    }
+    by_hand = []
+    take = _Window.take
+    monkeypatch.setattr(_Window, "take", lambda own, *of: (by_hand.append(own.reading.name), take(own, *of))[1])
+    recordings = [sim.run(0.08, names, poses=False) for _ in range(2)]
+    if sim.model.devices[0].is_cpu:
+        # The first frame of a recording is taken before the first step, of all environments.
+        rest = [name for name in by_hand if by_hand.count(name) > len(recordings)]
+        assert {*rest} == {name for name in names if name.startswith("scene.")}
+    for recording in recordings:
+        for number in range(81):
+            stopped.step(int(number > 0))
+            for name in names:
+                expected = stopped.model.reading(name)
+                np.testing.assert_array_equal(recording[name].values[number], expected, err_msg=f"{name} {number}")
+    assert (recordings[0]["feet_of_two.normal_force"].values > 0.0).any()
 
 
 def test_blocks_are_a_recording_in_pieces(device, in_slices):
