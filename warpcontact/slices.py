@@ -338,7 +338,7 @@ class Stepper:
         return [
             launch
             for number, source in enumerate(sources)
-            for launch in self._span.prepare(copies.kernel(), 1, [copies.words_of(source), places, number])
+            for launch in self._span.prepare(copies.kernel(), 1, copies.inputs(source, places, number))
         ]
 
     def look(self, frames: Frames, number: int) -> bool:
