@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import check_values, parameter
 from warpcontact.kernels.laws.base import Law
+from warpcontact.kernels.laws.roots import root_between
 
 
 def hertz_stiffness(
@@ -73,8 +74,7 @@ def elliptic_stiffness(
         # Nearly a circle: of the mean curvature, to the square of what they differ by. The integrals cancel here.
         return 4.0 / 3.0 * effective * math.sqrt(2.0 / (1.0 / short + 1.0 / long))
 
-    from scipy.optimize import elementwise  # takes half a second, and few ask
-    from scipy.special import ellipe, ellipkm1
+    from scipy.special import ellipe, ellipkm1  # slow to import, and few ask
 
     def excess(axis_ratio: np.ndarray) -> np.ndarray:
         # K of 1 − m: of a long ellipse m is 1 to almost all digits.
@@ -82,12 +82,12 @@ def elliptic_stiffness(
         return (axis_ratio**2 * second - first) / (first - second) - ratio
 
     # The ratio of the axes lies between the root and the first power of that of the radii.
-    axes = elementwise.find_root(excess, (1.0 + 1.0e-9, 2.0 * ratio))
-    complement = float(axes.x) ** -2
+    axes = float(root_between(excess, 1.0 + 1.0e-9, 2.0 * ratio))
+    complement = axes**-2
     combined = 1.0 / (1.0 / short + 1.0 / long)
     # δ = K(m) [9/(2 E(m) R) (F/(2 π k E*))²]^(1/3)
     per_force = ellipkm1(complement) * (9.0 / (2.0 * ellipe(1.0 - complement) * combined)) ** (1.0 / 3.0)
-    return float(2.0 * math.pi * axes.x * effective * per_force**-1.5)
+    return float(2.0 * math.pi * axes * effective * per_force**-1.5)
 
 
 class Hertz(Law):

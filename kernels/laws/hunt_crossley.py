@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.laws.base import Law, power
+from warpcontact.kernels.laws.roots import root_between
 
 # Below this distance of e from 1 the series of d is better than the root of its equation.
 SERIES_RANGE = 2.0e-3
@@ -35,20 +36,16 @@ def damping_factor_of_restitution(restitution: np.ndarray) -> np.ndarray:
     q = 1.0 - e
     series = q * (1.5 + q * (1.5 + q * (1.35 + q * 1.2)))
 
-    def excess(u: np.ndarray, e: np.ndarray) -> np.ndarray:
-        d = -np.expm1(u) / e
-        return u - np.log1p(d) + d * (1.0 + e)
-
     # The other root is u = 0. Between, excess > 0: already half the series lies there; far below, excess → u.
     far_from_one = np.minimum(e, 1.0 - SERIES_RANGE)
     upper = np.log1p(-0.75 * (1.0 - far_from_one) * far_from_one)
     lower = -2.0 - 1.0 / far_from_one
-    from scipy.optimize import elementwise  # takes half a second, and few ask
 
-    result = elementwise.find_root(excess, (lower, upper), args=(far_from_one,))
-    if not np.all(result.success):
-        raise RuntimeError("no damping factor found for some restitution")
-    return np.where(q < SERIES_RANGE, series, -np.expm1(result.x) / e)
+    def excess(u: np.ndarray) -> np.ndarray:
+        d = -np.expm1(u) / far_from_one
+        return u - np.log1p(d) + d * (1.0 + far_from_one)
+
+    return np.where(q < SERIES_RANGE, series, -np.expm1(root_between(excess, lower, upper)) / e)
 
 
 class HuntCrossley(Law):

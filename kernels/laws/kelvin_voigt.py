@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.laws.base import Law, stepped_dashpot
+from warpcontact.kernels.laws.roots import root_between
 
 
 def restitution_of_damping_ratio(ratio: np.ndarray) -> np.ndarray:
@@ -27,16 +28,7 @@ def damping_ratio_of_restitution(restitution: np.ndarray) -> np.ndarray:
     restitution = np.asarray(restitution, dtype=np.float64)
     # For large ξ, e → 1/(4 ξ²); twice that root encloses the solution for every e.
     upper = 1.0 + 1.0 / np.sqrt(restitution)
-    from scipy.optimize import elementwise  # takes half a second, and few ask
-
-    result = elementwise.find_root(
-        lambda ratio, e: restitution_of_damping_ratio(ratio) - e,
-        (np.zeros_like(restitution), upper),
-        args=(restitution,),
-    )
-    if not np.all(result.success):
-        raise RuntimeError("no damping ratio found for some restitution")
-    return np.asarray(result.x)
+    return root_between(lambda ratio: restitution_of_damping_ratio(ratio) - restitution, 0.0, upper)
 
 
 class KelvinVoigt(Law):

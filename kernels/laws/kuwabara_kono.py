@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.laws.base import Law
+from warpcontact.kernels.laws.roots import root_between
 
 # Padé approximant of Müller & Pöschel: e as a quotient of polynomials of v* = β^(1/2) v₀^(1/10), low order first.
 NUMERATOR = (1.0, 1.07232, 0.574198, 0.141552)
@@ -45,12 +46,8 @@ class KuwabaraKono(Law):
         """Returns the law that has ``restitution`` at ``speed`` [m/s] for the effective ``mass`` [kg]."""
         if not 0.05 <= restitution <= 1.0:
             raise ValueError(f"restitution must be at least 0.05 and at most 1, got {restitution:g}")
-        from scipy.optimize import elementwise  # takes half a second, and few ask
-
-        root = elementwise.find_root(
-            lambda a, e: restitution_of_viscosity(a) - e, (0.0, 10.0), args=(restitution,)
-        )
-        viscosity = float(root.x) / ((stiffness / mass) ** 0.4 * speed**0.2)
+        reduced = root_between(lambda reduced: restitution_of_viscosity(reduced) - restitution, 0.0, 10.0)
+        viscosity = float(reduced) / ((stiffness / mass) ** 0.4 * speed**0.2)
         return cls(stiffness=stiffness, viscosity=viscosity)
 
     @wp.func

@@ -1,5 +1,7 @@
 """Undamped impact on N = K δⁿ: depth, duration and force; what a time step and a stiffness are chosen by."""
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,11 +27,12 @@ def contact_time(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
     """Duration [s] of an impact, arguments as for ``greatest_penetration``: π √(m/K) for n = 1."""
-    from scipy.special import gamma  # slow to import
-
-    n = np.asarray(exponent, dtype=np.float64)
-    factor = 2.0 * np.sqrt(np.pi) * gamma(1.0 + 1.0 / (n + 1.0)) / gamma(0.5 + 1.0 / (n + 1.0))
-    return np.asarray(factor * greatest_penetration(stiffness, n, mass, speed) / np.asarray(speed))
+    # One at a time, as there are few: what has Γ of arrays takes longer to import than a model to build.
+    exponents, which = np.unique(np.asarray(exponent, dtype=np.float64), return_inverse=True)
+    parts = [1.0 / (n + 1.0) for n in exponents.tolist()]
+    factors = [2.0 * math.sqrt(math.pi) * math.gamma(1.0 + part) / math.gamma(0.5 + part) for part in parts]
+    factor = np.array(factors)[which].reshape(np.shape(exponent))
+    return np.asarray(factor * greatest_penetration(stiffness, exponent, mass, speed) / np.asarray(speed))
 
 
 def greatest_force(

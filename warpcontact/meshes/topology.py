@@ -18,6 +18,8 @@ Orientation = Literal["outward", "inward", "open surface", "mixed", "undefined"]
 CRACK_LIMIT = 1.0e-6
 # Meshes whose farthest coordinate is more than this many times their size lie far from their origin.
 FAR = 4.0
+# Directions [-] along which points of lattices seldom lie at the same place; a little shorter than unit vectors.
+SLANTED = np.array(((0.548, 0.448, 0.701), (-0.311, 0.857, -0.404)))
 # So many components are described one by one.
 MOST_COMPONENTS = 100
 
@@ -203,13 +205,22 @@ def _border(v: npt.NDArray[np.float64], edges: npt.NDArray[np.intp], near: float
 
 def meets_another(points: npt.NDArray[np.float64], near: float) -> npt.NDArray[np.bool]:
     """Whether another one of the points (n, 3) is within ``near`` of each."""
-    from scipy.spatial import KDTree
+    # Points that are near each other are so along any direction. Few others are along two, and with none to look
+    # at there is no need for a tree, which takes as long to import as a model to build.
+    found = np.arange(len(points))
+    for direction in SLANTED:
+        along = (points[found] - points[:1]) @ direction  # from one of them: places far away are rounded
+        order = np.argsort(along)
+        close = np.diff(along[order]) <= near
+        found = found[np.union1d(order[1:][close], order[:-1][close])]
+    if len(found):
+        from scipy.spatial import KDTree
 
-    if not len(points):
-        return np.zeros(0, dtype=bool)
-    distances, _ = KDTree(points).query(points, k=2, distance_upper_bound=near)
-    found: npt.NDArray[np.bool] = np.isfinite(distances[:, 1])
-    return found
+        distances, _ = KDTree(points[found]).query(points[found], k=2, distance_upper_bound=near)
+        found = found[np.isfinite(distances[:, 1])]
+    meets = np.zeros(len(points), dtype=bool)
+    meets[found] = True
+    return meets
 
 
 def components(links: npt.NDArray[np.intp], count: int) -> tuple[int, npt.NDArray[np.int32]]:
@@ -218,11 +229,18 @@ def components(links: npt.NDArray[np.intp], count: int) -> tuple[int, npt.NDArra
     Returns:
         Their number, and the part of each item; parts are numbered by their first items.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    graph = coo_array((np.ones(len(links), dtype=bool), links.T), shape=(count, count))
-    return connected_components(graph, directed=False)
+    part = np.arange(count)
+    a, b = links.T
+    # Each round joins every part with neighbours to one of them, so that no more than half remain.
+    while len(a):
+        np.minimum.at(part, np.maximum(a, b), np.minimum(a, b))
+        while ((lowest := part[part]) != part).any():
+            part = lowest
+        a, b = part[a], part[b]
+        apart = a != b
+        a, b = a[apart], b[apart]
+    first = part == np.arange(count)
+    return int(first.sum()), (np.cumsum(first) - 1)[part].astype(np.int32)
 
 
 def weld(vertices: npt.NDArray[np.float64]) -> npt.NDArray[np.int32]:

@@ -1,0 +1,59 @@
+"""Roots of functions of one variable, of many at once."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Values = NDArray[np.float64]
+
+# As many halvings leave nothing of any interval.
+MOST = 2100
+# Of float64: how well a root is found, as a part of it, and what counts as zero.
+PRECISION = 4.0 * float(np.finfo(np.float64).eps)
+LEAST = float(np.finfo(np.float64).smallest_normal)
+
+
+def root_between(function: Callable[[Values], Values], lower: ArrayLike, upper: ArrayLike) -> Values:
+    """Returns where a continuous elementwise function is zero, to rounding, by Chandrupatla's method.
+
+    A step follows the inverse parabola through three points where that is safe, and halves the interval where it
+    is not (Adv. Eng. Softw. 28 (1997) 145). Results are those of ``scipy.optimize.elementwise``, which takes as
+    long to import as a model to build.
+
+    Args:
+        function: Of an array of the shape that all ends have together.
+        lower: Ends of the intervals.
+        upper: Their other ends, where the function has not the sign that it has at the lower ones.
+
+    Raises:
+        RuntimeError: If it has, or is no number.
+    """
+    x1, x2 = (np.array(ends, dtype=np.float64) for ends in np.broadcast_arrays(lower, upper))
+    f1, f2 = function(x1), function(x2)
+    if not np.all(np.sign(f1) * np.sign(f2) <= 0.0):
+        raise RuntimeError("no root found: the function has the same sign at both ends of an interval")
+    x3, f3 = x2, f2
+    roots = np.full(x1.shape, np.nan)
+    # Those that are found are carried along until all are, whatever comes of them.
+    with np.errstate(all="ignore"):
+        for _ in range(MOST):
+            closer = np.abs(f1) < np.abs(f2)
+            x, f = np.where(closer, x1, x2), np.where(closer, f1, f2)
+            width, tolerance = np.abs(x2 - x1), np.abs(x) * PRECISION + 4.0 * LEAST
+            found = (np.abs(f) <= LEAST) | (width < tolerance)
+            roots = np.where(np.isnan(roots) & found, x, roots)
+            if not np.isnan(roots).any():
+                return roots
+            across, along = (x1 - x2) / (x3 - x2), (f1 - f2) / (f3 - f2)
+            safe = (1.0 - np.sqrt(1.0 - across) < along) & (along < np.sqrt(across))
+            parabola = f1 / (f1 - f2) * f3 / (f3 - f2)
+            parabola -= (x3 - x1) / (x2 - x1) * f1 / (f3 - f1) * f2 / (f2 - f3)
+            part = 0.5 * tolerance / width
+            x = x1 + np.clip(np.where(safe, parabola, 0.5), part, 1.0 - part) * (x2 - x1)
+            f = function(x)
+            same = np.sign(f) == np.sign(f1)
+            x3, f3 = np.where(same, x1, x2), np.where(same, f1, f2)
+            x2, f2 = np.where(same, x2, x1), np.where(same, f2, f1)
+            x1, f1 = x, f
+    raise RuntimeError("no root found: the function is not finite somewhere")
