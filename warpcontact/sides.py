@@ -4,6 +4,7 @@ The side of a point is that of the nearest face. Of surfaces in general it can c
 faces are equally near and show different sides; of those told here it cannot.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +18,8 @@ from warpcontact.meshes.topology import components
 
 # Of areas: far above their rounding, far below a face.
 _TOLERANCE = 1.0e-9
+# Of the size of a rim: far above the rounding of its places, far below what a wall in more parts would tell.
+_STRAIGHT = 1.0e-13
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,6 @@ def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[n
         ends: Numbers of the vertices at the ends of each edge, in the order of the face, (F, 3, 2).
         neighbor: What lies across each edge, as in ``Patch``, (F, 3).
     """
-    from scipy.spatial import ConvexHull, QhullError
-
     cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     up = cross.sum(axis=0)
     if not np.linalg.norm(up) > 0.0:
@@ -102,20 +103,50 @@ def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[n
     if np.linalg.det(np.vstack([across, up])) < 0.0:
         across = across[::-1]
     flat = np.array([place[vertex] for vertex in loop]) @ across.T
-    x, y = (flat - flat[0]).T
-    within = 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
-    try:
-        hull = ConvexHull(flat)
-    except QhullError:
-        return Sides()
+    within = _area(flat)
     size = float(np.ptp(flat, axis=0).max())
-    # Whichever way round: the distance of the rim from the walls over the hull of it.
-    beside = (hull.equations[:, :2] @ flat.T + hull.equations[:, 2:]).max(axis=0)
-    covered = 0.5 * float((cross @ up).sum())
-    equal = np.allclose([within, covered], hull.volume, rtol=_TOLERANCE, atol=0.0)
-    if not equal or (beside < -_TOLERANCE * size).any():
+    hull = _hull(flat, _STRAIGHT * size)
+    if len(hull) < 3:
         return Sides()
-    return Sides(SIDES_ABOVE, -hull.equations[:, :2] @ across, hull.equations[:, 2].copy())
+    after = np.roll(hull, -1, axis=0) - hull
+    inward = np.column_stack([-after[:, 1], after[:, 0]]) / np.linalg.norm(after, axis=1, keepdims=True)
+    offset = (inward * hull).sum(axis=1)
+    # Whichever way round: the distance of the rim from the walls over the hull of it.
+    beside = (inward @ flat.T - offset[:, None]).min(axis=0)
+    covered = 0.5 * float((cross @ up).sum())
+    equal = np.allclose([within, covered], _area(hull), rtol=_TOLERANCE, atol=0.0)
+    if not equal or (beside > _TOLERANCE * size).any():
+        return Sides()
+    return Sides(SIDES_ABOVE, inward @ across, offset)
+
+
+def _area(loop: Array) -> float:
+    """Returns the area that a loop of corners (n, 2) goes round counterclockwise."""
+    x, y = (loop - loop[0]).T
+    return 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+
+
+def _hull(points: Array, straight: float) -> Array:
+    """Returns the corners (m, 2) of the convex hull of points (n, 2), counterclockwise.
+
+    Args:
+        points: The points.
+        straight: A corner that is no farther than that from the line between those beside it is none.
+    """
+    corners = []
+    ordered = points[np.lexsort(points.T[::-1])].tolist()
+    for half in (ordered, ordered[::-1]):
+        chain: list[list[float]] = []
+        for x, y in half:
+            while len(chain) > 1:
+                (ax, ay), (bx, by) = chain[-2:]
+                turn = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+                if turn > straight * math.hypot(x - ax, y - ay):
+                    break
+                chain.pop()
+            chain.append([x, y])
+        corners += chain[:-1]
+    return np.array(corners)
 
 
 def sides_of(
