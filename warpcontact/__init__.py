@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from warpcontact.model import Model
     from warpcontact.outcomes.watch import Events, Stop
     from warpcontact.quarantine import QuarantineError
-    from warpcontact.recorder import Recording
+    from warpcontact.recording import Recording
     from warpcontact.rendering import film, render
     from warpcontact.run_report import report
     from warpcontact.scene import Scene
@@ -81,7 +81,7 @@ _HOME = {
     "Patch": "warpcontact.kernels.smooth.patch",
     "Points": "warpcontact.elements",
     "QuarantineError": "warpcontact.quarantine",
-    "Recording": "warpcontact.recorder",
+    "Recording": "warpcontact.recording",
     "Run": "warpcontact.experiment",
     "Scene": "warpcontact.scene",
     "Shape": "warpcontact.smooth.elements",

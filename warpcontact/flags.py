@@ -1,10 +1,14 @@
 """Codes of variables in words, by the attributes of the CF conventions."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import xarray as xr
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
-def words_of(array: xr.DataArray) -> dict[int, str]:
+def words_of(array: "xr.DataArray") -> dict[int, str]:
     """Returns what the codes of an array mean; none: they are no codes."""
     if "flag_meanings" not in array.attrs:
         return {}

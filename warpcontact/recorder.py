@@ -3,11 +3,10 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact._version import __version__
@@ -32,18 +31,15 @@ from warpcontact.readings import AXES
 from warpcontact.scene import Scene
 from warpcontact.slices import Copies
 
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from warpcontact.recording import Recording
+
 #: Attribute of a recording: parameters that it does not hold and that are those of the scene everywhere.
 UNCHANGED = "unchanged_parameters"
 # Frames wait on a GPU up to this size, then move to the host in one copy.
 RING_BYTES = 64 * 2**20
-
-
-class Recording(xr.Dataset):
-    """An ``xarray.Dataset`` of readings that remembers the scene they came from."""
-
-    __slots__ = ("scene",)
-
-    scene: Scene
 
 
 @dataclass(frozen=True)
@@ -415,8 +411,10 @@ class Recorder:
         for channel in self.channels:
             channel.go_on_from(0)
 
-    def series(self) -> xr.Dataset:
+    def series(self) -> "xr.Dataset":
         """Returns the frames taken since the last ``rewind`` as a data set, (time, env, …); views."""
+        import xarray as xr
+
         return xr.Dataset(**self._labelled(self._series_variables(), self._time()))
 
     def _series_variables(self) -> dict[str, Any]:
@@ -438,8 +436,10 @@ class Recorder:
     def _time(self) -> dict[str, Any]:
         return {"time": ("time", self.times[: self.taken], {"units": "s", "long_name": "simulated time"})}
 
-    def parameters(self) -> xr.Dataset:
+    def parameters(self) -> "xr.Dataset":
         """Returns the parameters that are kept, (env, …)."""
+        import xarray as xr
+
         return xr.Dataset(**self._labelled(self._parameter_variables(), {}))
 
     def _parameter_variables(self) -> dict[str, Any]:
@@ -457,8 +457,10 @@ class Recorder:
         labels = {dim: (dim, np.array(names, object)) for dim, names in AXES.values() if dim in used}
         return {"data_vars": variables, "coords": {**coordinates, "env": numbers, **labels}}
 
-    def finish(self, attributes: Mapping[str, Any]) -> Recording:
+    def finish(self, attributes: Mapping[str, Any]) -> "Recording":
         """Returns the frames taken and the parameters kept as one data set."""
+        from warpcontact.recording import Recording
+
         variables = {**self._series_variables(), **self._parameter_variables()}
         attrs = {**sources(self.model), **attributes}
         if unchanged := unchanged_parameters(self.model, map(str, variables)):

@@ -36,7 +36,8 @@ from warpcontact.whole_steps import frame_count, recorded_steps
 if TYPE_CHECKING:
     import xarray as xr
 
-    from warpcontact.recorder import Recorder, Recording
+    from warpcontact.recorder import Recorder
+    from warpcontact.recording import Recording
 
 # Steps between two looks at the progress bar, whole graphs; on a GPU, which queues them, so many at most. And how
 # long they may take [s]: fewer do when they take twice that.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.frames import placed
-from warpcontact.recorder import Recording
+from warpcontact.recording import Recording
 from warpcontact.scene import Surface
 from warpcontact.smooth.elements import Shape
 from warpcontact.smooth.tessellate import tessellate

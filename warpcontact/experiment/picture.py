@@ -30,7 +30,7 @@ from warpcontact.experiment.ground import (
 from warpcontact.experiment.store import CHUNK
 from warpcontact.health import Health
 from warpcontact.picture_file import save
-from warpcontact.recorder import Recording
+from warpcontact.recording import Recording
 from warpcontact.scene import Body, Scene
 
 # More tracks would hide each other.

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsInt
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.contact_coupling_report import CouplingReport, report_of
@@ -27,13 +26,14 @@ from warpcontact.experiment.store import ORDER, Ledger, Shard, shards_of
 from warpcontact.flags import words_of
 from warpcontact.footprint import environments
 from warpcontact.health import Health
-from warpcontact.recorder import Recording
 from warpcontact.scene import Scene
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
     from warpcontact.experiment.experiment import Experiment
+    from warpcontact.recording import Recording
 
 # A digest reads pieces of arrays of up to this size [bytes].
 READ_AT_ONCE = 256 * 2**20
@@ -91,18 +91,18 @@ class Run:
         return bool(self._mask(finished=True).all())
 
     @functools.cached_property
-    def params(self) -> xr.Dataset:
+    def params(self) -> "xr.Dataset":
         """The parameters that vary, and those that a replay needs, (env, …)."""
         return self._group("params").isel(env=self._begun())
 
     @functools.cached_property
-    def outcome(self) -> xr.Dataset:
+    def outcome(self) -> "xr.Dataset":
         """What became of each environment, (env, …); those that are finished."""
         data = self._group("outcome")
         return data if self.finished else data.isel(env=np.flatnonzero(self._mask(finished=True)))
 
     @functools.cached_property
-    def series(self) -> xr.Dataset:
+    def series(self) -> "xr.Dataset":
         """The readings (time, env, …) of environments that have begun; NaN, or −1, behind the last whole block.
 
         Records of an unfinished shard are written in blocks; those since the last one are in its checkpoint.
@@ -113,7 +113,7 @@ class Run:
         return self._group("series").isel(env=self._begun())
 
     @functools.cached_property
-    def events(self) -> xr.Dataset:
+    def events(self) -> "xr.Dataset":
         """What happened when, (env, event).
 
         Raises:
@@ -122,8 +122,10 @@ class Run:
         return self._group("events").isel(env=np.flatnonzero(self._mask(finished=True)))
 
     @functools.cached_property
-    def recording(self) -> Recording:
+    def recording(self) -> "Recording":
         """Series and parameters as ``Simulation.run`` returns them, to be drawn and exported."""
+        from warpcontact.recording import Recording
+
         variables: dict[Any, Any] = {}
         for data in (self.series, self.params):
             variables |= {name: array.variable for name, array in data.data_vars.items()}
@@ -230,8 +232,10 @@ class Run:
         """The shards that it consists of."""
         return shards_of(self.summary["envs"], self.summary["shard"])
 
-    def table(self) -> xr.Dataset:
+    def table(self) -> "xr.Dataset":
         """Returns parameters and outcomes of the finished environments as one data set (env, …)."""
+        import xarray as xr
+
         outcome = self.outcome
         params = self.params.sel(env=outcome["env"])
         both = [name for name in params if name in outcome]
@@ -304,10 +308,12 @@ class Run:
         """
         Ledger(self.folder).check(contents=True)
 
-    def _group(self, name: str) -> xr.Dataset:
+    def _group(self, name: str) -> "xr.Dataset":
         if not (self.folder / DATA / name).is_dir():
             what = {"series": "nothing over time: [record] series = false", "events": "no events"}[name]
             raise ValueError(f"{self.folder}: the run recorded {what}")
+        import xarray as xr
+
         from warpcontact.experiment.committed import CommittedStore
 
         data = xr.open_zarr(
@@ -408,7 +414,7 @@ def open_run(path: str | PathLike[str], *, verify: bool = False) -> Run:
     return run
 
 
-def _columns(array: xr.DataArray) -> Iterator[tuple[list[str], NDArray[Any]]]:
+def _columns(array: "xr.DataArray") -> Iterator[tuple[list[str], NDArray[Any]]]:
     """Iterates over the labels behind ``env`` of an array, and the values of each."""
     values = array.transpose("env", ...).values
     axes = [dim for dim in array.dims if dim != "env"]
@@ -420,7 +426,7 @@ def _columns(array: xr.DataArray) -> Iterator[tuple[list[str], NDArray[Any]]]:
         yield labels, values[(slice(None), *place)]
 
 
-def _in_chunks(array: xr.DataArray) -> Iterator[slice]:
+def _in_chunks(array: "xr.DataArray") -> Iterator[slice]:
     """Iterates over environments of a stored array, those of whole chunks at once if they fit.
 
     Chunks of an array that is so long in time that they do not are read several times, for parts of them.

@@ -6,11 +6,10 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact import checkpoint
@@ -29,6 +28,9 @@ from warpcontact.remarks import Remarks
 from warpcontact.signals import Asked, interruptions
 from warpcontact.simulation import Simulation
 from warpcontact.whole_steps import frame_count, recorded_steps
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # Of the time of stepping, what checkpoints may take at most: large states are saved less often.
 CHECKPOINT_SHARE = 0.05
@@ -138,7 +140,7 @@ class ShardRunner:
             self.model, readings, self.frames.block, poses=True, parameters=varied, series=record.series
         )
 
-    def templates(self) -> dict[str, xr.Dataset]:
+    def templates(self) -> "dict[str, xr.Dataset]":
         """Returns a data set of a shard for each group of the store, without frames and with any values."""
         recorder = self.recorder()
         found = {"params": recorder.parameters(), "outcome": self.outcome()}
@@ -147,7 +149,7 @@ class ShardRunner:
         events = self.events()
         return found if events is None else {**found, "events": events}
 
-    def outcome(self) -> xr.Dataset:
+    def outcome(self) -> "xr.Dataset":
         """Returns what became of each environment, (env, …)."""
         model = self.model
         found = self.simulation.outcomes()
@@ -159,7 +161,7 @@ class ShardRunner:
                 found[name] = ("env", model.reading(name), notes)
         return found
 
-    def events(self) -> xr.Dataset | None:
+    def events(self) -> "xr.Dataset | None":
         """Returns the events (env, event); ``None``: none were asked for."""
         return None if self.settings.events is None else self.simulation.events()
 

@@ -18,10 +18,9 @@ from collections.abc import Hashable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.crew import available_threads
@@ -38,6 +37,9 @@ from warpcontact.experiment.records import (
     made_in,
     measured,
 )
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 STAGING = "staging"
 CHECKPOINTS = "checkpoint"
@@ -84,7 +86,7 @@ def shards_of(envs: int, size: int) -> list[Shard]:
 
 def create(
     path: Path,
-    templates: Mapping[str, xr.Dataset],
+    templates: Mapping[str, "xr.Dataset"],
     envs: int,
     times: NDArray[np.float64],
     block: int,
@@ -100,6 +102,7 @@ def create(
         block: Frames of a chunk.
         attributes: What is said of each group.
     """
+    import xarray as xr
     import zarr
 
     partial = path.with_name(path.name + PARTIAL)
@@ -129,7 +132,7 @@ def create(
 
 
 def _create_array(
-    group: Any, name: str, template: xr.DataArray, sizes: Mapping[Any, int], shard: int, block: int
+    group: Any, name: str, template: "xr.DataArray", sizes: Mapping[Any, int], shard: int, block: int
 ) -> None:
     from zarr.codecs import BloscCodec, Crc32cCodec
 
@@ -287,7 +290,7 @@ class Staging:
         self._store = folder / DATA
         self.written: set[str] = set()
 
-    def write(self, group: str, data: xr.Dataset, first_frame: int = 0) -> None:
+    def write(self, group: str, data: "xr.Dataset", first_frame: int = 0) -> None:
         """Writes the values of a data set of the shard; those of further environments are left out.
 
         Args:
@@ -301,7 +304,7 @@ class Staging:
             ):
                 self.written |= written
 
-    def _write(self, group: str, name: Hashable, variable: xr.DataArray, first_frame: int) -> set[str]:
+    def _write(self, group: str, name: Hashable, variable: "xr.DataArray", first_frame: int) -> set[str]:
         """Writes one variable; returns which files it has."""
         import zarr
 

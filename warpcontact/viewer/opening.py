@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from warpcontact.experiment.experiment import Experiment
 from warpcontact.experiment.run import Run
 from warpcontact.experiment.shards import make_simulation
-from warpcontact.recorder import Recording
+from warpcontact.recording import Recording
 from warpcontact.simulation import Simulation
 
 if TYPE_CHECKING:
