@@ -1,53 +1,65 @@
 """Friction models. A model is one file; a line here puts it into the catalogue and under every friction test."""
 
-from warpcontact.kernels.frictions.ambrosio import Ambrosio
+from typing import TYPE_CHECKING
+
 from warpcontact.kernels.frictions.base import Friction
-from warpcontact.kernels.frictions.bengisu_akay import BengisuAkay
-from warpcontact.kernels.frictions.brown_mcphee import BrownMcPhee
-from warpcontact.kernels.frictions.coulomb import Coulomb
-from warpcontact.kernels.frictions.coulomb_threshold import CoulombThreshold
-from warpcontact.kernels.frictions.cundall_strack import CundallStrack
-from warpcontact.kernels.frictions.dahl import Dahl
-from warpcontact.kernels.frictions.elliptic import Elliptic
-from warpcontact.kernels.frictions.frictionless import Frictionless
-from warpcontact.kernels.frictions.hollars import Hollars
-from warpcontact.kernels.frictions.lugre import LuGre
-from warpcontact.kernels.frictions.mindlin import Mindlin
-from warpcontact.kernels.frictions.regularized_coulomb import RegularizedCoulomb
-from warpcontact.kernels.frictions.smooth_stribeck import SmoothStribeck
-from warpcontact.kernels.frictions.step_friction import StepFriction
-from warpcontact.kernels.frictions.stribeck import Stribeck
-from warpcontact.kernels.frictions.tanh import Tanh
-from warpcontact.kernels.frictions.threlfall import Threlfall
-from warpcontact.kernels.frictions.viscous import Viscous
+from warpcontact.kernels.on_demand import attributes_of
 
-#: Every friction model that comes with the library: one coefficient, static and dynamic ones, those that remember.
-CATALOGUE: tuple[type[Friction], ...] = (
-    Frictionless,
-    Viscous,
-    Tanh,
-    RegularizedCoulomb,
-    CoulombThreshold,
-    Threlfall,
-    Ambrosio,
-    StepFriction,
-    BengisuAkay,
-    Stribeck,
-    BrownMcPhee,
-    Hollars,
-    SmoothStribeck,
-    Elliptic,
-    CundallStrack,
-    Mindlin,
-    Dahl,
-    LuGre,
-)
+if TYPE_CHECKING:
+    from warpcontact.kernels.frictions.ambrosio import Ambrosio
+    from warpcontact.kernels.frictions.bengisu_akay import BengisuAkay
+    from warpcontact.kernels.frictions.brown_mcphee import BrownMcPhee
+    from warpcontact.kernels.frictions.coulomb import Coulomb
+    from warpcontact.kernels.frictions.coulomb_threshold import CoulombThreshold
+    from warpcontact.kernels.frictions.cundall_strack import CundallStrack
+    from warpcontact.kernels.frictions.dahl import Dahl
+    from warpcontact.kernels.frictions.elliptic import Elliptic
+    from warpcontact.kernels.frictions.frictionless import Frictionless
+    from warpcontact.kernels.frictions.hollars import Hollars
+    from warpcontact.kernels.frictions.lugre import LuGre
+    from warpcontact.kernels.frictions.mindlin import Mindlin
+    from warpcontact.kernels.frictions.regularized_coulomb import RegularizedCoulomb
+    from warpcontact.kernels.frictions.smooth_stribeck import SmoothStribeck
+    from warpcontact.kernels.frictions.step_friction import StepFriction
+    from warpcontact.kernels.frictions.stribeck import Stribeck
+    from warpcontact.kernels.frictions.tanh import Tanh
+    from warpcontact.kernels.frictions.threlfall import Threlfall
+    from warpcontact.kernels.frictions.viscous import Viscous
 
-#: Those of hard contact, which have no force of their own.
-RIGID: tuple[type[Friction], ...] = (Coulomb,)
+    CATALOGUE: tuple[type[Friction], ...]
+    RIGID: tuple[type[Friction], ...]
+
+# Modules of all models that come with the library: one coefficient, static and dynamic ones, those that remember.
+_CATALOGUE = {
+    "Frictionless": "frictionless",
+    "Viscous": "viscous",
+    "Tanh": "tanh",
+    "RegularizedCoulomb": "regularized_coulomb",
+    "CoulombThreshold": "coulomb_threshold",
+    "Threlfall": "threlfall",
+    "Ambrosio": "ambrosio",
+    "StepFriction": "step_friction",
+    "BengisuAkay": "bengisu_akay",
+    "Stribeck": "stribeck",
+    "BrownMcPhee": "brown_mcphee",
+    "Hollars": "hollars",
+    "SmoothStribeck": "smooth_stribeck",
+    "Elliptic": "elliptic",
+    "CundallStrack": "cundall_strack",
+    "Mindlin": "mindlin",
+    "Dahl": "dahl",
+    "LuGre": "lugre",
+}
+
+# Those of hard contact, which have no force of their own.
+_RIGID = {"Coulomb": "coulomb"}
+
+#: The names of all models.
+NAMES = (*_CATALOGUE, *_RIGID)
 
 __all__ = [
     "CATALOGUE",
+    "NAMES",
     "RIGID",
     "Ambrosio",
     "BengisuAkay",
@@ -69,3 +81,11 @@ __all__ = [
     "Threlfall",
     "Viscous",
 ]
+
+__getattr__ = attributes_of(
+    __name__, {**_CATALOGUE, **_RIGID}, {"CATALOGUE": tuple(_CATALOGUE), "RIGID": tuple(_RIGID)}
+)
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))

@@ -1,31 +1,42 @@
 """Surfaces of analytic form. A shape is one file; a line here puts it into the catalogue."""
 
-from warpcontact.kernels.smooth.base import Shape
-from warpcontact.kernels.smooth.capsule import Capsule
-from warpcontact.kernels.smooth.cone import Cone
-from warpcontact.kernels.smooth.cylinder import Cylinder
-from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
-from warpcontact.kernels.smooth.plane import Plane
-from warpcontact.kernels.smooth.rounded_box import RoundedBox
-from warpcontact.kernels.smooth.sphere import Sphere
-from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
-from warpcontact.kernels.smooth.torus import Torus
+from typing import TYPE_CHECKING
 
-#: Every shape that comes with the library.
-CATALOGUE: tuple[type[Shape], ...] = (
-    Sphere,
-    Plane,
-    Ellipsoid,
-    Superellipsoid,
-    Cylinder,
-    Capsule,
-    Cone,
-    RoundedBox,
-    Torus,
-)
+from warpcontact.kernels.on_demand import attributes_of
+from warpcontact.kernels.smooth.base import Shape
+
+if TYPE_CHECKING:
+    from warpcontact.kernels.smooth.capsule import Capsule
+    from warpcontact.kernels.smooth.cone import Cone
+    from warpcontact.kernels.smooth.cylinder import Cylinder
+    from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
+    from warpcontact.kernels.smooth.plane import Plane
+    from warpcontact.kernels.smooth.rounded_box import RoundedBox
+    from warpcontact.kernels.smooth.sphere import Sphere
+    from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
+    from warpcontact.kernels.smooth.torus import Torus
+
+    CATALOGUE: tuple[type[Shape], ...]
+
+# Modules of all shapes that come with the library.
+_CATALOGUE = {
+    "Sphere": "sphere",
+    "Plane": "plane",
+    "Ellipsoid": "ellipsoid",
+    "Superellipsoid": "superellipsoid",
+    "Cylinder": "cylinder",
+    "Capsule": "capsule",
+    "Cone": "cone",
+    "RoundedBox": "rounded_box",
+    "Torus": "torus",
+}
+
+#: The names of all shapes.
+NAMES = tuple(_CATALOGUE)
 
 __all__ = [
     "CATALOGUE",
+    "NAMES",
     "Capsule",
     "Cone",
     "Cylinder",
@@ -37,3 +48,9 @@ __all__ = [
     "Superellipsoid",
     "Torus",
 ]
+
+__getattr__ = attributes_of(__name__, _CATALOGUE, {"CATALOGUE": tuple(_CATALOGUE)})
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))

@@ -157,7 +157,7 @@ def formula_model(key: str, value: Any, own: OwnFiles) -> type[FormulaSettings]:
         raise ValueError(f".type is missing: {listed}")
     given = value["type"]
     if isinstance(given, str) and given in catalogue:
-        return settings_model(catalogue[given])
+        return settings_model(getattr(catalogue[given], given))
     file, name = own_class(given)
     if file:
         try:
@@ -223,14 +223,14 @@ FORMULAS: dict[str, Any] = {
     "motion": motions.Motion,
     "form": shapes.Shape,
 }
-#: The classes that come with the library, by what they are and by name.
+#: Where the classes are that come with the library, by what they are and by name.
 CATALOGUES: dict[Any, dict[str, Any]] = {
-    laws.Law: {law.__name__: law for law in (*laws.CATALOGUE, *laws.RIGID)},
-    frictions.Friction: {friction.__name__: friction for friction in (*frictions.CATALOGUE, *frictions.RIGID)},
-    springs.Spring: {spring.__name__: spring for spring in springs.SPRINGS},
-    springs.Damper: {damper.__name__: damper for damper in springs.DAMPERS},
-    motions.Motion: {motion.__name__: motion for motion in motions.CATALOGUE},
-    shapes.Shape: {shape.__name__: shape for shape in shapes.CATALOGUE},
+    laws.Law: dict.fromkeys(laws.NAMES, laws),
+    frictions.Friction: dict.fromkeys(frictions.NAMES, frictions),
+    springs.Spring: {spring.__name__: springs for spring in springs.SPRINGS},
+    springs.Damper: {damper.__name__: springs for damper in springs.DAMPERS},
+    motions.Motion: {motion.__name__: motions for motion in motions.CATALOGUE},
+    shapes.Shape: dict.fromkeys(shapes.NAMES, shapes),
 }
 _SHAPE_MODELS = {name: _shape_model(name, make) for name, make in SHAPES.items()}
 

@@ -1,0 +1,32 @@
+"""Classes that are loaded on first use: Warp parses their functions as they are made, and few are used."""
+
+import importlib
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+
+def attributes_of(
+    module: str, homes: Mapping[str, str], catalogues: Mapping[str, Sequence[str]]
+) -> Callable[[str], Any]:
+    """Returns the ``__getattr__`` of a module.
+
+    Args:
+        module: Its name.
+        homes: In which module of its package each class lives.
+        catalogues: Names of tuples, and of the classes that these have.
+    """
+
+    def find(name: str) -> Any:
+        itself = sys.modules[module]
+        value: Any
+        if name in homes:
+            value = getattr(importlib.import_module(f"{itself.__package__}.{homes[name]}"), name)
+        elif name in catalogues:
+            value = tuple(getattr(itself, one) for one in catalogues[name])
+        else:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        setattr(itself, name, value)
+        return value
+
+    return find
