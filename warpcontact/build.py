@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -30,9 +30,11 @@ from warpcontact.piles.pile import make_piles
 from warpcontact.quarantine import add_guard
 from warpcontact.readings import readings_of
 from warpcontact.scene import Body, Contact, Scene
-from warpcontact.smooth.contact_sets import make_smooth_sets
 from warpcontact.smooth.shape_sets import make_shape_sets
 from warpcontact.split_model import SplitModel
+
+if TYPE_CHECKING:
+    from warpcontact.smooth.contact_sets import SmoothSet
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
@@ -158,7 +160,11 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     couplings = make_sets(scene, layout, parameters, t)
     moves = any(body.motion.kind != types.FREE for body in scene.bodies)
     shapes = make_shape_sets(scene.shapes, parameters)
-    smooth = make_smooth_sets(scene, shapes, layout, parameters, t.real, moves)
+    smooth: list[SmoothSet] = []
+    if scene.smooth_contacts:  # Warp parses all functions of kernels that are imported
+        from warpcontact.smooth.contact_sets import make_smooth_sets
+
+        smooth = make_smooth_sets(scene, shapes, layout, parameters, t.real, moves)
     piles = make_piles(scene, layout, parameters, t)
     add_ends(couplings, smooth, body_count, arrays.model, layout)
     groups = [

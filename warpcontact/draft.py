@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
@@ -18,12 +18,14 @@ from warpcontact.groups import Group, compile_forces
 from warpcontact.model import Model
 from warpcontact.of_scene import OfScene
 from warpcontact.parameters import Parameter, Parameters, needs_of
-from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
-from warpcontact.smooth.contact_sets import SmoothSet
 from warpcontact.split_model import SplitModel
 from warpcontact.stepping import stepping_footprint
+
+if TYPE_CHECKING:
+    from warpcontact.piles.pile import Pile
+    from warpcontact.smooth.contact_sets import SmoothSet
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,8 @@ class PartDraft(OfScene):
     parameters: Parameters
     groups: list[Group]
     couplings: list[CouplingSet]
-    smooth: list[SmoothSet]
-    piles: list[Pile]
+    smooth: "list[SmoothSet]"
+    piles: "list[Pile]"
     drives: list[Drive]
     blocks: Blocks
     readings: dict[str, Reading]

@@ -9,7 +9,6 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array, look_up
-from warpcontact.couplings.catenaries import CatenarySet
 from warpcontact.couplings.elements import Catenary
 from warpcontact.devices import spread
 from warpcontact.footprint import Footprint, require, total
@@ -23,6 +22,7 @@ from warpcontact.stepping import stepping_footprint
 if TYPE_CHECKING:
     import xarray as xr
 
+    from warpcontact.couplings.catenaries import CatenarySet
     from warpcontact.model import Model, State
 
 
@@ -301,6 +301,8 @@ class Environments(ABC):
 
     def _lines(self, name: str) -> "list[tuple[Model, CatenarySet, int]]":
         """Returns each part with the set that has the catenary, and its place there."""
+        from warpcontact.couplings.catenaries import CatenarySet
+
         look_up("catenary", name, {one.name: one for one in self.scene.couplings if isinstance(one, Catenary)})
         return [
             (part, lines, item)

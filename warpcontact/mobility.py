@@ -11,7 +11,6 @@ from warpcontact.frames import placed
 from warpcontact.kernels.types import BALL, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
 from warpcontact.piles.elements import MutualContact
 from warpcontact.smooth.elements import Shape, SmoothContact
-from warpcontact.smooth.tessellate import tessellate
 
 if TYPE_CHECKING:
     from warpcontact.environments import Environments
@@ -144,5 +143,7 @@ def _places(contact: "Contact | SmoothContact | MutualContact", body: Body) -> A
 
 def _skin(shape: Shape) -> Array:
     """Returns points of the surface of a shape, the first of a set, in the frame of its body (n, 3) [m]."""
+    from warpcontact.smooth.tessellate import tessellate
+
     vertices, _ = tessellate(shape.kind, {key: values[0] for key, values in shape.sizes.items()})
     return placed(vertices, shape.positions[0], shape.orientations[0])

@@ -20,16 +20,15 @@ from warpcontact.groups import Group
 from warpcontact.looks import look_span, look_stages, shows
 from warpcontact.of_scene import MEASURES, SMOOTH, OfScene
 from warpcontact.parameters import Parameter, Upload, needs_of
-from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import Span
-from warpcontact.smooth.contact_sets import SmoothSet
-from warpcontact.smooth.measures import measure
-from warpcontact.unilateral.hard_contacts import HardContacts
 
 if TYPE_CHECKING:
     from warpcontact.outcomes.observer import Observer
+    from warpcontact.piles.pile import Pile
+    from warpcontact.smooth.contact_sets import SmoothSet
+    from warpcontact.unilateral.hard_contacts import HardContacts
 
 #: What is 0 of a contact that does not touch.
 WITHOUT_CONTACT = ("penetration", "approach_speed", "normal_force", "friction_force", "slip_speed", "torque")
@@ -99,8 +98,8 @@ class Model(Environments, OfScene):
         uploads: list[Upload],
         groups: list[Group],
         couplings: list[CouplingSet],
-        smooth: list[SmoothSet],
-        piles: list[Pile],
+        smooth: "list[SmoothSet]",
+        piles: "list[Pile]",
         drives: list[Drive],
         blocks: Blocks,
         readings: dict[str, Reading],
@@ -179,7 +178,7 @@ class Model(Environments, OfScene):
             self.bounces = bounces
             self.revision += 1
 
-    def attach(self, hard: HardContacts | None, observer: "Observer | None" = None) -> None:
+    def attach(self, hard: "HardContacts | None", observer: "Observer | None" = None) -> None:
         """Lets contacts be those of the simulation that is to step: ``hard`` ones, or all with their forces.
 
         Hard ones remember nothing then: what they do may be of before a reset, or of a step of another simulation.
@@ -197,7 +196,7 @@ class Model(Environments, OfScene):
         observer.restart(wp.full(self.envs, True, dtype=wp.bool, device=self.device))
 
     @beside_captures()
-    def _exchange(self, hard: HardContacts | None) -> None:
+    def _exchange(self, hard: "HardContacts | None") -> None:
         if self.hard is not None:
             self.hard.let_go(self)
             for own in self.hard.readings():
@@ -338,6 +337,8 @@ class Model(Environments, OfScene):
             self._measure_contact_couplings()
         for name in SMOOTH:
             if name in needs:
+                from warpcontact.smooth.measures import measure
+
                 measure(name, self)
         if "piles" in needs:
             for pile in self.piles:

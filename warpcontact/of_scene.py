@@ -11,7 +11,6 @@ from warpcontact.arrays import Layout, per_env
 from warpcontact.footprint import Need
 from warpcontact.kernels import contact_coupling, measures
 from warpcontact.kernels.motions.measures import Coordinates, Reactions
-from warpcontact.kernels.smooth import measures as smooth_measures
 from warpcontact.kernels.types import DRIVEN, FREE
 from warpcontact.scene import Scene
 
@@ -92,15 +91,21 @@ def _contact_couplings(layout: Layout, model: OfScene) -> Any:
 
 
 def _smooth_points(layout: Layout, model: OfScene) -> Any:
-    return layout.struct(PURPOSE, smooth_measures.Points, per_env(model.smooth_count))
+    from warpcontact.kernels.smooth.measures import Points
+
+    return layout.struct(PURPOSE, Points, per_env(model.smooth_count))
 
 
 def _smooth_curvatures(layout: Layout, model: OfScene) -> Any:
-    return layout.struct(PURPOSE, smooth_measures.Curvatures, per_env(model.smooth_count))
+    from warpcontact.kernels.smooth.measures import Curvatures
+
+    return layout.struct(PURPOSE, Curvatures, per_env(model.smooth_count))
 
 
 def _smooth_gradients(layout: Layout, model: OfScene) -> Any:
-    return layout.struct(PURPOSE, smooth_measures.Gradients, per_env(model.smooth_count))
+    from warpcontact.kernels.smooth.measures import Gradients
+
+    return layout.struct(PURPOSE, Gradients, per_env(model.smooth_count))
 
 
 #: How to declare what readings are measured into, by what they need.

@@ -3,23 +3,29 @@
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from warpcontact.couplings.bushings import BushingSet
-from warpcontact.couplings.catenaries import CatenarySet
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import Bushing, Catenary, Coupling, SpringDamper
-from warpcontact.couplings.springs import SpringSet
 
 if TYPE_CHECKING:
     from warpcontact.arrays import Layout
     from warpcontact.parameters import Parameters
     from warpcontact.scene import Scene
 
-#: What couplings of a kind are on a device.
-SETS: dict[type[Coupling], type[CouplingSet]] = {
-    SpringDamper: SpringSet,
-    Bushing: BushingSet,
-    Catenary: CatenarySet,
-}
+
+def set_of(kind: type[Coupling]) -> type[CouplingSet]:
+    """Returns what couplings of a kind are on a device, imported for them alone: Warp parses its kernels then."""
+    if kind is SpringDamper:
+        from warpcontact.couplings.springs import SpringSet
+
+        return SpringSet
+    if kind is Bushing:
+        from warpcontact.couplings.bushings import BushingSet
+
+        return BushingSet
+    from warpcontact.couplings.catenaries import CatenarySet
+
+    assert kind is Catenary  # there are no others
+    return CatenarySet
 
 
 def make_sets(
@@ -29,10 +35,10 @@ def make_sets(
     sorted_: dict[tuple[type[Coupling], Any], list[Coupling]] = {}
     for coupling in scene.couplings:
         kind = type(coupling)
-        sorted_.setdefault((kind, SETS[kind].key(coupling)), []).append(coupling)
+        sorted_.setdefault((kind, set_of(kind).key(coupling)), []).append(coupling)
     sets: list[CouplingSet] = []
     first = 0
     for (kind, _), own in sorted_.items():
-        sets.append(SETS[kind](own, first, layout, parameters, types))
+        sets.append(set_of(kind)(own, first, layout, parameters, types))
         first += len(own)
     return sets

@@ -11,8 +11,6 @@ from warpcontact.checks import Array, limits
 from warpcontact.elements import Body, Template
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.smooth.base import Shape as Form
-from warpcontact.kernels.smooth.curvature import relative
-from warpcontact.kernels.smooth.force import looks_at_curvature
 from warpcontact.scene_checks import options_of
 from warpcontact.smooth.elements import ALL, Shape, SmoothContact
 
@@ -175,7 +173,10 @@ def check_template(name: str, template: Template, torsion_radius: float | None) 
 
 def _check_pair(name: str, kind: type[Form], other: type[Form], template: Template) -> None:
     """Raises ``ValueError`` if it is not known how two shapes meet, or what a template takes of them."""
-    from warpcontact.kernels.smooth.meet import meet  # with its solvers, which only smooth contacts need
+    # With their solvers, which only smooth contacts need.
+    from warpcontact.kernels.smooth.curvature import relative
+    from warpcontact.kernels.smooth.force import looks_at_curvature
+    from warpcontact.kernels.smooth.meet import meet
 
     try:
         meet(kind, other)

@@ -21,7 +21,6 @@ from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.pile import Pile
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
-from warpcontact.smooth.contact_sets import SmoothSet
 from warpcontact.smooth.elements import SmoothContact
 from warpcontact.status import ContactMode
 from warpcontact.unilateral.materials import Hard, material_upload, parameters_of
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
     from warpcontact.model import Model
     from warpcontact.schedule import Span
+    from warpcontact.smooth.contact_sets import SmoothSet
 
 
 PURPOSE = "hard contacts"
