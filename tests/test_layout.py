@@ -19,9 +19,9 @@ KERNELS = Path(warpcontact.kernels.__file__).parent
 CHECKOUT = KERNELS.parent if (KERNELS.parent / "pyproject.toml").is_file() else None
 
 
-def run(code, folder, **environment):
+def run(code, folder, words=(), **environment):
     return subprocess.run(
-        [sys.executable, "-c", code],
+        [sys.executable, "-c", code, *words],
         cwd=folder,
         env={**os.environ, **environment},
         capture_output=True,
@@ -88,4 +88,23 @@ def test_importing_what_a_simulation_needs_loads_nothing_that_it_may_not_need(tm
         "print([m for m in slow if m in sys.modules])"
     )
     result = run(code, tmp_path)
+    assert result.stdout.strip().splitlines()[-1] == "[]", result.stderr
+
+
+# What a first step has no need of; of kernels that are imported, Warp parses all functions.
+NEEDLESS = (
+    *("matplotlib", "numpy.f2py", "pandas", "pxr", "pyarrow", "ray", "scipy", "tqdm", "trimesh", "xarray", "zarr"),
+    *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "frictions.lugre", "laws.tsuji")),
+    *(f"warpcontact.kernels.smooth.{part}" for part in ("curvature", "derivatives", "detect", "superellipsoid")),
+)
+
+
+def test_the_first_step_of_an_experiment_loads_nothing_that_it_has_no_need_of(tmp_path):
+    code = (
+        "import sys, warpcontact as wc; experiment = wc.Experiment.from_toml(sys.argv[1]);"
+        "wc.Simulation(experiment.model(2, 'cpu'), experiment.settings.dt).step();"
+        f"print([m for m in {NEEDLESS} if m in sys.modules])"
+    )
+    example = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
+    result = run(code, tmp_path, words=[str(example)])
     assert result.stdout.strip().splitlines()[-1] == "[]", result.stderr

@@ -1,0 +1,98 @@
+"""What a first step does without SciPy, which takes longer to import than a model to build, is what SciPy does."""
+
+import numpy as np
+import pytest
+from scipy.optimize import elementwise
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, KDTree
+from scipy.special import gamma
+from warpcontact.kernels.laws.roots import root_between
+from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
+from warpcontact.kernels.types import SIDES_ABOVE
+
+from warpcontact.meshes import Mesh
+from warpcontact.meshes.topology import components, meets_another
+from warpcontact.patches import make_patch
+
+
+def test_roots_are_those_of_scipy_to_the_bit():
+    power = np.linspace(0.3, 9.0, 1001)
+    for lower, upper in ((0.0, 4.0), (0.0, power + 2.0), (1.0 / (power + 1.0), 100.0)):
+
+        def excess(x, power=power):
+            return np.expm1(power * np.log1p(x)) - power
+
+        expected = elementwise.find_root(excess, (lower, upper), args=(power,))
+        assert expected.success.all()
+        np.testing.assert_array_equal(root_between(excess, lower, upper), expected.x)
+    assert root_between(lambda x: x - 0.25, 0.0, 1.0) == 0.25
+    assert root_between(lambda x: x - 1.0, 0.0, 1.0) == 1.0  # at an end
+
+
+def test_there_is_no_root_without_a_change_of_sign():
+    with pytest.raises(RuntimeError, match="the same sign at both ends"):
+        root_between(lambda x: x - np.array([0.5, 2.0]), np.zeros(2), np.ones(2))
+    with pytest.raises(RuntimeError, match="the same sign at both ends"):
+        root_between(lambda x: np.full_like(x, np.nan), 0.0, 1.0)
+
+
+def test_contact_times_are_those_with_the_gamma_function_of_scipy():
+    n = np.random.default_rng(0).uniform(1.0, 4.0, (7, 5))
+    factor = 2.0 * np.sqrt(np.pi) * gamma(1.0 + 1.0 / (n + 1.0)) / gamma(0.5 + 1.0 / (n + 1.0))
+    expected = factor * greatest_penetration(1e5, n, 0.3, 2.0) / 2.0
+    np.testing.assert_allclose(contact_time(1e5, n, 0.3, 2.0), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("count", [1, 2, 50, 3000])
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.6, 2.0])
+def test_connected_parts_are_those_of_scipy_and_numbered_by_their_first_items(count, share):
+    rng = np.random.default_rng(count)
+    chain = rng.permutation(count)
+    for links in (rng.integers(0, count, (round(share * count), 2)), np.stack([chain[:-1], chain[1:]], axis=1)):
+        graph = coo_array((np.ones(len(links), dtype=bool), links.T), shape=(count, count))
+        expected, part = connected_components(graph, directed=False)
+        found = components(links, count)
+        assert found[0] == expected
+        np.testing.assert_array_equal(found[1], part)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e5])
+@pytest.mark.parametrize("seed", range(10))
+def test_points_near_another_are_those_of_a_tree(seed, offset):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(size=(40 * seed + 2, 3)).round(2)  # many of them level with another
+    near = points[:: rng.integers(1, 9)]
+    points = np.concatenate([points, near + rng.normal(scale=1e-6, size=near.shape)]) + offset
+    distances, _ = KDTree(points).query(points, k=2, distance_upper_bound=2e-6)
+    expected = np.isfinite(distances[:, 1])
+    assert 0 < expected.sum() < len(expected)
+    np.testing.assert_array_equal(meets_another(points, 2e-6), expected)
+    assert not meets_another(points[:0], 1.0).any()
+
+
+@pytest.mark.parametrize("corners", [3, 4, 100])
+def test_walls_over_a_rim_are_the_hull_of_it(corners):
+    # A bowl over a polygon, in any position; the sides of the polygon have more vertices than its ends.
+    angle = 2.0 * np.pi * np.arange(corners) / corners
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    rim = np.concatenate([a + t * (b - a) for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)
+                          for t in ((0.0,), (0.3,), (0.8,))]).reshape(-1, 2)  # fmt: skip
+    turned = np.linalg.qr(np.random.default_rng(corners).normal(size=(3, 3)))[0]
+    turned *= np.sign(np.linalg.det(turned))
+    vertices = np.column_stack([np.vstack([rim, np.zeros(2)]), np.append(np.zeros(len(rim)), -0.3)])
+    vertices = vertices @ turned.T + (3.0, -2.0, 5.0)
+    start = np.arange(len(rim))
+    bowl = Mesh(vertices, np.column_stack([start, np.roll(start, -1), np.full(len(rim), len(rim))]))
+    sides = make_patch(bowl, np.ones(len(rim), dtype=bool), np.zeros(3), only_active=False).sides
+    assert sides.kind == SIDES_ABOVE
+    assert len(sides.normal) == corners
+
+    flat = (vertices[:-1] - (3.0, -2.0, 5.0)) @ turned[:, :2]
+    hull = ConvexHull(flat)
+    expected = -hull.equations[:, :2] @ turned[:, :2].T
+    order = [np.argmin(np.linalg.norm(sides.normal - normal, axis=1)) for normal in expected]
+    assert sorted(order) == list(range(corners))
+    np.testing.assert_allclose(sides.normal[order], expected, atol=1e-12)
+    heights = vertices @ sides.normal[order].T - sides.offset[order]
+    np.testing.assert_allclose(heights[:-1], -(flat @ hull.equations[:, :2].T + hull.equations[:, 2]), atol=1e-12)
