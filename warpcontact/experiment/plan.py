@@ -34,9 +34,10 @@ BLOCK = 64 * 2**20
 # Pieces of a recording that are in memory at once while it is compressed, and for its picture; measured.
 WRITTEN_AT_ONCE = 8
 DRAWN_AT_ONCE = 2
-# What a run loads beside: kernels, what draws its picture, and with series what writes its animation; measured.
-LOADED = 40 * 2**20
-LOADED_FOR_SERIES = 104 * 2**20
+# What a run loads beside: kernels, what makes and stores data sets, what draws its picture, and with series what
+# writes its animation; measured.
+LOADED = 100 * 2**20
+LOADED_FOR_SERIES = 192 * 2**20
 # A shard is rounded to this many significant bits, so that the pieces of a recording are parts of it.
 BITS = 6
 
@@ -52,7 +53,7 @@ class Plan:
         footprint: What these take of memory, or what one would that does not fit.
         recording: Size of the whole recording, before it is compressed [bytes].
         rooms: What there is of memory, where it is known.
-        process: What Python and its libraries take of the host beside that, most of it already [bytes]; ``None``:
+        process: What Python and its libraries take of the host beside that, much of it already [bytes]; ``None``:
             the system does not tell.
         disk: Where the results would go; ``None``: nobody asked, or the system does not tell.
     """
