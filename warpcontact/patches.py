@@ -58,7 +58,9 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
 
     # Edges: both faces meet them with the angle π, so the weights are equal.
     ends = np.stack([welded, np.roll(welded, -1, axis=1)], axis=2)  # (F, 3, 2)
-    _, edge = np.unique(np.sort(ends, axis=2).reshape(-1, 2), axis=0, return_inverse=True)
+    count = int(welded.max()) + 1
+    low, high = np.sort(ends, axis=2).reshape(-1, 2).astype(np.int64).T
+    _, edge = np.unique(count * low + high, return_inverse=True)  # many times as fast as of rows
     edge = edge.reshape(-1, 3)
     face_count = np.bincount(edge.ravel())
     edge_sum = _sum_over(edge, np.repeat(face_normal[:, None], 3, axis=1), len(face_count))
@@ -66,7 +68,6 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
     edge_active = np.bincount(edge.ravel(), weights=np.repeat(active, 3)) > 0
 
     # Corners: weighted with the angle of the face there.
-    count = int(welded.max()) + 1
     corner_sum = _sum_over(welded, angles(corner)[..., None] * face_normal[:, None], count)
     on_border = np.zeros(count, dtype=bool)
     on_border[ends[border[edge]].ravel()] = True
