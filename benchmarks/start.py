@@ -79,7 +79,8 @@ def ask(what: str, options: argparse.Namespace, variables: dict[str, str]) -> di
     start = time.monotonic()
     done = subprocess.run(
         [sys.executable, FRESH, *words],
-        env={**os.environ, **variables},
+        # Compiled modules of Python stay, as for users, whatever this one was told.
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "", **variables},
         capture_output=True,
         text=True,
         check=False,

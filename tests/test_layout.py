@@ -1,5 +1,6 @@
-"""The two folders that make one package, and what goes wrong when they are mixed up."""
+"""The two folders that make one package, what goes wrong when they are mixed up, and what a start loads."""
 
+import gc
 import os
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ import pytest
 import warpcontact.kernels
 
 import warpcontact
+from warpcontact import collecting
 
 pytestmark = pytest.mark.installed
 
@@ -108,3 +110,17 @@ def test_the_first_step_of_an_experiment_loads_nothing_that_it_has_no_need_of(tm
     example = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
     result = run(code, tmp_path, words=[str(example)])
     assert result.stdout.strip().splitlines()[-1] == "[]", result.stderr
+
+
+def test_garbage_is_collected_again_after_a_pause_if_it_was_before():
+    def fails():
+        with collecting.paused():
+            with collecting.paused():
+                pass
+            assert not gc.isenabled()
+            raise ValueError("meanwhile")
+
+    assert gc.isenabled()
+    with pytest.raises(ValueError, match="meanwhile"):
+        fails()
+    assert gc.isenabled()

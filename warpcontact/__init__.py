@@ -5,11 +5,11 @@
 Names are loaded on first use, so that ``import warpcontact`` and the command line answer at once.
 """
 
-import gc
 import importlib
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from warpcontact import collecting
 from warpcontact._version import __version__
 
 if TYPE_CHECKING:
@@ -206,13 +206,8 @@ __all__ = [
 
 def _load(name: str) -> ModuleType:
     """Imports a module. What it makes stays: to look for garbage in it would take a fifth of the time."""
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
+    with collecting.paused():
         return importlib.import_module(name)
-    finally:
-        if collecting:
-            gc.enable()
 
 
 def __getattr__(name: str) -> Any:

@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from warpcontact import collecting
 from warpcontact.build import draw_up
 from warpcontact.checks import there_are
 from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
@@ -352,9 +353,11 @@ class Experiment:
         if not content.get("body") and not content.get("bodies"):
             problems.add("body", "is missing: an experiment needs a [[body]]")
             parts.unnamed.add("body")
-        model = trial(parts, self.folder, self._loaded, problems)
-        if model is not None:
-            self._check_with(model, parts, problems)
+        # The first trial makes kernels, which stay.
+        with collecting.paused():
+            model = trial(parts, self.folder, self._loaded, problems)
+            if model is not None:
+                self._check_with(model, parts, problems)
         problems.stop(self.source)
 
     def _check_with(self, model: Environments, parts: Parts, problems: Problems) -> None:
