@@ -92,7 +92,7 @@ class Crew:
             for stepper in self._steppers:
                 looked = False
                 if frames is not None:
-                    stepper.ready_look(frames)
+                    stepper.ready_look(frames.needs)
                     looked = stepper.ready_after_look(frames.needs)
                 stepper.capture(ways[0])
                 for way in set(ways[1:]):

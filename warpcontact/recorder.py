@@ -29,7 +29,6 @@ from warpcontact.model import Model
 from warpcontact.parameters import Parameter
 from warpcontact.readings import AXES
 from warpcontact.scene import Scene
-from warpcontact.slices import Copies
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -103,8 +102,6 @@ class _Channel:
         self.reading = model.find_reading(name)
         source = self.reading.array(model.parts[0].arrays)
         row = prod(source.shape[1:]) * wp.types.type_size_in_bytes(source.dtype)
-        # Whether what is measured is reported as it is: of one item there is nothing to sum up.
-        self.plain = not self.reading.total or source.shape[1] == 1
         # Of one environment, as it is reported.
         self._sample = self.reading.finish(source[:1].numpy()[None], axis=2)[0, 0]
         self.frame = Frame(name, row, self._sample.nbytes)
@@ -140,11 +137,11 @@ class _Window:
     """
 
     def __init__(self, part: Model, frame: Frame, result: NDArray[Any]) -> None:
-        self.reading = part.readings[frame.name]
+        reading = part.readings[frame.name]
         # A view, which keeps what is measured into.
-        self.values = self.reading.array(part.arrays).numpy()
+        self.values = reading.array(part.arrays).numpy()
         self.result = result
-        self._finish = self.reading.finish if self.reading.total else None
+        self._finish = reading.finish if reading.total else None
 
     def take(self, own: slice, number: int) -> None:
         """Writes the environments ``own`` of a frame; other threads may write others meanwhile."""
@@ -277,11 +274,6 @@ class Recorder:
         self.channels = [_Channel(model, reading.name) for reading in readings]
         # How all of them take a frame of a part: looked up once, for there is a frame of every slice.
         self._ways: dict[Model, list[_Window | _Ring]] = {}
-        # Names of the readings that launches may copy, where their first frame begins and how far it is to the
-        # next, by part, and how the others are taken.
-        self._copied: tuple[str, ...] = ()
-        self._places: dict[Model, tuple[NDArray[np.uint64], NDArray[np.uint64]]] = {}
-        self._rest: dict[Model, list[_Window | _Ring]] = {}
         self.times = np.zeros(frames)
         self.taken = 0
 
@@ -317,14 +309,6 @@ class Recorder:
         for channel in self.channels:
             channel.allocate(frames)
         self._ways = {part: [channel.ways[part] for channel in self.channels] for part in self.model.parts}
-        copied = [channel for channel in self.channels if channel.plain]
-        self._copied = tuple(channel.frame.name for channel in copied)
-        for part in self.model.parts:
-            results = [channel.ways[part].result for channel in copied]
-            begins = np.array([result.ctypes.data for result in results], dtype=np.uint64)
-            lengths = np.array([result.strides[0] for result in results], dtype=np.uint64)
-            self._places[part] = begins, lengths
-            self._rest[part] = [channel.ways[part] for channel in self.channels if channel not in copied]
 
     def _too_much(self, footprint: Footprint, room: Room) -> str:
         envs, frames = self.model.envs, len(self.times)
@@ -360,19 +344,6 @@ class Recorder:
         """
         for way in self._ways[part]:
             way.take(own, number)
-
-    def copies(self, first: int) -> Copies:
-        """Returns what launches take of frames on the CPU from number ``first`` on, see ``take_slice``."""
-
-        def places(part: Model, number: int) -> NDArray[np.uint64]:
-            begins, lengths = self._places[part]
-            return begins + np.uint64(first + number) * lengths
-
-        def rest(part: Model, own: slice, number: int) -> None:
-            for way in self._rest[part]:
-                way.take(own, first + number)
-
-        return Copies(self._copied, places, rest)
 
     def count(self, times: Sequence[float]) -> None:
         """Counts the next frames, at ``times`` [s], of which all environments are taken."""

@@ -28,7 +28,7 @@ from warpcontact.parameters import rounded
 from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
-from warpcontact.slices import Buffers, Copies, Frames, Stepper, Times
+from warpcontact.slices import Buffers, Frames, Stepper, Times
 from warpcontact.stepping import slice_sizes, stepping_footprint
 from warpcontact.whole_steps import frame_count, recorded_steps
 
@@ -276,12 +276,7 @@ class Simulation:
             self._advance(count, None)
 
     def step_in_frames(
-        self,
-        frames: int,
-        every: int,
-        needs: Set[str],
-        take: Callable[[Model, slice, int], None],
-        copies: Copies | None = None,
+        self, frames: int, every: int, needs: Set[str], take: Callable[[Model, slice, int], None]
     ) -> None:
         """Takes ``frames`` times ``every`` steps, and looks at the state after each ``every`` of them.
 
@@ -294,14 +289,13 @@ class Simulation:
             take: Called when it is computed, with a part of the model, a range of its environments and the number
                 of the frame, from 0. Of each environment frames come in their order; ranges come from several
                 threads and may be at different frames, so only the range may be read.
-            copies: What takes frames in place of ``take`` where that is done slice by slice.
         """
         self._attach()
         needs = frozenset(needs)
         if self.watch.quarantine == "freeze" and all(
             in_parts(part.device, part.hard, needs) for part in self.model.parts
         ):
-            self._advance(frames * every, Frames(every, needs, take, copies))
+            self._advance(frames * every, Frames(every, needs, take))
             return
         for number in range(frames):
             self._advance(every, None)
@@ -487,7 +481,7 @@ class Simulation:
         def take(part: Model, own: slice, number: int) -> None:
             recorder.take_slice(part, own, first + number)
 
-        self.step_in_frames(frames, every, recorder.needs, take, recorder.copies(first))
+        self.step_in_frames(frames, every, recorder.needs, take)
         recorder.count([start + (done + (number + 1) * every) * self.dt for number in range(frames)])
 
     def __repr__(self) -> str:

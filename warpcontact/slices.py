@@ -10,14 +10,11 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, broadcast, per_env
 from warpcontact.captures import beside_captures, capturing
 from warpcontact.integrators import Integrator
-from warpcontact.kernels import copies
 from warpcontact.looks import looks_at_near
 from warpcontact.outcomes.observer import Observer
 from warpcontact.outcomes.watch import Watch
@@ -106,22 +103,6 @@ class Buffers:
 
 
 @dataclass(frozen=True)
-class Copies:
-    """What of frames is copied by launches, without a word from Python, by which threads hinder each other.
-
-    Attributes:
-        readings: Of what the values are copied as they are measured.
-        places: Returns where those of the first environment of a part go in a frame, by its number: the addresses
-            (reading,), in memory of the host in which its environments lie one behind the other.
-        rest: Takes what else there is, called as ``Frames.take``.
-    """
-
-    readings: tuple[str, ...]
-    places: Callable[["Model", int], NDArray[np.uint64]]
-    rest: Callable[["Model", slice, int], None]
-
-
-@dataclass(frozen=True)
 class Frames:
     """What is to be looked at while steps are taken.
 
@@ -130,39 +111,17 @@ class Frames:
         needs: What is computed for each, see ``Reading.needs``.
         take: Called when it is, by the thread that computed it, with the model, its environments that are there,
             and the number of the frame, from 0: in any order of environments, one frame after the other.
-        copies: What launches do in place of ``take``; ``None``: nothing.
     """
 
     every: int
     needs: frozenset[str]
     take: Callable[["Model", slice, int], None]
-    copies: Copies | None = None
-
-    @property
-    def look(self) -> tuple[frozenset[str], tuple[str, ...]]:
-        """What its launches compute, and what they copy."""
-        return self.needs, () if self.copies is None else self.copies.readings
 
     def cut(self, done: int, count: int) -> list[int]:
         """Returns ``count`` steps after the first ``done`` as those from frame to frame."""
         first = min(self.every - done % self.every, count)
         whole, rest = divmod(count - first, self.every)
         return [first, *[self.every] * whole, *([rest] if rest else [])]
-
-
-@dataclass(frozen=True)
-class _Look:
-    """The launches that compute a frame and copy what is read, captured or not, and where they read where to."""
-
-    launches: list[wp.Launch] | wp.Graph
-    places: NDArray[np.uint64]
-
-    def launch(self) -> None:
-        if isinstance(self.launches, wp.Graph):
-            wp.capture_launch(self.launches)
-        else:
-            with beside_captures():
-                _launch(self.launches)
 
 
 @dataclass(frozen=True)
@@ -220,7 +179,7 @@ class Stepper:
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
         # By their steps, and whether the first of these comes after a look.
         self._graphs: dict[tuple[int, bool], wp.Graph] = {}
-        self._looks: dict[tuple[frozenset[str], tuple[str, ...]], _Look] = {}
+        self._looks: dict[frozenset[str], list[wp.Launch] | wp.Graph] = {}
 
     def go_to(self, own: slice) -> None:
         """Takes the environments that are stepped next: others than all of the span only if it has slices."""
@@ -313,44 +272,28 @@ class Stepper:
                 self._after_look = self._stages(span, self._times.whole, own, other, self._mark)
         return True
 
-    def ready_look(self, frames: Frames) -> None:
+    def ready_look(self, needs: frozenset[str]) -> None:
         """Prepares, or captures, ``look``. Not while other threads step."""
-        if frames.look in self._looks:
+        if needs in self._looks:
             return
         span = self._span
-        needs, readings = frames.look
         launches = span.model.look(needs, span.slice)
-        # On the host, as what is copied: other devices have no copies.
-        places = wp.zeros(len(readings), dtype=wp.uint64, device="cpu")
-        launches += self._copies(readings, places)
-        if self.captured and launches:
-            with capturing(), wp.ScopedCapture(device=self.device) as capture:
-                _launch(launches)
-            self._looks[frames.look] = _Look(capture.graph, places.numpy())
-        else:
-            self._looks[frames.look] = _Look(launches, places.numpy())
-
-    @beside_captures()
-    def _copies(self, readings: tuple[str, ...], places: wp.array) -> list[wp.Launch]:
-        """Returns the launches that copy what is read to ``places`` (reading,)."""
-        model = self._span.model
-        sources = [model.readings[name].array(model.arrays) for name in readings]
-        return [
-            launch
-            for number, source in enumerate(sources)
-            for launch in self._span.prepare(copies.kernel(), 1, copies.inputs(source, places, number))
-        ]
+        if not self.captured or not launches:
+            self._looks[needs] = launches
+            return
+        with capturing(), wp.ScopedCapture(device=self.device) as capture:
+            _launch(launches)
+        self._looks[needs] = capture.graph
 
     def look(self, frames: Frames, number: int) -> bool:
         """Computes frame ``number`` of its environments and hands it on; returns whether it told what is near."""
-        look, model = self._looks[frames.look], self._span.model
-        if frames.copies is None:
-            look.launch()
-            frames.take(model, self.slice, number)
+        look = self._looks[frames.needs]
+        if isinstance(look, wp.Graph):
+            wp.capture_launch(look)
         else:
-            look.places[:] = frames.copies.places(model, number)
-            look.launch()
-            frames.copies.rest(model, self.slice, number)
+            with beside_captures():
+                _launch(look)
+        frames.take(self._span.model, self.slice, number)
         return looks_at_near(self._span, frames.needs)
 
     def _take(self, way: int) -> None:
