@@ -25,16 +25,18 @@ def test_roots_are_those_of_scipy_to_the_bit():
 
         expected = elementwise.find_root(excess, (lower, upper), args=(power,))
         assert expected.success.all()
-        np.testing.assert_array_equal(root_between(excess, lower, upper), expected.x)
-    assert root_between(lambda x: x - 0.25, 0.0, 1.0) == 0.25
-    assert root_between(lambda x: x - 1.0, 0.0, 1.0) == 1.0  # at an end
+        np.testing.assert_array_equal(root_between("root", excess, lower, upper), expected.x)
+    assert root_between("root", lambda x: x - 0.25, 0.0, 1.0) == 0.25
+    assert root_between("root", lambda x: x - 1.0, 0.0, 1.0) == 1.0  # at an end
 
 
 def test_there_is_no_root_without_a_change_of_sign():
-    with pytest.raises(RuntimeError, match="the same sign at both ends"):
-        root_between(lambda x: x - np.array([0.5, 2.0]), np.zeros(2), np.ones(2))
-    with pytest.raises(RuntimeError, match="the same sign at both ends"):
-        root_between(lambda x: np.full_like(x, np.nan), 0.0, 1.0)
+    with pytest.raises(
+        RuntimeError, match="no depth found between 0 and 1: the values there are -2 and -1, and must"
+    ):
+        root_between("depth", lambda x: x - np.array([0.5, 2.0]), np.zeros(2), np.ones(2))
+    with pytest.raises(RuntimeError, match="the values there are nan and nan"):
+        root_between("depth", lambda x: np.full_like(x, np.nan), 0.0, 1.0)
 
 
 def test_contact_times_are_those_with_the_gamma_function_of_scipy():
@@ -42,6 +44,8 @@ def test_contact_times_are_those_with_the_gamma_function_of_scipy():
     factor = 2.0 * np.sqrt(np.pi) * gamma(1.0 + 1.0 / (n + 1.0)) / gamma(0.5 + 1.0 / (n + 1.0))
     expected = factor * greatest_penetration(1e5, n, 0.3, 2.0) / 2.0
     np.testing.assert_allclose(contact_time(1e5, n, 0.3, 2.0), expected, rtol=1e-14)
+    with np.errstate(all="ignore"):
+        assert np.isnan(contact_time(1e5, [-1.0, -1.5], 0.3, 2.0)).all()
 
 
 @pytest.mark.parametrize("count", [1, 2, 50, 3000])
@@ -49,7 +53,9 @@ def test_contact_times_are_those_with_the_gamma_function_of_scipy():
 def test_connected_parts_are_those_of_scipy_and_numbered_by_their_first_items(count, share):
     rng = np.random.default_rng(count)
     chain = rng.permutation(count)
-    for links in (rng.integers(0, count, (round(share * count), 2)), np.stack([chain[:-1], chain[1:]], axis=1)):
+    star = np.column_stack([np.full(count, count - 1), np.arange(count)])  # about its last item
+    some = rng.integers(0, count, (round(share * count), 2))
+    for links in (some, np.stack([chain[:-1], chain[1:]], axis=1), star):
         graph = coo_array((np.ones(len(links), dtype=bool), links.T), shape=(count, count))
         expected, part = connected_components(graph, directed=False)
         found = components(links, count)
@@ -96,3 +102,28 @@ def test_walls_over_a_rim_are_the_hull_of_it(corners):
     np.testing.assert_allclose(sides.normal[order], expected, atol=1e-12)
     heights = vertices @ sides.normal[order].T - sides.offset[order]
     np.testing.assert_allclose(heights[:-1], -(flat @ hull.equations[:, :2].T + hull.equations[:, 2]), atol=1e-12)
+
+
+def terrain(size, noise, turns):
+    """A wavy terrain with four sides, straight but for rounding and ``noise`` [m], turned about z [rad]."""
+    x, y = (own.ravel() for own in np.meshgrid(np.linspace(0.0, 1.0, size), np.linspace(0.0, 1.0, size)))
+    inside = (x > 0.0) & (x < 1.0) & (y > 0.0) & (y < 1.0)
+    vertices = np.column_stack([x, y, np.where(inside, 0.1 * np.sin(9.0 * x) * np.cos(7.0 * y), 0.0)])
+    vertices[:, :2] += np.random.default_rng(size).normal(scale=noise, size=(len(x), 2))
+    for angle in turns:
+        c, s = np.cos(angle), np.sin(angle)
+        vertices = vertices @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    low = (np.arange(size - 1)[:, None] * size + np.arange(size - 1)).ravel()
+    return Mesh(vertices, np.concatenate([np.stack([low, low + 1, low + size + 1], axis=1),
+                                          np.stack([low, low + size + 1, low + size], axis=1)]))  # fmt: skip
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-17, 1e-16, 1e-15, 1e-14])
+@pytest.mark.parametrize("turns", [(), (0.25 * np.pi,) * 2, (np.pi / 6, -np.pi / 6), (0.3,)])
+@pytest.mark.parametrize("size", [3, 8, 21])
+def test_sides_of_a_rim_may_be_straight_but_for_rounding(size, turns, noise):
+    """Also along the axes, where rounding alone tells which vertex is first."""
+    mesh = terrain(size, noise, turns)
+    sides = make_patch(mesh, np.ones(len(mesh.faces), dtype=bool), np.zeros(3), only_active=False).sides
+    assert sides.kind == SIDES_ABOVE
+    assert len(sides.normal) == 4

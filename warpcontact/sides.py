@@ -133,20 +133,26 @@ def _hull(points: Array, straight: float) -> Array:
         points: The points.
         straight: A corner that is no farther than that from the line between those beside it is none.
     """
-    corners = []
     ordered = points[np.lexsort(points.T[::-1])].tolist()
-    for half in (ordered, ordered[::-1]):
-        chain: list[list[float]] = []
-        for x, y in half:
-            while len(chain) > 1:
-                (ax, ay), (bx, by) = chain[-2:]
-                turn = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-                if turn > straight * math.hypot(x - ax, y - ay):
-                    break
-                chain.pop()
-            chain.append([x, y])
-        corners += chain[:-1]
-    return np.array(corners)
+    around = [place for half in (ordered, ordered[::-1]) for place in _turning(half, 0.0)[:-1]]
+    # What is straight goes only now: of points in a line but for rounding, their order says nothing. The way
+    # begins at a corner for sure.
+    first = int(np.argmax(np.linalg.norm(np.array(around) - points.mean(axis=0), axis=1)))
+    return np.array(_turning([*around[first:], *around[: first + 1]], straight)[:-1])
+
+
+def _turning(places: list[list[float]], straight: float) -> list[list[float]]:
+    """Returns those of ``places`` where the way along them turns left, by more than ``straight``, and its ends."""
+    way: list[list[float]] = []
+    for x, y in places:
+        while len(way) > 1:
+            (ax, ay), (bx, by) = way[-2:]
+            turn = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+            if turn > straight * math.hypot(x - ax, y - ay):
+                break
+            way.pop()
+        way.append([x, y])
+    return way
 
 
 def sides_of(

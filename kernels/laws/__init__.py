@@ -121,9 +121,10 @@ __all__ = [
     "recommended_dt",
 ]
 
-__getattr__ = attributes_of(
-    __name__, {**_CATALOGUE, **_RIGID}, {"CATALOGUE": tuple(_CATALOGUE), "RIGID": tuple(_RIGID)}
-)
+if not TYPE_CHECKING:  # there it would know every name
+    __getattr__ = attributes_of(
+        __name__, {**_CATALOGUE, **_RIGID}, {"CATALOGUE": tuple(_CATALOGUE), "RIGID": tuple(_RIGID)}
+    )
 
 
 def __dir__() -> list[str]:

@@ -82,7 +82,7 @@ def elliptic_stiffness(
         return (axis_ratio**2 * second - first) / (first - second) - ratio
 
     # The ratio of the axes lies between the root and the first power of that of the radii.
-    axes = float(root_between(excess, 1.0 + 1.0e-9, 2.0 * ratio))
+    axes = float(root_between("ratio of half axes", excess, 1.0 + 1.0e-9, 2.0 * ratio))
     complement = axes**-2
     combined = 1.0 / (1.0 / short + 1.0 / long)
     # δ = K(m) [9/(2 E(m) R) (F/(2 π k E*))²]^(1/3)

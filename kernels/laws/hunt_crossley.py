@@ -45,7 +45,7 @@ def damping_factor_of_restitution(restitution: np.ndarray) -> np.ndarray:
         d = -np.expm1(u) / far_from_one
         return u - np.log1p(d) + d * (1.0 + far_from_one)
 
-    return np.where(q < SERIES_RANGE, series, -np.expm1(root_between(excess, lower, upper)) / e)
+    return np.where(q < SERIES_RANGE, series, -np.expm1(root_between("damping factor", excess, lower, upper)) / e)
 
 
 class HuntCrossley(Law):

@@ -28,7 +28,9 @@ def damping_ratio_of_restitution(restitution: np.ndarray) -> np.ndarray:
     restitution = np.asarray(restitution, dtype=np.float64)
     # For large ξ, e → 1/(4 ξ²); twice that root encloses the solution for every e.
     upper = 1.0 + 1.0 / np.sqrt(restitution)
-    return root_between(lambda ratio: restitution_of_damping_ratio(ratio) - restitution, 0.0, upper)
+    return root_between(
+        "damping ratio", lambda ratio: restitution_of_damping_ratio(ratio) - restitution, 0.0, upper
+    )
 
 
 class KelvinVoigt(Law):

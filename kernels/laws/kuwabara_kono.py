@@ -46,7 +46,9 @@ class KuwabaraKono(Law):
         """Returns the law that has ``restitution`` at ``speed`` [m/s] for the effective ``mass`` [kg]."""
         if not 0.05 <= restitution <= 1.0:
             raise ValueError(f"restitution must be at least 0.05 and at most 1, got {restitution:g}")
-        reduced = root_between(lambda reduced: restitution_of_viscosity(reduced) - restitution, 0.0, 10.0)
+        reduced = root_between(
+            "viscosity", lambda reduced: restitution_of_viscosity(reduced) - restitution, 0.0, 10.0
+        )
         viscosity = float(reduced) / ((stiffness / mass) ** 0.4 * speed**0.2)
         return cls(stiffness=stiffness, viscosity=viscosity)
 

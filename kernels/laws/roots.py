@@ -14,14 +14,15 @@ PRECISION = 4.0 * float(np.finfo(np.float64).eps)
 LEAST = float(np.finfo(np.float64).smallest_normal)
 
 
-def root_between(function: Callable[[Values], Values], lower: ArrayLike, upper: ArrayLike) -> Values:
+def root_between(what: str, function: Callable[[Values], Values], lower: ArrayLike, upper: ArrayLike) -> Values:
     """Returns where a continuous elementwise function is zero, to rounding, by Chandrupatla's method.
 
     A step follows the inverse parabola through three points where that is safe, and halves the interval where it
-    is not (Adv. Eng. Softw. 28 (1997) 145). Results are those of ``scipy.optimize.elementwise``, which takes as
-    long to import as a model to build.
+    is not (Adv. Eng. Softw. 28 (1997) 145). ``scipy.optimize.elementwise`` does the same, and takes as long to
+    import as a model to build.
 
     Args:
+        what: Name of the root.
         function: Of an array of the shape that all ends have together.
         lower: Ends of the intervals.
         upper: Their other ends, where the function has not the sign that it has at the lower ones.
@@ -32,7 +33,12 @@ def root_between(function: Callable[[Values], Values], lower: ArrayLike, upper: 
     x1, x2 = (np.array(ends, dtype=np.float64) for ends in np.broadcast_arrays(lower, upper))
     f1, f2 = function(x1), function(x2)
     if not np.all(np.sign(f1) * np.sign(f2) <= 0.0):
-        raise RuntimeError("no root found: the function has the same sign at both ends of an interval")
+        bad = ~(np.sign(f1) * np.sign(f2) <= 0.0)
+        a, b, at_a, at_b = (of[bad][0] for of in np.broadcast_arrays(x1, x2, f1, f2))
+        raise RuntimeError(
+            f"no {what} found between {a:g} and {b:g}: the values there are {at_a:g} and {at_b:g}, and must have "
+            "different signs"
+        )
     x3, f3 = x2, f2
     roots = np.full(x1.shape, np.nan)
     # Those that are found are carried along until all are, whatever comes of them.
@@ -56,4 +62,4 @@ def root_between(function: Callable[[Values], Values], lower: ArrayLike, upper: 
             x3, f3 = np.where(same, x1, x2), np.where(same, f1, f2)
             x2, f2 = np.where(same, x2, x1), np.where(same, f2, f1)
             x1, f1 = x, f
-    raise RuntimeError("no root found: the function is not finite somewhere")
+    raise RuntimeError(f"no {what} found: a value between is not finite")

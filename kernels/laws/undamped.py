@@ -27,9 +27,9 @@ def contact_time(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
     """Duration [s] of an impact, arguments as for ``greatest_penetration``: π √(m/K) for n = 1."""
-    # One at a time, as there are few: what has Γ of arrays takes longer to import than a model to build.
+    # Each different one once: what has Γ of arrays takes longer to import than a model to build.
     exponents, which = np.unique(np.asarray(exponent, dtype=np.float64), return_inverse=True)
-    parts = [1.0 / (n + 1.0) for n in exponents.tolist()]
+    parts = [1.0 / (n + 1.0) if n > -1.0 else math.nan for n in exponents.tolist()]
     factors = [2.0 * math.sqrt(math.pi) * math.gamma(1.0 + part) / math.gamma(0.5 + part) for part in parts]
     factor = np.array(factors)[which].reshape(np.shape(exponent))
     return np.asarray(factor * greatest_penetration(stiffness, exponent, mass, speed) / np.asarray(speed))

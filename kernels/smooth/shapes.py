@@ -49,7 +49,8 @@ __all__ = [
     "Torus",
 ]
 
-__getattr__ = attributes_of(__name__, _CATALOGUE, {"CATALOGUE": tuple(_CATALOGUE)})
+if not TYPE_CHECKING:  # there it would know every name
+    __getattr__ = attributes_of(__name__, _CATALOGUE, {"CATALOGUE": tuple(_CATALOGUE)})
 
 
 def __dir__() -> list[str]:

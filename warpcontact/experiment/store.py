@@ -14,7 +14,7 @@ record names. The bytes of all chunks follow from the experiment alone.
 """
 
 import shutil
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -134,7 +134,7 @@ def create(
 def _create_array(
     group: Any, name: str, template: "xr.DataArray", sizes: Mapping[Any, int], shard: int, block: int
 ) -> None:
-    from zarr.codecs import BloscCodec, Crc32cCodec
+    from zarr.codecs import ZstdCodec
 
     tail = [size for dim, size in template.sizes.items() if dim not in ("time", "env")]
     row = template.dtype.itemsize * int(np.prod(tail, initial=1)) * (block if "time" in template.sizes else 1)
@@ -147,9 +147,8 @@ def _create_array(
         fill_value=empty_value(template.dtype),
         dimension_names=[str(dim) for dim in template.dims],
         attributes=dict(template.attrs),
-        # Values change little from one to the next, and so do most of their bits: that makes LZ4 as small as Zstd,
-        # in half the time. With a check sum: a chunk that was changed is no chunk.
-        compressors=(BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle"), Crc32cCodec()),
+        # With a check sum: a chunk that was changed is no chunk.
+        compressors=ZstdCodec(level=1, checksum=True),
     )
 
 
@@ -298,29 +297,24 @@ class Staging:
             data: Variables (…, env, …), with frames (time, …) from a multiple of those of a chunk on.
             first_frame: Number of the first frame.
         """
-        with ThreadPoolExecutor(available_threads()) as pool:
-            for written in pool.map(
-                lambda name: self._write(group, name, data[name], first_frame), data.data_vars
-            ):
-                self.written |= written
-
-    def _write(self, group: str, name: Hashable, variable: "xr.DataArray", first_frame: int) -> set[str]:
-        """Writes one variable; returns which files it has."""
         import zarr
 
-        path = f"{group}/{name}"
-        target = self._root / path
-        if not (target / "zarr.json").exists():
-            target.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(self._store / path / "zarr.json", target / "zarr.json")
-        own = variable.isel(env=slice(0, self._shard.envs))
-        place = {
-            "env": slice(self._shard.first, self._shard.stop),
-            "time": slice(first_frame, first_frame + own.sizes.get("time", 0)),
-        }
-        region = tuple(place.get(str(dim), slice(None)) for dim in own.dims)
-        zarr.open_array(target, mode="r+", zarr_format=3)[region] = np.ascontiguousarray(own.values)
-        return {one.relative_to(self._root).as_posix() for one in (target / "c").rglob("*") if one.is_file()}
+        for name, variable in data.data_vars.items():
+            path = f"{group}/{name}"
+            target = self._root / path
+            if not (target / "zarr.json").exists():
+                target.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(self._store / path / "zarr.json", target / "zarr.json")
+            own = variable.isel(env=slice(0, self._shard.envs))
+            place = {
+                "env": slice(self._shard.first, self._shard.stop),
+                "time": slice(first_frame, first_frame + own.sizes.get("time", 0)),
+            }
+            region = tuple(place.get(str(dim), slice(None)) for dim in own.dims)
+            zarr.open_array(target, mode="r+", zarr_format=3)[region] = np.ascontiguousarray(own.values)
+            self.written |= {
+                one.relative_to(self._root).as_posix() for one in (target / "c").rglob("*") if one.is_file()
+            }
 
     def clear(self) -> None:
         """Forgets what was committed; what steps write next goes into new files."""

@@ -231,7 +231,8 @@ def components(links: npt.NDArray[np.intp], count: int) -> tuple[int, npt.NDArra
     """
     part = np.arange(count)
     a, b = links.T
-    # Each round joins every part with neighbours to one of them, so that no more than half remain.
+    # A round joins every part that has a lower neighbour; one that is lower than all of its is joined in the next,
+    # if none of them was joined to it. So two rounds leave at most half of the parts that have neighbours.
     while len(a):
         np.minimum.at(part, np.maximum(a, b), np.minimum(a, b))
         while ((lowest := part[part]) != part).any():
