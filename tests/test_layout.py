@@ -1,6 +1,8 @@
 """The two folders that make one package, what goes wrong when they are mixed up, and what a start loads."""
 
+import ast
 import gc
+import importlib
 import os
 import shutil
 import subprocess
@@ -75,6 +77,20 @@ def test_every_public_name_loads_and_is_listed_once():
     assert set(warpcontact._HOME) | {"__version__"} == set(warpcontact.__all__)
     with pytest.raises(AttributeError, match="no attribute 'Scenes'"):
         _ = warpcontact.Scenes
+
+
+@pytest.mark.parametrize("name", ["laws", "frictions", "smooth.shapes"])
+def test_type_checkers_see_every_class_that_is_loaded_on_demand(name):
+    module = importlib.import_module(f"warpcontact.kernels.{name}")
+    (checked,) = (
+        node
+        for node in ast.parse(Path(module.__file__).read_text()).body
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    )
+    imported = [node for node in checked.body if isinstance(node, ast.ImportFrom)]
+    seen = {alias.name: node.module for node in imported for alias in node.names}
+    assert seen == {one: getattr(module, one).__module__ for one in module.NAMES}
+    assert {*seen} <= {*module.__all__}
 
 
 def test_importing_the_package_loads_nothing_slow(tmp_path):

@@ -1,4 +1,4 @@
-"""Friction models. A model is one file; a line here puts it into the catalogue and under every friction test."""
+"""Friction models. A model is one file; `_CATALOGUE` puts it under every friction test."""
 
 from typing import TYPE_CHECKING
 

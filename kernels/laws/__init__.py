@@ -1,4 +1,4 @@
-"""Normal-force laws. A law is one file; a line here puts it into the catalogue and under every law test."""
+"""Normal-force laws. A law is one file; `_CATALOGUE` puts it into the catalogue and under every law test."""
 
 from typing import TYPE_CHECKING
 

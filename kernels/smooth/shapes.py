@@ -1,4 +1,4 @@
-"""Surfaces of analytic form. A shape is one file; a line here puts it into the catalogue."""
+"""Surfaces of analytic form. A shape is one file; `_CATALOGUE` puts it into the catalogue."""
 
 from typing import TYPE_CHECKING
 
