@@ -140,7 +140,7 @@ def cloud(size):
 
 
 @LINUX
-@pytest.mark.parametrize(("name", "content"), [("a.usda", cloud(1_000_000)), ("a.glb", repeated(1000))])
+@pytest.mark.parametrize(("name", "content"), [("a.usda", cloud(1_000_000)), ("a.glb", repeated(2000))])
 def test_memory_is_limited_while_reading_and_examining(tmp_path, name, content):
     path = tmp_path / name
     path.write_bytes(content)
