@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 
-def attributes_of(
+def names_of(
     module: str, homes: Mapping[str, str], catalogues: Mapping[str, Sequence[str]]
-) -> Callable[[str], Any]:
-    """Returns the ``__getattr__`` of a module.
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Returns the ``__getattr__`` of a module, and its ``__dir__``.
 
     Args:
         module: Its name.
@@ -29,4 +29,7 @@ def attributes_of(
         setattr(itself, name, value)
         return value
 
-    return find
+    def names() -> list[str]:
+        return sorted({*vars(sys.modules[module]), *homes, *catalogues})
+
+    return find, names

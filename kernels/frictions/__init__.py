@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from warpcontact.kernels.frictions.base import Friction
-from warpcontact.kernels.on_demand import attributes_of
+from warpcontact.kernels.on_demand import names_of
 
 if TYPE_CHECKING:
     from warpcontact.kernels.frictions.ambrosio import Ambrosio
@@ -83,10 +83,6 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__ = attributes_of(
+    __getattr__, __dir__ = names_of(
         __name__, {**_CATALOGUE, **_RIGID}, {"CATALOGUE": tuple(_CATALOGUE), "RIGID": tuple(_RIGID)}
     )
-
-
-def __dir__() -> list[str]:
-    return sorted(set(globals()) | set(__all__))

@@ -9,7 +9,7 @@ from warpcontact.kernels.laws.undamped import (
     greatest_penetration,
     recommended_dt,
 )
-from warpcontact.kernels.on_demand import attributes_of
+from warpcontact.kernels.on_demand import names_of
 
 if TYPE_CHECKING:
     from warpcontact.kernels.laws.anagnostopoulos import Anagnostopoulos
@@ -122,10 +122,6 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # there it would know every name
-    __getattr__ = attributes_of(
+    __getattr__, __dir__ = names_of(
         __name__, {**_CATALOGUE, **_RIGID}, {"CATALOGUE": tuple(_CATALOGUE), "RIGID": tuple(_RIGID)}
     )
-
-
-def __dir__() -> list[str]:
-    return sorted(set(globals()) | set(__all__))

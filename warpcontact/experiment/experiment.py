@@ -356,8 +356,8 @@ class Experiment:
         # The first trial makes kernels, which stay.
         with collecting.paused():
             model = trial(parts, self.folder, self._loaded, problems)
-            if model is not None:
-                self._check_with(model, parts, problems)
+        if model is not None:
+            self._check_with(model, parts, problems)
         problems.stop(self.source)
 
     def _check_with(self, model: Environments, parts: Parts, problems: Problems) -> None:
