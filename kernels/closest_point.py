@@ -65,7 +65,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     t = structs(real)
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
     Contacts, Cache = t.Contacts, t.Cache
-    remembered = REMEMBERED if part == WHOLE else REMEMBERED_IN_QUEUES
+    in_queues = part != WHOLE
+    remembered = REMEMBERED_IN_QUEUES if in_queues else REMEMBERED
     of_face, of_search = feet.functions(real), search.functions(real, remembered)
     Foot, foot_on, inner, walk = of_face.Foot, of_face.foot_on, of_face.inner, of_face.walk
     Recalled, recall_sure = of_search.Recalled, of_search.recall_sure
@@ -75,7 +76,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         LISTED: of_search.recall_listed,
         SEARCH: of_search.recall_nothing,
     }[part]
-    nearest_of_all, nearest_to_remember = of_search.nearest_of_all, of_search.nearest_to_remember
+    nearest_of_all = of_search.nearest_of_all
+    nearest_to_remember = of_search.nearest_to_remember_aside if in_queues else of_search.nearest_to_remember
     frame = frames.functions(real)
     apart, turned = frame.apart, frame.turned
     orientation_to_world, rotation_to_world = frame.orientation_to_world, frame.rotation_to_world

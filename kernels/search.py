@@ -185,10 +185,18 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
         return best
 
     @wp.func
+    def list_faces(cache: Cache, env: int, contact: int, count: int, p: vec3, beyond: real):
+        """Says what was found from ``p``: ``count`` faces, all others farther than ``beyond``."""
+        cache.faces[env, contact] = count
+        cache.sure[env, contact] = real(0.0)
+        cache.place[env, contact] = p
+        cache.beyond[env, contact] = beyond
+
+    @wp.func
     def nearest_to_remember(
         model: Model, patch: int, p: vec3, first: Foot, margin: real, cache: Cache, env: int, contact: int
     ):
-        """The same, looking farther and remembering the faces."""
+        """The same, looking farther and remembering the faces, in the order in which they are found."""
         start = model.patch_face_start[patch]
         best = first
         # All others are farther than this.
@@ -215,10 +223,50 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
                     cache.face[env, place] = start + face
                     remember(cache, env, place, other, vec3())
         best.distance = wp.length(best.to_point)
-        cache.faces[env, contact] = count
-        cache.sure[env, contact] = real(0.0)
-        cache.place[env, contact] = p
-        cache.beyond[env, contact] = beyond
+        list_faces(cache, env, contact, count, p, beyond)
+        return best
+
+    Distances = wp.types.vector(length=remembered, dtype=real)
+    Rows = wp.types.vector(length=remembered, dtype=wp.int32)
+
+    @wp.func
+    def nearest_to_remember_aside(
+        model: Model, patch: int, p: vec3, first: Foot, margin: real, cache: Cache, env: int, contact: int
+    ):
+        """The same for threads side by side, which would wait for each other's memory: lists in registers."""
+        start = model.patch_face_start[patch]
+        best = first
+        beyond = first.distance + model.patch_skin[patch]
+        found = faces_about(model, patch, p, beyond + margin)
+        face = wp.int32(0)
+        # The nearest first: loops over a constant are unrolled.
+        distances = Distances(real(wp.inf))
+        rows = Rows(-1)
+        while wp.mesh_query_next(found, face):
+            other = foot_on(model, start + face, p)
+            best = nearer(model, best, other)
+            if other.distance < beyond:
+                distance = other.distance
+                row = start + face
+                for i in range(wp.static(remembered)):
+                    if distance < distances[i]:
+                        farther = distances[i]
+                        farther_row = rows[i]
+                        distances[i] = distance
+                        rows[i] = row
+                        distance = farther
+                        row = farther_row
+                # The farthest makes room, and ends the reach of the list.
+                beyond = wp.min(beyond, distance)
+        best.distance = wp.length(best.to_point)
+        slot = contact * room
+        count = wp.int32(0)
+        for i in range(wp.static(remembered)):
+            if rows[i] >= 0:
+                cache.face[env, slot + i] = rows[i]
+                remember(cache, env, slot + i, foot_on(model, rows[i], p), vec3())
+                count += 1
+        list_faces(cache, env, contact, count, p, beyond)
         return best
 
     return SimpleNamespace(
@@ -229,4 +277,5 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
         recall_listed=recall_listed,
         nearest_of_all=nearest_of_all,
         nearest_to_remember=nearest_to_remember,
+        nearest_to_remember_aside=nearest_to_remember_aside,
     )

@@ -162,10 +162,13 @@ def test_steps_after_looks_are_captured_where_there_are_some(device):
         _, made = sim._prepared
         return {key for stepper in made._steppers for key in stepper._graphs}
 
+    # On a GPU a frame is looked at when it is there, and eight steps are four times two.
+    on_cpu = sim.model.device.is_cpu
+    eight = {(8, False)} if on_cpu else {(2, False)}
     sim.step_in_frames(1, 8, needs, lambda part, own, number: None)
-    assert captured() == {(8, False)}
+    assert captured() == eight
     sim.step_in_frames(2, 4, needs, lambda part, own, number: None)
-    assert captured() == {(8, False), (2, False), (2, True)}
+    assert captured() == eight | {(2, False)} | ({(2, True)} if on_cpu else set())
 
 
 def test_looks_are_not_prepared_while_another_thread_captures(device):
@@ -173,7 +176,11 @@ def test_looks_are_not_prepared_while_another_thread_captures(device):
     sim.step(8)
     stepper = sim._prepared[1]._steppers[0]
     needs = frozenset(("contacts",))
-    for prepare in (lambda: sim.model.parts[0].look(needs), lambda: stepper.ready_after_look(needs)):
+    works = [lambda: sim.model.parts[0].look(needs)]
+    if sim.model.device.is_cpu:
+        # On a GPU no step knows from a look what is near.
+        works.append(lambda: stepper.ready_after_look(needs))
+    for prepare in works:
         ended = threading.Event()
         waiting = threading.Thread(target=lambda work=prepare, end=ended: (work(), end.set()))
         with capturing():

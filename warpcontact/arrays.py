@@ -80,18 +80,19 @@ class Layout:
         offsets, end = {}, 0
         for name, dtype in dtypes.items():
             element = wp.types.type_size_in_bytes(dtype)
-            number = element // wp.types.type_size(dtype)
-            offsets[name] = -(-end // number) * number
+            aligned = element // wp.types.type_size(dtype)
+            offsets[name] = -(-end // aligned) * aligned
             end = offsets[name] + element
         record = -(-end // RECORD) * RECORD
 
-        def size(envs: int) -> int:
-            return max(1, prod(shape(envs))) * record
+        def number(envs: int) -> int:
+            return max(1, prod(shape(envs)))
 
         made: list[wp.array] = []
 
         def make(envs: int) -> None:
-            memory = wp.zeros(size(envs), dtype=wp.uint8, device=self.device)
+            # A dimension of an array has less than 2³¹ elements; a device has more bytes.
+            memory = wp.zeros((number(envs), record), dtype=wp.uint8, device=self.device)
             made[:] = [memory]
             own = shape(envs)
             for name, dtype in dtypes.items():
@@ -106,11 +107,11 @@ class Layout:
                 array.memory = memory  # which lives as long as the last of them
                 setattr(owner, name, array)
 
-        self._declare(purpose, size, make)
+        self._declare(purpose, lambda envs: number(envs) * record, make)
         self._written.append((purpose, "+".join(dtypes), lambda: made[0]))
 
     def written(self) -> dict[str, wp.array]:
-        """Returns the bytes of every array that was declared as zeros, by a name that says which it is.
+        """Returns the bytes [item, byte] of all arrays declared as zeros, by a name that says which it is.
 
         That is all that steps write; measures, which are made anew whenever they are asked for, are left out.
         """
@@ -149,9 +150,9 @@ class Layout:
 
 
 def _bytes_of(array: wp.array) -> wp.array:
-    """Returns a contiguous array as bytes, in the same memory."""
-    size = prod(array.shape) * wp.types.type_size_in_bytes(array.dtype)
-    view = wp.array(ptr=array.ptr, dtype=wp.uint8, shape=(size,), device=array.device, copy=False)
+    """Returns a contiguous array as bytes [item, byte], in the same memory."""
+    shape = (array.shape[0], prod(array.shape[1:]) * wp.types.type_size_in_bytes(array.dtype))
+    view = wp.array(ptr=array.ptr, dtype=wp.uint8, shape=shape, device=array.device, copy=False)
     view.memory = array  # which lives as long
     return view
 

@@ -122,7 +122,7 @@ def state_of(simulation: "Simulation") -> Arrays:
     for number, layouts in enumerate(_layouts(simulation)):
         for kind, layout in layouts.items():
             for name, array in layout.written().items():
-                arrays[f"{number}/{kind}/{name}"] = array.numpy()
+                arrays[f"{number}/{kind}/{name}"] = array.numpy().ravel()
     parts = simulation.model.parts
     arrays["elapsed"] = np.array([part.elapsed for part in parts])
     arrays["untouched"] = np.array([part.untouched for part in parts])
@@ -144,15 +144,15 @@ def restore(simulation: "Simulation", arrays: Mapping[str, NDArray[Any]]) -> Non
     }
     for name, array in targets.items():
         found = arrays.get(name)
-        if found is None or found.dtype != np.uint8 or found.shape != array.shape:
+        if found is None or found.dtype != np.uint8 or found.shape != (array.size,):
             size = "is missing" if found is None else f"has {found.nbytes} bytes"
-            raise CheckpointError(f"array {name!r} {size}, and {array.shape[0]} are expected")
+            raise CheckpointError(f"array {name!r} {size}, and {array.size} are expected")
     parts = simulation.model.parts
     for name in ("elapsed", "untouched"):
         if name not in arrays or arrays[name].shape != (len(parts),):
             raise CheckpointError(f"array {name!r} must have a value for each of {len(parts)} devices")
     for name, array in targets.items():
-        array.assign(arrays[name])
+        array.assign(arrays[name].reshape(array.shape))
     for part, elapsed, untouched in zip(parts, arrays["elapsed"], arrays["untouched"], strict=True):
         part.elapsed, part.untouched = float(elapsed), bool(untouched)
 
