@@ -179,6 +179,8 @@ class Stepper:
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
         # By their steps, and whether the first of these comes after a look.
         self._graphs: dict[tuple[int, bool], wp.Graph] = {}
+        # Those that make up what is asked for.
+        self._ways: dict[tuple[int, bool], list[wp.Graph]] = {}
         self._looks: dict[frozenset[str], list[wp.Launch] | wp.Graph] = {}
 
     def go_to(self, own: slice) -> None:
@@ -237,23 +239,25 @@ class Stepper:
 
     def capture(self, count: int, after_look: bool = False) -> None:
         """Captures what ``step`` will replay. Not while other threads step."""
-        if not self.captured:
+        if not self.captured or (count, after_look) in self._ways:
             return
-        for key in set(self._graphs_of(count, after_look)) - self._graphs.keys():
+        keys = list(self._graphs_of(count, after_look))
+        for key in set(keys) - self._graphs.keys():
             with capturing(), wp.ScopedCapture(device=self.device) as capture:
                 _launch(self.graph(*key))
             self._graphs[key] = capture.graph
+        self._ways[count, after_look] = [self._graphs[key] for key in keys]
 
     def step(self, count: int, after_look: bool = False) -> None:
         """Takes ``count`` steps; the state is in the model's buffer before and after.
 
         Args:
-            count: How many.
+            count: How many; they are captured.
             after_look: Whether ``look`` told what is near, and nothing was done since.
         """
         if self.captured:
-            for key in self._graphs_of(count, after_look):
-                wp.capture_launch(self._graphs[key])
+            for graph in self._ways[count, after_look]:
+                wp.capture_launch(graph)
             return
         with beside_captures():
             for number in range(count):

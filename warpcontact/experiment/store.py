@@ -288,6 +288,7 @@ class Staging:
         self._root = folder / STAGING / shard.name
         self._store = folder / DATA
         self.written: set[str] = set()
+        self._arrays: dict[str, Any] = {}
 
     def write(self, group: str, data: "xr.Dataset", first_frame: int = 0) -> None:
         """Writes the values of a data set of the shard; those of further environments are left out.
@@ -297,24 +298,36 @@ class Staging:
             data: Variables (…, env, …), with frames (time, …) from a multiple of those of a chunk on.
             first_frame: Number of the first frame.
         """
-        import zarr
-
+        pieces = []
         for name, variable in data.data_vars.items():
             path = f"{group}/{name}"
-            target = self._root / path
-            if not (target / "zarr.json").exists():
-                target.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(self._store / path / "zarr.json", target / "zarr.json")
+            array = self._array(path)
             own = variable.isel(env=slice(0, self._shard.envs))
-            place = {
-                "env": slice(self._shard.first, self._shard.stop),
-                "time": slice(first_frame, first_frame + own.sizes.get("time", 0)),
-            }
-            region = tuple(place.get(str(dim), slice(None)) for dim in own.dims)
-            zarr.open_array(target, mode="r+", zarr_format=3)[region] = np.ascontiguousarray(own.values)
-            self.written |= {
-                one.relative_to(self._root).as_posix() for one in (target / "c").rglob("*") if one.is_file()
-            }
+            place = {"time": slice(first_frame, first_frame + own.sizes.get("time", 0))}
+            axis = own.dims.index("env")
+            for start in range(0, own.sizes["env"], array.chunks[axis]):
+                some = slice(start, min(start + array.chunks[axis], own.sizes["env"]))
+                place["env"] = slice(self._shard.first + some.start, self._shard.first + some.stop)
+                region = tuple(place.get(str(dim), slice(None)) for dim in own.dims)
+                pieces.append((array, region, own.values[(slice(None),) * axis + (some,)]))
+        # A chunk has a thread, which alone has a copy of it.
+        with ThreadPoolExecutor(available_threads()) as pool:
+            for _ in pool.map(_put, pieces):
+                pass
+        for name in data.data_vars:
+            chunks = self._root / group / str(name) / "c"
+            self.written |= {one.relative_to(self._root).as_posix() for one in chunks.rglob("*") if one.is_file()}
+
+    def _array(self, path: str) -> Any:
+        """Returns the array, in the staging folder, that has the chunks of a variable."""
+        import zarr
+
+        if path not in self._arrays:
+            target = self._root / path
+            target.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(self._store / path / "zarr.json", target / "zarr.json")
+            self._arrays[path] = zarr.open_array(target, mode="r+", zarr_format=3)
+        return self._arrays[path]
 
     def clear(self) -> None:
         """Forgets what was committed; what steps write next goes into new files."""
@@ -324,3 +337,9 @@ class Staging:
         """Removes the folder."""
         if self._root.exists():
             shutil.rmtree(self._root)
+
+
+def _put(piece: tuple[Any, tuple[slice, ...], NDArray[Any]]) -> None:
+    """Writes values to a region of an array."""
+    array, region, values = piece
+    array[region] = np.ascontiguousarray(values)
