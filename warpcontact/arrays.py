@@ -91,7 +91,7 @@ class Layout:
         made: list[wp.array] = []
 
         def make(envs: int) -> None:
-            # A dimension of an array has less than 2³¹ elements; a device has more bytes.
+            # Of two dimensions, as each has less than 2³¹ elements, and a device may have more bytes.
             memory = wp.zeros((number(envs), record), dtype=wp.uint8, device=self.device)
             made[:] = [memory]
             own = shape(envs)
@@ -111,7 +111,7 @@ class Layout:
         self._written.append((purpose, "+".join(dtypes), lambda: made[0]))
 
     def written(self) -> dict[str, wp.array]:
-        """Returns the bytes [item, byte] of all arrays declared as zeros, by a name that says which it is.
+        """Returns the bytes of every array that was declared as zeros, by a name that says which it is.
 
         That is all that steps write; measures, which are made anew whenever they are asked for, are left out.
         """
@@ -150,8 +150,8 @@ class Layout:
 
 
 def _bytes_of(array: wp.array) -> wp.array:
-    """Returns a contiguous array as bytes [item, byte], in the same memory."""
-    shape = (array.shape[0], prod(array.shape[1:]) * wp.types.type_size_in_bytes(array.dtype))
+    """Returns a contiguous array as bytes, those of an element along an axis more, in the same memory."""
+    shape = (*array.shape, wp.types.type_size_in_bytes(array.dtype))
     view = wp.array(ptr=array.ptr, dtype=wp.uint8, shape=shape, device=array.device, copy=False)
     view.memory = array  # which lives as long
     return view

@@ -139,11 +139,9 @@ class _Window:
     def __init__(self, part: Model, frame: Frame, result: NDArray[Any]) -> None:
         reading = part.readings[frame.name]
         # A view, which keeps what is measured into.
-        values = reading.array(part.arrays).numpy()
-        alone = reading.total and values.shape[1] == 1
-        self.values = values[:, 0] if alone else values
+        self.values = reading.array(part.arrays).numpy()
         self.result = result
-        self._finish = reading.finish if reading.total and not alone else None
+        self._finish = reading.finish if reading.total else None
 
     def take(self, own: slice, number: int) -> None:
         """Writes the environments ``own`` of a frame; other threads may write others meanwhile."""

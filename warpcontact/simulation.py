@@ -423,8 +423,7 @@ class Simulation:
             for done in self.advance(recorder, steps, stride, start=start):
                 bar.update(done - before)
                 before = done
-        for sentence in (*remarks.about_frozen(), *remarks.new()):
-            warnings.warn(sentence, RuntimeWarning, stacklevel=2)
+        remarks.warn(2, frozen=True)
         health = self.model.health()
         return recorder.finish(
             {

@@ -179,7 +179,7 @@ class Stepper:
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
         # By their steps, and whether the first of these comes after a look.
         self._graphs: dict[tuple[int, bool], wp.Graph] = {}
-        # Those that make up what is asked for.
+        # Of those, by what is asked for, which it is made up of.
         self._ways: dict[tuple[int, bool], list[wp.Graph]] = {}
         self._looks: dict[frozenset[str], list[wp.Launch] | wp.Graph] = {}
 

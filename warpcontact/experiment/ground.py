@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
@@ -159,7 +160,10 @@ def _draw_contours(axes: Any, corners: Array, lower: Array, upper: Array, step: 
         if len(places):
             written.append(places[np.argmin(np.linalg.norm(places - 0.5, axis=1))])
             x, y = lower + written[-1] * (upper - lower)
-            axes.text(x, y, f"{level:.10g}", fontsize=7, color=HEIGHT, ha="center", va="center", zorder=1.2)
+            # Above tracks and dots, and told apart from them by an edge.
+            edge = [withStroke(linewidth=1.5, foreground="white")]
+            place = {"ha": "center", "va": "center", "zorder": 4}
+            axes.text(x, y, f"{level:.10g}", fontsize=7, color=HEIGHT, path_effects=edge, **place)
 
 
 def greys(corners: Array) -> Array:

@@ -11,7 +11,7 @@ from warpcontact.experiment.design import Design
 from warpcontact.experiment.disk import Disk
 from warpcontact.experiment.observation import watching
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.store import CHUNK
+from warpcontact.experiment.store import CHUNK, WRITERS
 from warpcontact.footprint import (
     COMFORTABLE,
     Footprint,
@@ -31,8 +31,9 @@ from warpcontact.whole_steps import frame_count, recorded_steps
 
 # Frames are gathered up to this size before they are written [bytes].
 BLOCK = 64 * 2**20
-# Pieces of a recording that are in memory at once while it is compressed, and for its picture; measured.
-WRITTEN_AT_ONCE = 8
+# Pieces of a recording that are in memory at once while it is compressed, each with a copy, and for its picture;
+# measured.
+WRITTEN_AT_ONCE = 2 * WRITERS
 DRAWN_AT_ONCE = 2
 # What a run loads beside: kernels, what makes and stores data sets, what draws its picture, and with series what
 # writes its animation; measured.

@@ -101,6 +101,7 @@ class ShardRunner:
         self.frames = frames
         self.folder = folder
         self.every = every
+        self.threads = threads
         self.simulation = make_simulation(model, settings, threads)
         # Told here, once for each kind, with the numbers of environments among all.
         self.simulation.advised = True
@@ -191,7 +192,7 @@ class ShardRunner:
         if commit.steps:
             commit = self._go_on(shard, commit, recorder)
         self._advise(commit)
-        attempt = _Attempt(self, shard, commit, recorder, self.ledger.staging(shard), remarks)
+        attempt = _Attempt(self, shard, commit, recorder, self.ledger.staging(shard, self.threads), remarks)
         beacon = Beacon(self.folder, shard)
 
         def tell(done: int) -> None:
@@ -341,8 +342,7 @@ class _Attempt:
         events = runner.events()
         if events is not None:
             self.staging.write("events", events)
-        for sentence in self.remarks.new():
-            warnings.warn(sentence, RuntimeWarning, stacklevel=4)
+        self.remarks.warn(4)
         self.commit.frozen = runner.frozen(self.shard)
         self.commit.steps, self.commit.finished = runner.frames.steps, True
         self.commit.checkpoint = self.commit.checkpoint_sha256 = None

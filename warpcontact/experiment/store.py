@@ -52,6 +52,8 @@ FAR = 8
 
 # Arrays are stored in pieces of about this size [bytes].
 CHUNK = 16 * 2**20
+# Chunks that are copied and compressed at once: each takes its size twice.
+WRITERS = 4
 
 
 @dataclass(frozen=True)
@@ -183,9 +185,9 @@ class Ledger:
         """
         return commits_in(self.folder / COMMITS)
 
-    def staging(self, shard: Shard) -> "Staging":
-        """Returns where ``shard`` writes."""
-        return Staging(self.folder, shard)
+    def staging(self, shard: Shard, threads: int | None = None) -> "Staging":
+        """Returns where ``shard`` writes, with so many threads; ``None``: with all."""
+        return Staging(self.folder, shard, threads)
 
     def commit(self, shard: Shard, commit: Commit, staged: Iterable[str]) -> None:
         """Makes what was staged, and the checkpoint that is written already, count.
@@ -281,10 +283,13 @@ class Staging:
     Args:
         folder: Folder of the run.
         shard: The shard.
+        threads: Threads that write at once, of which there are no more than ``WRITERS``; ``None``: those of the
+            process.
     """
 
-    def __init__(self, folder: Path, shard: Shard) -> None:
+    def __init__(self, folder: Path, shard: Shard, threads: int | None = None) -> None:
         self._shard = shard
+        self._threads = min(threads or available_threads(), WRITERS)
         self._root = folder / STAGING / shard.name
         self._store = folder / DATA
         self.written: set[str] = set()
@@ -298,25 +303,26 @@ class Staging:
             data: Variables (…, env, …), with frames (time, …) from a multiple of those of a chunk on.
             first_frame: Number of the first frame.
         """
+        first, stop = self._shard.first, self._shard.stop
+        paths = {f"{group}/{name}": variable for name, variable in data.data_vars.items()}
         pieces = []
-        for name, variable in data.data_vars.items():
-            path = f"{group}/{name}"
-            array = self._array(path)
-            own = variable.isel(env=slice(0, self._shard.envs))
-            place = {"time": slice(first_frame, first_frame + own.sizes.get("time", 0))}
-            axis = own.dims.index("env")
-            for start in range(0, own.sizes["env"], array.chunks[axis]):
-                some = slice(start, min(start + array.chunks[axis], own.sizes["env"]))
-                place["env"] = slice(self._shard.first + some.start, self._shard.first + some.stop)
-                region = tuple(place.get(str(dim), slice(None)) for dim in own.dims)
-                pieces.append((array, region, own.values[(slice(None),) * axis + (some,)]))
-        # A chunk has a thread, which alone has a copy of it.
-        with ThreadPoolExecutor(available_threads()) as pool:
+        for path, variable in paths.items():
+            array, values, axis = self._array(path), variable.values, variable.dims.index("env")
+            place = {"time": slice(first_frame, first_frame + variable.sizes.get("time", 0))}
+            # A file has one writer: from multiples of the size of a chunk on.
+            chunk = array.chunks[axis]
+            for start in range(first // chunk * chunk, stop, chunk):
+                place["env"] = own = slice(max(start, first), min(start + chunk, stop))
+                region = tuple(place.get(str(dim), slice(None)) for dim in variable.dims)
+                some = slice(own.start - first, own.stop - first)
+                pieces.append((array, region, values[(slice(None),) * axis + (some,)]))
+        # Chunks are copied here, some at once; of a whole variable Zarr would copy one after the other.
+        with ThreadPoolExecutor(self._threads) as pool:
             for _ in pool.map(_put, pieces):
                 pass
-        for name in data.data_vars:
-            chunks = self._root / group / str(name) / "c"
-            self.written |= {one.relative_to(self._root).as_posix() for one in chunks.rglob("*") if one.is_file()}
+        for path in paths:
+            chunks = (self._root / path / "c").rglob("*")
+            self.written |= {one.relative_to(self._root).as_posix() for one in chunks if one.is_file()}
 
     def _array(self, path: str) -> Any:
         """Returns the array, in the staging folder, that has the chunks of a variable."""
