@@ -11,10 +11,6 @@ from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, first_env, structs, task_count
 
-# Of the way of a point and the size of its set, what a contact may be deeper by than the way.
-WAYS = 2.0
-SLIGHT = 0.01
-
 
 @functools.cache
 def kernel(real: type, follows: bool) -> wp.Kernel:
@@ -23,20 +19,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
     ``follows``: whether any contact stays with the face that it touched, or crossed.
     """
     t = structs(real)
-    Model, Contacts, Near, History, Cache = t.Model, t.Contacts, t.Near, t.History, t.Cache
-    ways, slight = wp.constant(real(WAYS)), wp.constant(real(SLIGHT))
-
-    @wp.func
-    def is_deep(model: Model, contacts: Contacts, cache: Cache, env: int, contact: int):
-        """Whether a contact that begins is deeper than its point has come since the last step.
-
-        The distance from a surface changes by no more than a point moves: it was behind the surface before.
-        """
-        number = model.contact_set[contact]
-        way = cache.set_step[env, number]
-        size = model.set_extent[env, number] + model.contact_geometry[env, contact].radius
-        # What never moved has no way.
-        return way > real(0.0) and contacts.penetration[env, contact] > ways * way + slight * size
+    Model, Contacts, Near, History = t.Model, t.Contacts, t.Near, t.History
 
     @wp.kernel(module="unique", enable_backward=False)
     def advance_history(
@@ -47,8 +30,6 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
         model: Model,
         contacts: Contacts,
         near: Near,
-        cached: wp.bool,
-        cache: Cache,
         history: History,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
@@ -66,10 +47,6 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                 touching = contacts.status[env, contact] == CONTACT
                 near.news[env, contact] = wp.where(touching, 1, 0)
                 if touching:
-                    if cached and history.entry_speed[env, contact] < real(0.0):  # noqa: SIM102 - both are computed
-                        if is_deep(model, contacts, cache, env, contact):
-                            wp.atomic_add(history.deep_entries, env, 1)
-                            history.deep_contact[env] = contact
                     # Not below 0, which says "not touching".
                     speed = wp.max(contacts.approach_speed[env, contact], real(0.0))
                     history.entry_speed[env, contact] = wp.max(history.entry_speed[env, contact], speed)

@@ -38,7 +38,6 @@ def environments(real: type) -> wp.Kernel:
         status[env] = ENV_ACTIVE
         cause[env] = NO_CAUSE
         time[env] = wp.float64(0.0)
-        history.deep_entries[env] = 0
         for body in range(bodies):
             copy_body(initial, state, env, body)
         for contact in range(contacts):

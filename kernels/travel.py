@@ -90,9 +90,7 @@ def kernel(real: type) -> wp.Kernel:
             cache.set_position[env, number] = seen.position
             cache.set_orientation[env, number] = seen.orientation
             cache.set_travel[env, number] = travel
-            # A look between two steps finds it where it was.
-            if way > real(0.0):
-                cache.set_step[env, number] = way
+            cache.set_step[env, number] = way
             cache.set_margin[env, number] = seen.margin
 
             wake = cache.set_wake[env, number]

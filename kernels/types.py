@@ -265,8 +265,6 @@ def structs(real: type) -> SimpleNamespace:
         face: wp.array2d(dtype=wp.int32)  # [env, contact] row of the face followed; −1: none
         crossings: wp.array2d(dtype=wp.int32)  # [env, contact] times the surface was crossed within a step
         crossing_time: wp.array2d(dtype=real)  # [env, contact] of the first of them [s]; NaN: none
-        deep_entries: wp.array(dtype=wp.int32)  # [env] contacts that began deeper than their points had come
-        deep_contact: wp.array(dtype=wp.int32)  # [env] one of these
 
     @wp.struct
     class Contacts:

@@ -220,14 +220,3 @@ def test_unknown_readings_are_refused_before_anything_runs(device):
     with pytest.raises(KeyError, match=r"did you mean 'touch\.gap'"):
         sim.run(0.01, ["touch.gab"])
     assert sim.steps == 0
-
-
-def test_totals_of_one_body_are_to_the_bit_what_a_reading_tells(device):
-    """A sum of several has no −0, that of one has none either."""
-    scene = wc.Scene(gravity=(0.0, 0.0, 0.0))
-    scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), linear_velocity=(-0.0, -1.0, -0.0), name="body")
-    model = scene.build(envs=2, device=device)
-    recorded = wc.Simulation(model, dt=1e-3).run(3e-3, ["scene.linear_momentum"])["scene.linear_momentum"].values
-    told = model.reading("scene.linear_momentum")
-    assert recorded[-1].tobytes() == told.tobytes()
-    assert not np.signbit(told[:, [0, 2]]).any()

@@ -112,7 +112,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
 
     smooth_count = sum(contact.count for contact in scene.smooth_contacts)
     body_count = sum(body.count for body in scene.bodies)
-    env, bodies, each, parts = per_env(), per_env(body_count), per_env(starts[-1]), per_env(blocks.count)
+    bodies, each, parts = per_env(body_count), per_env(starts[-1]), per_env(blocks.count)
     records = starts[-1] > 1  # a few of many contacts are near; of one contact neighbours are those of other envs
     arrays = SimpleNamespace(
         model=t.Model(),
@@ -120,7 +120,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         state=layout.struct("state", t.State, bodies),
         wrenches=layout.struct("state", t.Wrenches, bodies),
         ends=layout.struct("couplings", t.Ends, per_env(2 * (len(scene.couplings) + smooth_count))),
-        history=layout.struct("contacts", t.History, each, records=records, deep_entries=env, deep_contact=env),
+        history=layout.struct("contacts", t.History, each, records=records),
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
         cache=_cache(t, layout, blocks.set_count, blocks.count, starts[-1], records),

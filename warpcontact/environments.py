@@ -12,12 +12,11 @@ from warpcontact.checks import Array, look_up
 from warpcontact.couplings.elements import Catenary
 from warpcontact.devices import spread
 from warpcontact.footprint import Footprint, require, total
-from warpcontact.groups import by_code
 from warpcontact.health import Health
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
 from warpcontact.readings import Reading
-from warpcontact.scene import Contact, Scene
+from warpcontact.scene import Scene
 from warpcontact.stepping import stepping_footprint
 
 if TYPE_CHECKING:
@@ -323,17 +322,6 @@ class Environments(ABC):
                 if failed := int(np.count_nonzero(np.concatenate(failures))):
                     counts[one.name] = failed
         return counts
-
-    def deep_entries(self) -> NDArray[np.int32]:
-        """Returns how many contacts began deeper than their points had come in a step, since reset, (envs,)."""
-        return np.concatenate([part.arrays.history.deep_entries.numpy() for part in self.parts])
-
-    def deep_contact(self, env: int) -> Contact:
-        """Returns which contact was one of these, in an environment that had some."""
-        numbers = np.concatenate([part.arrays.history.deep_contact.numpy() for part in self.parts])
-        order = [contact for group in by_code(self.scene.contacts) for contact in group]
-        stops = np.cumsum([contact.count for contact in order])
-        return order[int(np.searchsorted(stops, numbers[env], side="right"))]
 
     def unsolved_contacts(self) -> dict[str, NDArray[np.int32]]:
         """Returns in how many steps since reset it was not found where two shapes meet, (envs,) by contact.

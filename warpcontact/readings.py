@@ -126,12 +126,7 @@ class Reading:
 
     def finish(self, values: NDArray[Any], axis: int = 1) -> NDArray[Any]:
         """Returns what is reported from what was read; ``axis`` is the item axis."""
-        if not self.total:
-            return values
-        if values.shape[axis] == 1:
-            # In half the time, and zero has no sign here, either.
-            return values.squeeze(axis) + values.dtype.type(0)
-        return values.sum(axis=axis)
+        return values.sum(axis=axis) if self.total else values
 
 
 def shape_in(struct: Any, attribute: str) -> tuple[int, ...]:
@@ -235,13 +230,6 @@ def readings_of(
                 )
         for key, (attribute, unit, meaning) in _SWEPT.items() if contact.swept else ():
             add_column(f"{contact.name}.{key}", unit, meaning, "history", attribute, items, items=count)
-    if scene.contacts:
-        add(
-            "scene.deep_entries",
-            "-",
-            "contacts with meshes that began deeper than their points had come in a step, since reset",
-            lambda arrays: arrays.history.deep_entries,
-        )
     for number, coupling in enumerate(contact_couplings.all):
         for key, (part, attribute, unit, meaning) in _COUPLING.items():
             options = {"needs": (part,)} if part == "contact_couplings" else {}

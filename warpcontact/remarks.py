@@ -1,8 +1,5 @@
-"""What is to be said after a run: frozen environments, problems that were not solved, points behind meshes."""
+"""What is to be said after a run: environments that were frozen, and problems that were not solved on the way."""
 
-import warnings
-
-from warpcontact.advice import ContactWarning
 from warpcontact.environments import Environments
 
 
@@ -19,34 +16,15 @@ class Remarks:
         self._failed = model.failed_lines()
         self._unsolved = model.unsolved_contacts()
         self._unfinished = model.unfinished_solves()
-        self._deep = model.deep_entries()
 
-    def warn(self, stacklevel: int, *, frozen: bool = False) -> None:
-        """Warns of what there is to say about the time since then, of frozen environments only if asked to."""
-        told = [*self._about_lines(), *self._about_unsolved(), *self._about_unfinished()]
-        for sentence in [*(self._about_frozen() if frozen else []), *told]:
-            warnings.warn(sentence, RuntimeWarning, stacklevel=stacklevel + 1)
-        for sentence in self._about_deep():
-            warnings.warn(sentence, ContactWarning, stacklevel=stacklevel + 1)
+    def new(self) -> list[str]:
+        """Returns what there is to say about the time since then, but for frozen environments."""
+        return [*self._about_lines(), *self._about_unsolved(), *self._about_unfinished()]
 
-    def _about_frozen(self) -> list[str]:
-        """Of environments, if more are frozen than then."""
+    def about_frozen(self) -> list[str]:
+        """Returns what there is to say if more environments are frozen than then."""
         health = self.model.health()
         return [str(health)] if len(health.frozen) > self._frozen else []
-
-    def _about_deep(self) -> list[str]:
-        """Of points that came to lie behind a mesh, and were in contact from there on."""
-        more = self.model.deep_entries() > self._deep
-        if not more.any():
-            return []
-        first = int(more.argmax())
-        contact = self.model.deep_contact(first)
-        return [
-            f"{contact.name}: in {int(more.sum())} of {self.model.envs} environments, the first of them "
-            f"{self.model.first_env + first}, points came to lie behind a surface, past its border or where it is "
-            "hidden, and were pushed out with energy from nowhere; scene.deep_entries has how often: "
-            "entry='latched' or a max_depth lets them go, a stop condition ends such environments"
-        ]
 
     def _about_lines(self) -> list[str]:
         return [

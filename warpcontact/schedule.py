@@ -185,7 +185,7 @@ def accept_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> 
     launches += span.prepare(
         history.kernel(real, model.follows),
         model.blocks.count,
-        [a.status, a.time, dt.dynamic, a.model, a.contacts, a.near, span.cached, a.cache, a.history],
+        [a.status, a.time, dt.dynamic, a.model, a.contacts, a.near, a.history],
     )
     for group in model.groups:
         if group.coupling_count:

@@ -423,7 +423,8 @@ class Simulation:
             for done in self.advance(recorder, steps, stride, start=start):
                 bar.update(done - before)
                 before = done
-        remarks.warn(2, frozen=True)
+        for sentence in (*remarks.about_frozen(), *remarks.new()):
+            warnings.warn(sentence, RuntimeWarning, stacklevel=2)
         health = self.model.health()
         return recorder.finish(
             {

@@ -342,7 +342,8 @@ class _Attempt:
         events = runner.events()
         if events is not None:
             self.staging.write("events", events)
-        self.remarks.warn(4)
+        for sentence in self.remarks.new():
+            warnings.warn(sentence, RuntimeWarning, stacklevel=4)
         self.commit.frozen = runner.frozen(self.shard)
         self.commit.steps, self.commit.finished = runner.frames.steps, True
         self.commit.checkpoint = self.commit.checkpoint_sha256 = None
