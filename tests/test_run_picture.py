@@ -108,3 +108,11 @@ def test_a_scale_of_colours_has_ticks_at_its_ends(norm, whole, names):
     assert labels == names
     assert (ticks[0], ticks[-1]) == (norm.vmin, norm.vmax)
     np.testing.assert_allclose([float(label) for label in labels], ticks, rtol=1e-3)
+
+
+def test_heights_are_above_tracks_and_dots():
+    ground, _ = terrain(10.0, amplitude=0.0)
+    heights = drawn(ground, 0.1).texts
+    # Dots of ends are at 3, tracks where Matplotlib has lines.
+    assert heights
+    assert all(height.get_zorder() > 3 for height in heights)

@@ -1,0 +1,93 @@
+"""Chunks that a shard writes: as many at once as its threads, each with one writer, and nothing beside its own."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+
+from warpcontact.experiment import store
+
+ENVS, FRAMES = 96, 5
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    """The folder of a run of three shards of 32 environments, whose chunks have 8 of these; and their values."""
+    monkeypatch.setattr(store, "CHUNK", 8 * 8 * FRAMES)
+    values = np.random.default_rng(3).normal(size=(FRAMES, ENVS))
+    env = xr.DataArray(np.arange(32), dims="env")
+    template = xr.Dataset({"gap": (("time", "env"), values[:, :32])}, coords={"env": env})
+    (tmp_path / store.COMMITS).mkdir()
+    store.create(tmp_path / store.DATA, {"series": template}, ENVS, np.arange(FRAMES) * 0.1, FRAMES, {})
+    return tmp_path, values
+
+
+def write(folder, values, shard, threads=None):
+    staging = store.Ledger(folder).staging(shard, threads)
+    own = values[:, shard.first : shard.stop]
+    # A last shard is smaller than what runs.
+    own = np.pad(own, ((0, 0), (0, 32 - shard.envs)), constant_values=7.0)
+    staging.write("series", xr.Dataset({"gap": (("time", "env"), own)}))
+    return staging
+
+
+@pytest.mark.parametrize(("threads", "most"), [(1, 1), (2, 2), (64, store.WRITERS), (None, store.WRITERS)])
+def test_no_more_chunks_are_in_memory_than_the_plan_counts(threads, most, made, monkeypatch):
+    folder, values = made
+    lock, busy = threading.Lock(), []
+    count = 0
+    put = store._put
+
+    def counted(piece):
+        nonlocal count
+        with lock:
+            count += 1
+            busy.append(count)
+        # Long enough for others to begin, if they can.
+        time.sleep(0.05)
+        put(piece)
+        with lock:
+            count -= 1
+
+    monkeypatch.setattr(store, "_put", counted)
+    monkeypatch.setattr(store, "available_threads", lambda: 64)
+    write(folder, values, store.Shard(0, 0, 32), threads)
+    assert len(busy) == 4  # 32 environments in chunks of 8
+    assert max(busy) == most
+
+
+@pytest.mark.parametrize("shard", [store.Shard(1, 32, 64), store.Shard(2, 64, 91)], ids=str)
+def test_a_shard_writes_its_environments_and_no_others(shard, made):
+    folder, values = made
+    staging = write(folder, values, shard)
+    assert len(staging.written) == 4
+    path = folder / store.STAGING / shard.name / "series" / "gap"
+    found = zarr.open_array(path, mode="r")[:]
+    np.testing.assert_array_equal(found[:, shard.first : shard.stop], values[:, shard.first : shard.stop])
+    assert np.isnan(np.delete(found, np.s_[shard.first : shard.stop], axis=1)).all()
+
+
+def test_chunks_that_shards_share_have_one_writer_in_each(made, monkeypatch):
+    """A shard that begins within a chunk cuts at its ends all the same."""
+    folder, values = made
+    regions = []
+    put = store._put
+    monkeypatch.setattr(store, "_put", lambda piece: (regions.append(piece[1][1]), put(piece)))
+    write(folder, values, store.Shard(1, 36, 60), 1)
+    assert [(own.start, own.stop) for own in regions] == [(36, 40), (40, 48), (48, 56), (56, 60)]
+
+
+def test_an_error_of_one_writer_ends_the_block(made, monkeypatch):
+    folder, values = made
+
+    def full(piece):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(store, "_put", full)
+    staging = store.Ledger(folder).staging(store.Shard(0, 0, 32))
+    with pytest.raises(OSError, match="No space left"):
+        staging.write("series", xr.Dataset({"gap": (("time", "env"), values[:, :32])}))
+    assert staging.written == set()
