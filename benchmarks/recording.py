@@ -13,7 +13,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import warp as wp
 from result_file import default_path, write
 from works import WORKS
@@ -22,39 +21,15 @@ import warpcontact as wc
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.simulation import simulation
 from warpcontact.crew import available_threads
+from warpcontact.recorder import Recorder
 
 STEPS, EVERY = 1000, 10
-POSES = ("body.position", "body.orientation")
 KINDS = {
     "poses": (),
     "energies": ("scene.kinetic_energy",),
     "forces": ("touch.normal_force", "touch.friction_force", "scene.kinetic_energy"),
     "distances": ("touch.gap", "touch.normal_force", "scene.kinetic_energy"),
 }
-
-
-class Copies:
-    """Keeps the last frame of some readings, as a recording does with all.
-
-    Args:
-        model: The model.
-        names: The readings.
-    """
-
-    def __init__(self, model: wc.Model, names: tuple[str, ...]) -> None:
-        self.needs = {need for name in names for need in model.find_reading(name).needs}
-        model.make_measures(self.needs)
-        self._sources = [model.readings[name].array(model.arrays) for name in names]
-        # Of a CPU these are views of what is read.
-        self._seen = [source.numpy() for source in self._sources]
-        self._frames = [np.zeros_like(seen) for seen in self._seen]
-
-    def take(self, part: wc.Model, own: slice, number: int) -> None:
-        """Copies the environments ``own``."""
-        if part.device.is_cuda:
-            self._seen = [source.numpy() for source in self._sources]
-        for seen, frame in zip(self._seen, self._frames, strict=True):
-            frame[own] = seen[own]
 
 
 def seconds(sim: wc.Simulation, run: Callable[[], None]) -> float:
@@ -68,6 +43,13 @@ def seconds(sim: wc.Simulation, run: Callable[[], None]) -> float:
     return clock() - start
 
 
+def record(sim: wc.Simulation, recorder: Recorder) -> None:
+    """Takes all steps, and the frames anew."""
+    recorder.rewind()
+    for _ in sim.advance(recorder, STEPS, EVERY, start=sim.time):
+        pass
+
+
 def measure(name: str, envs: int, device: str, repeats: int) -> dict[str, Any]:
     """Returns steps alone [ns per environment and step], and what each kind of frames costs beside them."""
     sim = simulation(WORKS[name], envs, device)
@@ -76,8 +58,9 @@ def measure(name: str, envs: int, device: str, repeats: int) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     alone: list[float] = []
     for kind, names in KINDS.items():
-        copies = Copies(sim.model, (*names, *POSES))
-        frames = lambda own=copies: sim.step_in_frames(STEPS // EVERY, EVERY, own.needs, own.take)  # noqa: E731
+        recorder = Recorder(sim.model, names, STEPS // EVERY + 1, poses=True)
+        recorder.start()
+        frames = lambda own=recorder: record(sim, own)  # noqa: E731
         seconds(sim, frames)
         pairs = [(seconds(sim, steps), seconds(sim, frames)) for _ in range(repeats)]
         alone += [first for first, _ in pairs]

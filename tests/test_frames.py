@@ -12,7 +12,9 @@ from warpcontact import crew, stepping
 from warpcontact.captures import capturing
 from warpcontact.looks import in_parts
 from warpcontact.model import WITHOUT_CONTACT
+from warpcontact.recorder import Recorder
 from warpcontact.schedule import Span, force_stages
+from warpcontact.slices import Begin
 
 CONTACT = (*WITHOUT_CONTACT, "gap", "normal", "status")
 NEUTRAL = [key for key in CONTACT if key in WITHOUT_CONTACT]
@@ -164,11 +166,39 @@ def test_steps_after_looks_are_captured_where_there_are_some(device):
 
     # On a GPU a frame is looked at when it is there, and eight steps are four times two.
     on_cpu = sim.model.device.is_cpu
-    eight = {(8, False)} if on_cpu else {(2, False)}
+    eight = {(8 if on_cpu else 2, Begin.STEP)}
     sim.step_in_frames(1, 8, needs, lambda part, own, number: None)
     assert captured() == eight
     sim.step_in_frames(2, 4, needs, lambda part, own, number: None)
-    assert captured() == eight | {(2, False)} | ({(2, True)} if on_cpu else set())
+    assert captured() == eight | {(2, Begin.STEP)} | ({(2, Begin.LOOKED)} if on_cpu else set())
+
+
+def test_recordings_after_each_other_have_their_own_frames(device):
+    """Looks of a recording are part of the graphs that follow them, and those of another are not replayed."""
+    sim, plain = (simulation("two bodies", device) for _ in range(2))
+    names = ["lower.normal_force", "scene.kinetic_energy", "scene.linear_momentum"]
+    made = []
+    for number in range(3):
+        recorder = Recorder(sim.model, names[: 3 - number % 2], 5, poses=number == 0)
+        recorder.start()
+        for _ in sim.advance(recorder, 40, 10, start=sim.time):
+            pass
+        made.append({name: values.copy() for name, values in recorder.frames().items()})
+        recorder.rewind()
+        before = [values.copy() for values in recorder.frames().values()]
+        sim.step(7)
+        assert all((one == other).all() for one, other in zip(before, recorder.frames().values(), strict=True))
+    if sim.model.device.is_cpu:
+        _, crew_of_sim = sim._prepared
+        assert {(2, Begin.LOOK), (8, Begin.STEP)} <= set(crew_of_sim._steppers[0]._graphs)
+    for frames in made:
+        for number in range(5):
+            plain.step(10 if number else 0)
+            for name, values in frames.items():
+                np.testing.assert_array_equal(
+                    values[number], plain.model.reading(name), err_msg=f"{name} {number}"
+                )
+        plain.step(7)
 
 
 def test_looks_are_not_prepared_while_another_thread_captures(device):

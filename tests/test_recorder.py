@@ -133,7 +133,7 @@ def test_totals_are_sums_over_bodies(device):
 
 
 def test_frames_are_drained_from_a_small_ring(device, monkeypatch):
-    monkeypatch.setattr("warpcontact.recorder.RING_BYTES", 7 * 3 * 4 * 4)
+    monkeypatch.setattr("warpcontact.channels.RING_BYTES", 7 * 3 * 4 * 4)
     model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), envs=4, device=device)
     small = wc.Simulation(model, dt=1e-3).run(0.05, ["ball.position", "touch.gap"])
     monkeypatch.undo()

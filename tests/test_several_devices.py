@@ -140,7 +140,7 @@ def test_recordings_are_the_same_bits(options, precision, devices, device, monke
 def test_frames_are_drained_from_a_small_ring_of_each_part(devices, device, monkeypatch):
     models = both(device, devices)
     large = wc.Simulation(models[0], dt=1e-3, deterministic=True).run(0.05, ["ball.position", "hull.gap"])
-    monkeypatch.setattr("warpcontact.recorder.RING_BYTES", 500)
+    monkeypatch.setattr("warpcontact.channels.RING_BYTES", 500)
     small = wc.Simulation(models[1], dt=1e-3, deterministic=True).run(0.05, ["ball.position", "hull.gap"])
     assert_same_recordings(large, small)
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import warp as wp
 
-from warpcontact.slices import Frames, Stepper
+from warpcontact.slices import Begin, Frames, Stepper
 
 # Between two looks at whether somebody wants to interrupt [s]; the threads wait for each other then.
 _CHUNK = 0.1
@@ -90,13 +90,11 @@ class Crew:
                 some -= over if over < some and done + some < count else 0
                 ways = frames.cut(done, some)
             for stepper in self._steppers:
-                looked = False
                 if frames is not None:
-                    stepper.ready_look(frames.needs)
-                    looked = stepper.ready_after_look(frames.needs)
+                    stepper.ready_look(frames)
                 stepper.capture(ways[0])
                 for way in set(ways[1:]):
-                    stepper.capture(way, looked)
+                    stepper.capture(way, stepper.after_frame)
             start = time.perf_counter()
             with _uninterrupted():
                 self._step_all(some, functools.partial(_step, done=done, ways=ways, frames=frames))
@@ -140,13 +138,17 @@ def _step_each(member: int, waiting: Iterator[tuple[Share, slice]], work: Callab
 
 def _step(stepper: Stepper, *, done: int, ways: list[int], frames: Frames | None) -> None:
     """Takes steps in a slice, ``done`` being those before, and looks at it wherever a frame is due."""
-    looked = False
-    for way in ways:
-        stepper.step(way, looked)
+    begin = Begin.STEP
+    if frames is not None:
+        stepper.go_to_frame(frames.first + done // frames.every)
+    for ahead, way in zip(range(len(ways) - 1, -1, -1), ways, strict=True):
+        stepper.step(way, begin)
         done += way
-        looked = False
+        begin = Begin.STEP
         if frames is not None and done % frames.every == 0:
-            looked = stepper.look(frames, done // frames.every - 1)
+            begin = stepper.after_frame
+            if begin is not Begin.LOOK or ahead == 0:
+                stepper.look(frames, frames.first + done // frames.every - 1)
 
 
 @contextlib.contextmanager

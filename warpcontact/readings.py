@@ -6,6 +6,7 @@ from enum import IntEnum
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
@@ -126,7 +127,12 @@ class Reading:
 
     def finish(self, values: NDArray[Any], axis: int = 1) -> NDArray[Any]:
         """Returns what is reported from what was read; ``axis`` is the item axis."""
-        return values.sum(axis=axis) if self.total else values
+        if not self.total:
+            return values
+        if values.shape[axis] == 0:
+            return values.sum(axis=axis)
+        # From the first item to the last, and never −0, as launches sum up.
+        return np.add.accumulate(values, axis=axis).take(-1, axis=axis) + 0.0
 
 
 def shape_in(struct: Any, attribute: str) -> tuple[int, ...]:

@@ -2,17 +2,15 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact._version import __version__
 from warpcontact.arrays import row_bytes
 from warpcontact.available import HOST, Room
-from warpcontact.captures import beside_captures
+from warpcontact.channels import Channel, Copies, Frame
 from warpcontact.environments import Environments
 from warpcontact.footprint import (
     Footprint,
@@ -37,37 +35,6 @@ if TYPE_CHECKING:
 
 #: Attribute of a recording: parameters that it does not hold and that are those of the scene everywhere.
 UNCHANGED = "unchanged_parameters"
-# Frames wait on a GPU up to this size, then move to the host in one copy.
-RING_BYTES = 64 * 2**20
-
-
-@dataclass(frozen=True)
-class Frame:
-    """What one frame of a reading takes for one environment.
-
-    Attributes:
-        name: Name of the reading.
-        device: On the device, as it is read [bytes].
-        host: On the host, as it is reported [bytes].
-    """
-
-    name: str
-    device: int
-    host: int
-
-    def slots(self, envs: int, frames: int) -> int:
-        """Returns how many frames wait on the device."""
-        return min(frames, max(1, RING_BYTES // max(1, envs * self.device)))
-
-    def needs(self, device: str, envs: int, frames: int) -> list[Need]:
-        """Returns what a buffer on ``device``, if it is a GPU, and the result on the host take."""
-        slots, result = self.slots(envs, frames), frames * self.host
-        needs = [Need("recording", HOST, envs * result, result)]
-        if not wp.get_device(device).is_cpu:
-            # A buffer of some frames is of about the same size however many environments there are.
-            grows = slots in (1, frames)
-            needs.append(Need("buffers", device, slots * envs * self.device, slots * self.device if grows else 0))
-        return needs
 
 
 @dataclass(frozen=True)
@@ -92,94 +59,6 @@ class RecordingSize:
     def on_host(self, envs: int, count: int) -> int:
         """Returns the size of the data set [bytes]."""
         return envs * (self.parameters + count * sum(frame.host for frame in self.frames))
-
-
-class _Channel:
-    """The frames of one reading: one result on the host, and on each GPU a buffer, once they are allocated."""
-
-    def __init__(self, model: Environments, name: str) -> None:
-        self.model = model
-        self.reading = model.find_reading(name)
-        source = self.reading.array(model.parts[0].arrays)
-        row = prod(source.shape[1:]) * wp.types.type_size_in_bytes(source.dtype)
-        # Of one environment, as it is reported.
-        self._sample = self.reading.finish(source[:1].numpy()[None], axis=2)[0, 0]
-        self.frame = Frame(name, row, self._sample.nbytes)
-        self.result = np.zeros((0, model.envs, *self._sample.shape), dtype=self._sample.dtype)
-        self.ways: dict[Model, _Window | _Ring] = {}
-        self.rings: list[_Ring] = []
-
-    @beside_captures()
-    def allocate(self, frames: int) -> None:
-        self.result = np.zeros((frames, self.model.envs, *self._sample.shape), dtype=self._sample.dtype)
-        for part, own in self.model.shares():
-            way = _Window if part.device.is_cpu else _Ring
-            self.ways[part] = way(part, self.frame, self.result[:, own])
-        self.rings = [way for way in self.ways.values() if isinstance(way, _Ring)]
-
-    def drain(self) -> None:
-        for ring in self.rings:
-            ring.drain()
-
-    def go_on_from(self, count: int) -> None:
-        """Takes the first ``count`` frames of the result for taken, and what waits for lost."""
-        for ring in self.rings:
-            ring.taken = ring.drained = count
-
-
-class _Window:
-    """The frames of one reading of a part on the CPU, written from where it is measured.
-
-    Args:
-        part: The part.
-        frame: Of which reading.
-        result: Receives all frames (frame, env, …).
-    """
-
-    def __init__(self, part: Model, frame: Frame, result: NDArray[Any]) -> None:
-        reading = part.readings[frame.name]
-        # A view, which keeps what is measured into.
-        self.values = reading.array(part.arrays).numpy()
-        self.result = result
-        self._finish = reading.finish if reading.total else None
-
-    def take(self, own: slice, number: int) -> None:
-        """Writes the environments ``own`` of a frame; other threads may write others meanwhile."""
-        self.result[number, own] = self._finish(self.values[own]) if self._finish else self.values[own]
-
-
-class _Ring:
-    """The frames of one reading of a part on a GPU: a buffer there, and where they go on the host.
-
-    Args:
-        part: The part.
-        frame: What one frame takes, and of which reading.
-        result: Receives all frames (frame, env, …).
-    """
-
-    def __init__(self, part: Model, frame: Frame, result: NDArray[Any]) -> None:
-        self.reading = part.readings[frame.name]
-        self.source = self.reading.array(part.arrays)
-        self.result = result
-        shape = (frame.slots(part.envs, len(result)), *self.source.shape)
-        self.memory = wp.zeros(shape, dtype=self.source.dtype, device=part.device)
-        self.taken = 0
-        self.drained = 0
-
-    @beside_captures()
-    def take(self, own: slice, number: int) -> None:
-        """Copies the environments ``own`` of a frame, which are all there are: a GPU takes them at once."""
-        wp.copy(self.memory[number - self.drained], self.source)
-        self.taken = number + 1
-        if self.taken - self.drained == len(self.memory):
-            self.drain()
-
-    def drain(self) -> None:
-        count = self.taken - self.drained
-        if count:
-            values = self.reading.finish(self.memory.numpy()[:count], axis=2)
-            self.result[self.drained : self.taken] = values
-            self.drained = self.taken
 
 
 def item_dimension(scene: Scene, element: str) -> str:
@@ -271,9 +150,9 @@ class Recorder:
         readings = [model.find_reading(name) for name in dict.fromkeys(wanted)]
         self.needs = {need for reading in readings for need in reading.needs}
         model.make_measures(self.needs)
-        self.channels = [_Channel(model, reading.name) for reading in readings]
-        # How all of them take a frame of a part: looked up once, for there is a frame of every slice.
-        self._ways: dict[Model, list[_Window | _Ring]] = {}
+        self.channels = [Channel(model, reading.name) for reading in readings]
+        #: What takes frames of parts on the CPU, once started.
+        self.copies: dict[Model, Copies] = {}
         self.times = np.zeros(frames)
         self.taken = 0
 
@@ -306,9 +185,9 @@ class Recorder:
         room = shortage(footprint, rooms_of(footprint))
         if room is not None:
             raise MemoryShortage(self._too_much(footprint, room), footprint.on(room.place), usable(room))
+        self.copies = {part: Copies(part) for part in self.model.parts if part.device.is_cpu}
         for channel in self.channels:
-            channel.allocate(frames)
-        self._ways = {part: [channel.ways[part] for channel in self.channels] for part in self.model.parts}
+            channel.allocate(frames, self.copies)
 
     def _too_much(self, footprint: Footprint, room: Room) -> str:
         envs, frames = self.model.envs, len(self.times)
@@ -328,25 +207,14 @@ class Recorder:
         for part in self.model.parts:
             part.prepare(self.needs)
         for part in self.model.parts:
-            self.take_slice(part, slice(0, part.envs), self.taken)
+            if part in self.copies:
+                self.copies[part].take(self.taken)
+        for channel in self.channels:
+            channel.take(self.taken)
         self.count([time])
 
-    def take_slice(self, part: Model, own: slice, number: int) -> None:
-        """Takes some environments of frame ``number`` since the last ``rewind``, which are measured.
-
-        Of a part on the CPU threads may take different environments at once; of one on a GPU they are all. The
-        frame is there when all are taken and it is counted.
-
-        Args:
-            part: A part of the model.
-            own: Which of its environments.
-            number: The frame, less than ``room`` beyond those that are counted.
-        """
-        for way in self._ways[part]:
-            way.take(own, number)
-
     def count(self, times: Sequence[float]) -> None:
-        """Counts the next frames, at ``times`` [s], of which all environments are taken."""
+        """Counts the next frames, at ``times`` [s], which are taken of all environments."""
         self.times[self.taken : self.taken + len(times)] = times
         self.taken += len(times)
 

@@ -292,9 +292,7 @@ class Simulation:
         """
         self._attach()
         needs = frozenset(needs)
-        if self.watch.quarantine == "freeze" and all(
-            in_parts(part.device, part.hard, needs) for part in self.model.parts
-        ):
+        if self._looks_in_parts(needs):
             self._advance(frames * every, Frames(every, needs, take))
             return
         for number in range(frames):
@@ -304,6 +302,12 @@ class Simulation:
                 part.prepare(needs)
             for part in self.model.parts:
                 take(part, slice(0, part.envs), number)
+
+    def _looks_in_parts(self, needs: Set[str]) -> bool:
+        """Whether looks for readings with ``needs`` can be at slices, by the way of their steps."""
+        return self.watch.quarantine == "freeze" and all(
+            in_parts(part.device, part.hard, needs) for part in self.model.parts
+        )
 
     def _advance(self, count: int, frames: Frames | None) -> None:
         model = self.model
@@ -476,13 +480,15 @@ class Simulation:
 
     def _record(self, recorder: "Recorder", frames: int, every: int, start: float, done: int) -> None:
         """Takes ``frames`` times ``every`` steps after the first ``done``, and a frame after each of these."""
-        first = recorder.taken
-
-        def take(part: Model, own: slice, number: int) -> None:
-            recorder.take_slice(part, own, first + number)
-
-        self.step_in_frames(frames, every, recorder.needs, take)
-        recorder.count([start + (done + (number + 1) * every) * self.dt for number in range(frames)])
+        times = [start + (done + (number + 1) * every) * self.dt for number in range(frames)]
+        if self._looks_in_parts(recorder.needs):
+            kind = Frames(every, frozenset(recorder.needs), copies=recorder.copies, first=recorder.taken)
+            self._advance(frames * every, kind)
+            recorder.count(times)
+            return
+        for time_of_frame in times:
+            self._advance(every, None)
+            recorder.take(time_of_frame)
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"

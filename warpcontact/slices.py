@@ -5,16 +5,20 @@ time, and replayed; launches and replays compute the same. They are the same for
 from memory which slice they are for: each thread has its own, and takes them from slice to slice.
 """
 
-from collections.abc import Callable, Iterator, Set
-from dataclasses import dataclass, replace
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Set
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import warp as wp
 
 from warpcontact.arrays import Layout, broadcast, per_env
 from warpcontact.captures import beside_captures, capturing
 from warpcontact.integrators import Integrator
+from warpcontact.kernels import recording
 from warpcontact.looks import looks_at_near
 from warpcontact.outcomes.observer import Observer
 from warpcontact.outcomes.watch import Watch
@@ -27,6 +31,7 @@ from warpcontact.schedule import (
 )
 
 if TYPE_CHECKING:
+    from warpcontact.channels import Copies
     from warpcontact.draft import PartDraft
     from warpcontact.model import Model
 
@@ -110,18 +115,33 @@ class Frames:
         every: Steps from frame to frame.
         needs: What is computed for each, see ``Reading.needs``.
         take: Called when it is, by the thread that computed it, with the model, its environments that are there,
-            and the number of the frame, from 0: in any order of environments, one frame after the other.
+            and the number of the frame: in any order of environments, one frame after the other.
+        copies: In place of that, what launches take, by model.
+        first: Number of the first of these frames.
     """
 
     every: int
     needs: frozenset[str]
-    take: Callable[["Model", slice, int], None]
+    take: Callable[["Model", slice, int], None] | None = None
+    copies: Mapping["Model", "Copies"] = field(default_factory=dict)
+    first: int = 0
 
     def cut(self, done: int, count: int) -> list[int]:
         """Returns ``count`` steps after the first ``done`` as those from frame to frame."""
         first = min(self.every - done % self.every, count)
         whole, rest = divmod(count - first, self.every)
         return [first, *[self.every] * whole, *([rest] if rest else [])]
+
+
+class Begin(Enum):
+    """How the first of some steps comes to know what is near of contacts."""
+
+    #: It finds out.
+    STEP = "step"
+    #: A look just told, for which nobody had to come by.
+    LOOKED = "looked"
+    #: A look is due before it, and tells.
+    LOOK = "look"
 
 
 @dataclass(frozen=True)
@@ -150,6 +170,7 @@ class Stepper:
         device: Their device.
         captured: Whether steps are replayed: on a GPU nothing is then waited for.
         graph_steps: Steps in its graphs, the most first.
+        after_frame: How steps after a frame begin, for which ``ready_look`` was called.
     """
 
     def __init__(
@@ -177,11 +198,16 @@ class Stepper:
         # What is decided on the host cannot be captured.
         self.captured = captured and not divides
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
-        # By their steps, and whether the first of these comes after a look.
-        self._graphs: dict[tuple[int, bool], wp.Graph] = {}
+        # By their steps, and how these begin.
+        self._graphs: dict[tuple[int, Begin], wp.Graph] = {}
         # Of those, by what is asked for, which it is made up of.
-        self._ways: dict[tuple[int, bool], list[wp.Graph]] = {}
-        self._looks: dict[frozenset[str], list[wp.Launch] | wp.Graph] = {}
+        self._ways: dict[tuple[int, Begin], list[wp.Graph]] = {}
+        # A look, what it is for, and where it finds, and counts, the number of the frame that launches take.
+        self._look: list[wp.Launch] = []
+        self._look_graph: wp.Graph | None = None
+        self._look_for: tuple[frozenset[str], weakref.ref[Any]] | None = None
+        self._number = np.zeros(1, np.int32)
+        self.after_frame = Begin.STEP
 
     def go_to(self, own: slice) -> None:
         """Takes the environments that are stepped next: others than all of the span only if it has slices."""
@@ -217,46 +243,45 @@ class Stepper:
         steps = [part for step in self._steps for part in vars(step).values()]
         return [*steps, self._wait, self._wake]
 
-    def graph(self, steps: int, after_look: bool = False) -> list[wp.Launch]:
+    def graph(self, steps: int, begin: Begin = Begin.STEP) -> list[wp.Launch]:
         """Returns the launches of the graph of ``steps`` steps, none if nothing is captured."""
         if not self.captured:
             return []
-        first = self._after_look if after_look else self._steps[0].whole
+        look = self._look if begin is Begin.LOOK else []
+        first = self._steps[0].whole if begin is Begin.STEP else self._after_look
         rest = [launch for number in range(1, steps) for launch in self._steps[number % 2].whole]
-        return [*first, *rest, *(self._steps[0].back if steps % 2 else [])]
+        return [*look, *first, *rest, *(self._steps[0].back if steps % 2 else [])]
 
-    def _graphs_of(self, count: int, after_look: bool) -> Iterator[tuple[int, bool]]:
+    def _graphs_of(self, count: int, begin: Begin) -> Iterator[tuple[int, Begin]]:
         """Yields the graphs that make up ``count`` steps."""
-        if after_look and count:
+        if begin is not Begin.STEP and count:
             # The shortest that ends in the model's buffer: others are there anyway.
             first = min(2, count)
-            yield first, True
+            yield first, begin
             count -= first
         for steps in self.graph_steps:
             for _ in range(count // steps):
-                yield steps, False
+                yield steps, Begin.STEP
             count %= steps
 
-    def capture(self, count: int, after_look: bool = False) -> None:
+    def capture(self, count: int, begin: Begin = Begin.STEP) -> None:
         """Captures what ``step`` will replay. Not while other threads step."""
-        if not self.captured or (count, after_look) in self._ways:
+        if not self.captured or (count, begin) in self._ways:
             return
-        keys = list(self._graphs_of(count, after_look))
+        keys = list(self._graphs_of(count, begin))
         for key in set(keys) - self._graphs.keys():
-            with capturing(), wp.ScopedCapture(device=self.device) as capture:
-                _launch(self.graph(*key))
-            self._graphs[key] = capture.graph
-        self._ways[count, after_look] = [self._graphs[key] for key in keys]
+            self._graphs[key] = self._captured(self.graph(*key))
+        self._ways[count, begin] = [self._graphs[key] for key in keys]
 
-    def step(self, count: int, after_look: bool = False) -> None:
-        """Takes ``count`` steps; the state is in the model's buffer before and after.
+    def _captured(self, launches: list[wp.Launch]) -> wp.Graph:
+        with capturing(), wp.ScopedCapture(device=self.device) as capture:
+            _launch(launches)
+        return capture.graph
 
-        Args:
-            count: How many; they are captured.
-            after_look: Whether ``look`` told what is near, and nothing was done since.
-        """
+    def step(self, count: int, begin: Begin = Begin.STEP) -> None:
+        """Takes ``count`` steps, captured ones; the state is in the model's buffer before and after."""
         if self.captured:
-            for graph in self._ways[count, after_look]:
+            for graph in self._ways[count, begin]:
                 wp.capture_launch(graph)
             return
         with beside_captures():
@@ -264,6 +289,38 @@ class Stepper:
                 self._take(number % 2)
             if count % 2:
                 _launch(self._steps[0].back)
+
+    def ready_look(self, frames: Frames) -> None:
+        """Prepares, or captures, ``look``, and says how steps after it begin. Not while other threads step."""
+        span = self._span
+        copies = frames.copies.get(span.model)
+        # Launches know their arrays by address: those of copies that are gone are not launched again.
+        whose = self if copies is None else copies
+        if self._look_for is None or self._look_for[0] != frames.needs or self._look_for[1]() is not whose:
+            self._forget_look()
+            look = span.model.look(frames.needs, span.slice)
+            if copies is not None:
+                look = look + self._copy_stages(copies)
+            if self.captured and look:
+                self._look_graph = self._captured(look)
+            self._look, self._look_for = look, (frames.needs, weakref.ref(whose))
+        self.after_frame = Begin.STEP
+        if self.ready_after_look(frames.needs):
+            self.after_frame = Begin.LOOKED if copies is None else Begin.LOOK
+
+    def _forget_look(self) -> None:
+        self._look_graph, self._look_for = None, None
+        for known in (self._graphs, self._ways):
+            for key in [key for key in known if key[1] is Begin.LOOK]:
+                del known[key]
+
+    @beside_captures()
+    def _copy_stages(self, copies: "Copies") -> list[wp.Launch]:
+        """Returns the launches that take a frame, and count it."""
+        number = wp.zeros(1, dtype=wp.int32, device="cpu")
+        self._number = number.numpy()
+        counted = wp.launch(recording.count(), 1, [number], device="cpu", record_cmd=True)
+        return [*copies.stages(self._span, number), counted]
 
     def ready_after_look(self, needs: Set[str]) -> bool:
         """Prepares the step after a look for readings with ``needs``; returns whether it has less to do."""
@@ -276,29 +333,19 @@ class Stepper:
                 self._after_look = self._stages(span, self._times.whole, own, other, self._mark)
         return True
 
-    def ready_look(self, needs: frozenset[str]) -> None:
-        """Prepares, or captures, ``look``. Not while other threads step."""
-        if needs in self._looks:
-            return
-        span = self._span
-        launches = span.model.look(needs, span.slice)
-        if not self.captured or not launches:
-            self._looks[needs] = launches
-            return
-        with capturing(), wp.ScopedCapture(device=self.device) as capture:
-            _launch(launches)
-        self._looks[needs] = capture.graph
+    def go_to_frame(self, number: int) -> None:
+        """Tells launches the number of the frame that is next."""
+        self._number[0] = number
 
-    def look(self, frames: Frames, number: int) -> bool:
-        """Computes frame ``number`` of its environments and hands it on; returns whether it told what is near."""
-        look = self._looks[frames.needs]
-        if isinstance(look, wp.Graph):
-            wp.capture_launch(look)
+    def look(self, frames: Frames, number: int) -> None:
+        """Computes frame ``number`` of its environments, and hands it on."""
+        if self._look_graph is not None:
+            wp.capture_launch(self._look_graph)
         else:
             with beside_captures():
-                _launch(look)
-        frames.take(self._span.model, self.slice, number)
-        return looks_at_near(self._span, frames.needs)
+                _launch(self._look)
+        if frames.take is not None:
+            frames.take(self._span.model, self.slice, number)
 
     def _take(self, way: int) -> None:
         """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""

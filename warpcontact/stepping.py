@@ -14,7 +14,7 @@ from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.looks import in_parts, look_span, look_stages
 from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.schedule import Span
-from warpcontact.slices import Buffers, Stepper
+from warpcontact.slices import Begin, Buffers, Stepper
 
 if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
@@ -115,9 +115,8 @@ def stepping_footprint(
             size += _captured_bytes(look) if one.captured else LAUNCH_BYTES * len(look)
             if one.ready_after_look(looks):
                 # A rest of one step, after the last frame of many, would have a smaller one beside it.
-                size += LAUNCH_BYTES * len(one.graph(1, after_look=True)) + _captured_bytes(
-                    one.graph(2, after_look=True)
-                )
+                size += LAUNCH_BYTES * len(one.graph(1, Begin.LOOKED))
+                size += _captured_bytes([*look, *one.graph(2, Begin.LOOKED)])
         launches = Need("launches", HOST, size * (members if part.device.is_cpu else 1))
         needs = [*buffers.layout.needs(envs), launches]
         if observer is not None:

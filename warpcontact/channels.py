@@ -1,0 +1,181 @@
+"""The way of frames from where a reading is measured to the host.
+
+On the CPU launches put it where it belongs, as part of a look: a thread that came by through Python, which is no
+longer in its cache after steps, would take longer than they do. On a GPU frames wait in a buffer, and come to the
+host some at a time.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from warpcontact.available import HOST
+from warpcontact.captures import beside_captures
+from warpcontact.environments import Environments
+from warpcontact.footprint import Need
+from warpcontact.kernels import recording
+from warpcontact.model import Model
+from warpcontact.readings import Reading
+from warpcontact.schedule import Span
+
+# Frames wait on a GPU up to this size, then move to the host in one copy.
+RING_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What one frame of a reading takes for one environment.
+
+    Attributes:
+        name: Name of the reading.
+        device: On the device, as it is read [bytes].
+        host: On the host, as it is reported [bytes].
+    """
+
+    name: str
+    device: int
+    host: int
+
+    def slots(self, envs: int, frames: int) -> int:
+        """Returns how many frames wait on the device."""
+        return min(frames, max(1, RING_BYTES // max(1, envs * self.device)))
+
+    def needs(self, device: str, envs: int, frames: int) -> list[Need]:
+        """Returns what a buffer on ``device``, if it is a GPU, and the result on the host take."""
+        slots, result = self.slots(envs, frames), frames * self.host
+        needs = [Need("recording", HOST, envs * result, result)]
+        if not wp.get_device(device).is_cpu:
+            # A buffer of some frames is of about the same size however many environments there are.
+            grows = slots in (1, frames)
+            needs.append(Need("buffers", device, slots * envs * self.device, slots * self.device if grows else 0))
+        return needs
+
+
+class Copies:
+    """The launches that take the frames of a part on the CPU, and what they take them from and to."""
+
+    def __init__(self, part: Model) -> None:
+        self._part = part
+        self._rows: list[tuple[wp.Kernel, wp.array, wp.array]] = []
+        # Whose memory that is.
+        self._owners: list[tuple[wp.array, NDArray[Any]]] = []
+        self._number: wp.array | None = None
+        self._launches: list[wp.Launch] = []
+
+    @beside_captures()
+    def add(self, reading: Reading, result: NDArray[Any]) -> None:
+        """Adds a reading of the part; ``result`` receives all its frames (frame, env, …)."""
+        source = reading.array(self._part.arrays)
+        kernel, word = (recording.take_total(), wp.float64) if reading.total else (recording.take(), wp.uint32)
+        inner, size = (wp.types.type_size_in_bytes(dtype) for dtype in (word, source.dtype))
+        # Each item in one piece, be it a number, a vector or a matrix; what has no items is one.
+        items, apart = (source.shape[1], source.strides[1]) if source.ndim == 2 else (1, size)
+        frames, envs, words = *result.shape[:2], size // inner
+        of_source = _lent(source.ptr, word, (envs, items, words), (source.strides[0], apart, inner))
+        if reading.total:
+            of_result = _lent(result.ctypes.data, word, (frames, envs, words), (*result.strides[:2], inner))
+        else:
+            shape, strides = (frames, envs, items, words), (*result.strides[:2], size, inner)
+            of_result = _lent(result.ctypes.data, word, shape, strides)
+        self._rows.append((kernel, of_source, of_result))
+        self._owners.append((source, result))
+
+    @beside_captures()
+    def stages(self, span: Span, number: wp.array) -> list[wp.Launch]:
+        """Returns the launches that take frame ``number`` [0], which they read when they run, of ``span``."""
+        return [launch for kernel, *rows in self._rows for launch in span.prepare(kernel, 1, [number, *rows])]
+
+    @beside_captures()
+    def take(self, number: int) -> None:
+        """Takes all environments of a frame."""
+        if self._number is None:
+            self._number = wp.zeros(1, dtype=wp.int32, device="cpu")
+            self._launches = self.stages(Span(self._part, self._part.envs, False, True), self._number)
+        self._number.numpy()[0] = number
+        for launch in self._launches:
+            launch.launch()
+
+
+def _lent(address: int, dtype: type, shape: tuple[int, ...], strides: tuple[int, ...]) -> wp.array:
+    """Returns memory of the host, whose owner keeps it, as an array."""
+    return wp.array(ptr=address, dtype=dtype, shape=shape, strides=strides, device="cpu")
+
+
+class Channel:
+    """The frames of one reading: one result on the host, and on each GPU a buffer, once they are allocated."""
+
+    def __init__(self, model: Environments, name: str) -> None:
+        self.model = model
+        self.reading = model.find_reading(name)
+        source = self.reading.array(model.parts[0].arrays)
+        row = prod(source.shape[1:]) * wp.types.type_size_in_bytes(source.dtype)
+        # Of one environment, as it is reported.
+        self._sample = self.reading.finish(source[:1].numpy()[None], axis=2)[0, 0]
+        self.frame = Frame(name, row, self._sample.nbytes)
+        self.result = np.zeros((0, model.envs, *self._sample.shape), dtype=self._sample.dtype)
+        self.rings: dict[Model, Ring] = {}
+
+    @beside_captures()
+    def allocate(self, frames: int, copies: Mapping[Model, Copies]) -> None:
+        """Makes room for ``frames`` frames, which ``copies`` are to take of parts on the CPU."""
+        self.result = np.zeros((frames, self.model.envs, *self._sample.shape), dtype=self._sample.dtype)
+        for part, own in self.model.shares():
+            if part in copies:
+                copies[part].add(part.readings[self.frame.name], self.result[:, own])
+            else:
+                self.rings[part] = Ring(part, self.frame, self.result[:, own])
+
+    def take(self, number: int) -> None:
+        """Takes a frame of the parts on GPUs."""
+        for ring in self.rings.values():
+            ring.take(number)
+
+    def drain(self) -> None:
+        """Takes to the host what waits on a device."""
+        for ring in self.rings.values():
+            ring.drain()
+
+    def go_on_from(self, count: int) -> None:
+        """Takes the first ``count`` frames of the result for taken, and what waits for lost."""
+        for ring in self.rings.values():
+            ring.taken = ring.drained = count
+
+
+class Ring:
+    """The frames of one reading of a part on a GPU: a buffer there, and where they go on the host.
+
+    Args:
+        part: The part.
+        frame: What one frame takes, and of which reading.
+        result: Receives all frames (frame, env, …).
+    """
+
+    def __init__(self, part: Model, frame: Frame, result: NDArray[Any]) -> None:
+        self.reading = part.readings[frame.name]
+        self.source = self.reading.array(part.arrays)
+        self.result = result
+        shape = (frame.slots(part.envs, len(result)), *self.source.shape)
+        self.memory = wp.zeros(shape, dtype=self.source.dtype, device=part.device)
+        self.taken = 0
+        self.drained = 0
+
+    @beside_captures()
+    def take(self, number: int) -> None:
+        """Copies a frame."""
+        wp.copy(self.memory[number - self.drained], self.source)
+        self.taken = number + 1
+        if self.taken - self.drained == len(self.memory):
+            self.drain()
+
+    def drain(self) -> None:
+        """Takes what waits to the host."""
+        count = self.taken - self.drained
+        if count:
+            values = self.reading.finish(self.memory.numpy()[:count], axis=2)
+            self.result[self.drained : self.taken] = values
+            self.drained = self.taken
