@@ -1,6 +1,7 @@
 """Places, energy and momentum, in float64 whatever the precision: sums, and what is far from the origin."""
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames
@@ -8,12 +9,24 @@ from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, structs, task
 
 
 @wp.struct
-class Bodies:
-    """What is measured of bodies."""
+class Positions:
+    """Where bodies are."""
 
     position: wp.array2d(dtype=wp.vec3d)  # [env, body] centre of mass, W [m]
+
+
+@wp.struct
+class Energies:
+    """What is measured of the energy of bodies."""
+
     kinetic_energy: wp.array2d(dtype=wp.float64)  # [env, body] [J]
     potential_energy: wp.array2d(dtype=wp.float64)  # [env, body] −m g·x, zero at the origin of W [J]
+
+
+@wp.struct
+class Momenta:
+    """What is measured of the momentum of bodies."""
+
     linear_momentum: wp.array2d(dtype=wp.vec3d)  # [env, body] W [kg·m/s]
     angular_momentum: wp.array2d(dtype=wp.vec3d)  # [env, body] about the origin of W [kg·m²/s]
 
@@ -26,33 +39,98 @@ class Points:
 
 
 @functools.cache
-def bodies(real: type) -> wp.Kernel:
-    """Returns the kernel that measures each body of the active environments; items: bodies."""
+def _functions(real: type) -> SimpleNamespace:
+    """Returns the device functions that tell where a body is, and its spin."""
     t = structs(real)
     Model, State = t.Model, t.State
     wide = frames.functions(real).wide
 
+    @wp.func
+    def position(state: State, env: int, body: int):
+        """Centre of mass of a body, W [m]."""
+        return wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
+
+    @wp.func
+    def spin(model: Model, state: State, env: int, body: int):
+        """Angular momentum of a body about its centre of mass, W [kg·m²/s]."""
+        q_WB = state.body_orientation[env, body]
+        w_W = state.body_angular_velocity[env, body]
+        return wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
+
+    return SimpleNamespace(wide=wide, position=position, spin=spin)
+
+
+@functools.cache
+def positions(real: type) -> wp.Kernel:
+    """Returns the kernel that tells where each body of the active environments is; items: bodies."""
+    t, f = structs(real), _functions(real)
+    Model, State, position = t.Model, t.State, f.position
+
     @wp.kernel(module="unique", enable_backward=False)
-    def measure_bodies(work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Bodies):
+    def measure_positions(
+        work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Positions
+    ):
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
+            body = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            measured.position[env, body] = position(state, env, body)
+
+    return measure_positions
+
+
+@functools.cache
+def energies(real: type) -> wp.Kernel:
+    """Returns the kernel that measures energies of each body of the active environments; items: bodies."""
+    t, f = structs(real), _functions(real)
+    Model, State, wide, position, spin = t.Model, t.State, f.wide, f.position, f.spin
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def measure_energies(
+        work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Energies
+    ):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = first_env(work) + task // work.items
             body = task % work.items
             if status[env] != ENV_ACTIVE:
                 continue
             mass = wp.float64(model.body_mass[env, body])
-            p_W = wide(state.body_position[env, body]) + wide(state.body_position_remainder[env, body])
-            q_WB = state.body_orientation[env, body]
             v_W = wide(state.body_linear_velocity[env, body])
-            w_W = state.body_angular_velocity[env, body]
-            spin_W = wp.quat_rotate(q_WB, model.body_inertia[env, body] * wp.quat_rotate_inv(q_WB, w_W))
-            turning = wp.dot(wide(w_W), wide(spin_W))
-            measured.position[env, body] = p_W
+            turning = wp.dot(wide(state.body_angular_velocity[env, body]), wide(spin(model, state, env, body)))
             measured.kinetic_energy[env, body] = wp.float64(0.5) * (mass * wp.dot(v_W, v_W) + turning)
-            measured.potential_energy[env, body] = -mass * wp.dot(wide(model.gravity[env, 0]), p_W)
-            measured.linear_momentum[env, body] = mass * v_W
-            measured.angular_momentum[env, body] = wp.cross(p_W, mass * v_W) + wide(spin_W)
+            measured.potential_energy[env, body] = -mass * wp.dot(
+                wide(model.gravity[env, 0]), position(state, env, body)
+            )
 
-    return measure_bodies
+    return measure_energies
+
+
+@functools.cache
+def momenta(real: type) -> wp.Kernel:
+    """Returns the kernel that measures momenta of each body of the active environments; items: bodies."""
+    t, f = structs(real), _functions(real)
+    Model, State, wide, position, spin = t.Model, t.State, f.wide, f.position, f.spin
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def measure_momenta(
+        work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Momenta
+    ):
+        for task in range(wp.tid(), task_count(work), work.threads):
+            env = first_env(work) + task // work.items
+            body = task % work.items
+            if status[env] != ENV_ACTIVE:
+                continue
+            mv_W = wp.float64(model.body_mass[env, body]) * wide(state.body_linear_velocity[env, body])
+            spin_W = wide(spin(model, state, env, body))
+            measured.linear_momentum[env, body] = mv_W
+            measured.angular_momentum[env, body] = wp.cross(position(state, env, body), mv_W) + spin_W
+
+    return measure_momenta
+
+
+#: What is measured of bodies, by the needs of readings: for each what it is measured into, and the kernel.
+OF_BODIES = {"positions": (Positions, positions), "energies": (Energies, energies), "momenta": (Momenta, momenta)}
 
 
 @functools.cache

@@ -39,7 +39,7 @@ def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
     mass = np.linspace(1, 2, envs)
     model["ball.mass"] = mass
     model["ball.position"] = np.zeros((envs, 3))
-    varied, needs = ["ball.mass", "ball.position"], {"bodies"}
+    varied, needs = ["ball.mass", "ball.position"], {"energies"}
     if name != "nothing to touch":
         model["touch.law.stiffness"] = 1e5 * mass
         model["ground.scale"] = mass
@@ -269,7 +269,7 @@ print(used() - before, memory.on(place))
         ("sphere", 200_000, 4, ()),
         ("box", 20_000, 4, ()),
         ("sphere", 10_000, 35, ()),
-        ("sphere", 10_000, 35, ("bodies", "contacts", "distances", "points")),
+        ("sphere", 10_000, 35, ("positions", "energies", "momenta", "contacts", "distances", "points")),
     ],
     ids=["spheres", "boxes of 64 points", "captured", "captured with frames"],
 )

@@ -24,6 +24,7 @@ from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
+from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Patches, make_patches, upload_patches
 from warpcontact.piles.pile import make_piles
@@ -130,13 +131,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         instant=None,
         constrained=None,
         active=None,
-        bodies=None,  # measures, allocated by the first reading that needs them
-        points=None,
-        reactions=None,
-        coordinates=None,
-        smooth_points=None,
-        smooth_curvatures=None,
-        smooth_gradients=None,
+        **dict.fromkeys(MEASURES),  # allocated by the first reading that needs them
     )
     layout.array("state", arrays, "status", wp.int32, per_env())
     layout.array("state", arrays, "time", wp.float64, per_env())

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 #: Needs of readings that tell of surfaces that are far away as well.
 OF_FAR = ("distances", "points", "contact_couplings", *SMOOTH)
-#: Needs that can be computed of some environments apart from the others.
-IN_PARTS = frozenset(("contacts", "distances", "bodies", "points", "coordinates"))
+#: Needs that can be computed of some environments apart from the others, and in every step.
+IN_PARTS = frozenset(("contacts", "distances", *measures.OF_BODIES, "points", "coordinates"))
 
 
 def in_parts(device: wp.Device, hard: "HardContacts | None", needs: Set[str]) -> bool:
@@ -60,18 +60,32 @@ def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> l
         no_step: A step of 0 for each environment.
         all_active: The status of an active one for each.
     """
-    model = span.model
-    a, real = model.arrays, model.types.real
+    a = span.model.arrays
     launches = []
     if shows(needs):
         launches += force_stages(span, a.state, no_step, all_active)
-    if "bodies" in needs:
-        inputs = [all_active, a.model, a.state, a.bodies]
-        launches += span.prepare(measures.bodies(real), model.body_count, inputs)
+    return launches + measure_stages(span, needs, a.state, all_active)
+
+
+def measure_stages(span: Span, needs: Set[str], state: Any, status: wp.array) -> list[wp.Launch]:
+    """Returns the launches that measure what readings need of ``state``, whose contacts are computed.
+
+    Args:
+        span: The environments.
+        needs: Those of the readings.
+        state: Their state.
+        status: Of the environments [env]; left out are those that are not active.
+    """
+    model = span.model
+    a, real = model.arrays, model.types.real
+    launches = []
+    for name, (_, kernel) in measures.OF_BODIES.items():
+        if name in needs:
+            launches += span.prepare(kernel(real), model.body_count, [status, a.model, state, getattr(a, name)])
     if "points" in needs:
-        inputs = [all_active, a.model, a.state, a.contacts, a.points]
+        inputs = [status, a.model, state, a.contacts, a.points]
         launches += span.prepare(measures.points(real), model.contact_count, inputs)
     if "coordinates" in needs:
-        inputs = [all_active, a.model, a.state, a.coordinates]
+        inputs = [status, a.model, state, a.coordinates]
         launches += span.prepare(coordinates(real), model.body_count, inputs)
     return launches

@@ -69,8 +69,8 @@ class OfScene:
         return layout.needs(envs)
 
 
-def _bodies(layout: Layout, model: OfScene) -> Any:
-    return layout.struct(PURPOSE, measures.Bodies, per_env(model.body_count))
+def _of_bodies(struct: Any) -> Callable[[Layout, OfScene], Any]:
+    return lambda layout, model: layout.struct(PURPOSE, struct, per_env(model.body_count))
 
 
 def _points(layout: Layout, model: OfScene) -> Any:
@@ -110,7 +110,7 @@ def _smooth_gradients(layout: Layout, model: OfScene) -> Any:
 
 #: How to declare what readings are measured into, by what they need.
 MEASURES: dict[str, Callable[[Layout, OfScene], Any]] = {
-    "bodies": _bodies,
+    **{name: _of_bodies(struct) for name, (struct, _) in measures.OF_BODIES.items()},
     "points": _points,
     "reactions": _reactions,
     "coordinates": _coordinates,

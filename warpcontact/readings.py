@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 AXES = {3: ("axis", ["x", "y", "z"]), 4: ("component", ["x", "y", "z", "w"])}
 
-# name: (array, unit, what it is)
+# name: (array, or struct of measures, unit, what it is)
 _BODY_STATE = {
     "orientation": ("body_orientation", "-", "rotation body → world, quaternion x, y, z, w"),
     "linear_velocity": ("body_linear_velocity", "m/s", "velocity of the centre of mass, world"),
@@ -38,10 +38,10 @@ _BODY_WRENCH = {
 }
 # In float64 whatever the precision: sums, and places far from the origin.
 _BODY_MEASURE = {
-    "kinetic_energy": ("kinetic_energy", "J", "kinetic energy"),
-    "potential_energy": ("potential_energy", "J", "potential energy of gravity, 0 at the world's origin"),
-    "linear_momentum": ("linear_momentum", "kg·m/s", "linear momentum, world"),
-    "angular_momentum": ("angular_momentum", "kg·m²/s", "angular momentum about the world's origin"),
+    "kinetic_energy": ("energies", "J", "kinetic energy"),
+    "potential_energy": ("energies", "J", "potential energy of gravity, 0 at the world's origin"),
+    "linear_momentum": ("momenta", "kg·m/s", "linear momentum, world"),
+    "angular_momentum": ("momenta", "kg·m²/s", "angular momentum about the world's origin"),
 }
 _HINGE = {
     "angle": ("coordinates", "angle", "rad", "angle from the initial pose about the axis, −π to π"),
@@ -95,10 +95,11 @@ class Reading:
         unit: SI unit.
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
-        needs: What has to be computed first: ``"contacts"`` and wrenches, measures of ``"bodies"``, contact
-            ``"points"``, ``"distances"`` of what is far away, of motions ``"reactions"`` and ``"coordinates"``,
-            the forces of ``"contact_couplings"``, of smooth contacts ``"smooth_points"``, ``"smooth_curvatures"``
-            and ``"smooth_gradients"``, or what is measured of ``"piles"``.
+        needs: What has to be computed first: ``"contacts"`` and wrenches, of bodies ``"positions"``,
+            ``"energies"`` and ``"momenta"``, contact ``"points"``, ``"distances"`` of what is far away, of motions
+            ``"reactions"`` and ``"coordinates"``, the forces of ``"contact_couplings"``, of smooth contacts
+            ``"smooth_points"``, ``"smooth_curvatures"`` and ``"smooth_gradients"``, or what is measured of
+            ``"piles"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
         codes: What its numbers stand for.
@@ -174,7 +175,7 @@ def readings_of(
         "contacts": types.Contacts,
         "history": types.History,
         "reached": types.Reached,
-        "bodies": measures.Bodies,
+        **{name: struct for name, (struct, _) in measures.OF_BODIES.items()},
         "points": measures.Points,
         "reactions": Reactions,
         "coordinates": Coordinates,
@@ -191,16 +192,16 @@ def readings_of(
 
     for body in scene.bodies:
         own, several = (body.index, 0) if body.single else (body.items, body.count)
-        options: dict[str, Any] = {"needs": ("bodies",), "items": several}
-        add_column(f"{body.name}.position", "m", "centre of mass, world", "bodies", "position", own, **options)
+        options: dict[str, Any] = {"needs": ("positions",), "items": several}
+        add_column(f"{body.name}.position", "m", "centre of mass, world", "positions", "position", own, **options)
         for key, (attribute, unit, meaning) in _BODY_STATE.items():
             add_column(f"{body.name}.{key}", unit, meaning, "state", attribute, own, items=several)
         for key, (attribute, unit, meaning) in _BODY_WRENCH.items():
             options = {"needs": ("contacts",), "items": several}
             add_column(f"{body.name}.{key}", unit, meaning, "wrenches", attribute, own, **options)
-        for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
-            options = {"needs": ("bodies",), "items": several}
-            add_column(f"{body.name}.{key}", unit, meaning, "bodies", attribute, own, **options)
+        for key, (need, unit, meaning) in _BODY_MEASURE.items():
+            options = {"needs": (need,), "items": several}
+            add_column(f"{body.name}.{key}", unit, meaning, need, key, own, **options)
         for key, (need, attribute, unit, meaning) in motion_readings(body.motion).items():
             needs = ("contacts", need) if need == "reactions" else (need,)
             options = {"needs": needs, "items": several}
@@ -246,10 +247,10 @@ def readings_of(
         table.update((reading.name, reading) for reading in contacts_of_code.readings())
     for pile in piles:
         table.update((reading.name, reading) for reading in pile.readings())
-    for key, (attribute, unit, meaning) in _BODY_MEASURE.items():
+    for key, (need, unit, meaning) in _BODY_MEASURE.items():
         everything = slice(0, scene.bodies[-1].items.stop)
-        options = {"needs": ("bodies",), "total": True}
-        add_column(f"scene.{key}", unit, f"{meaning}, all bodies", "bodies", attribute, everything, **options)
+        options = {"needs": (need,), "total": True}
+        add_column(f"scene.{key}", unit, f"{meaning}, all bodies", need, key, everything, **options)
     return table
 
 

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from warpcontact.arrays import Layout, per_env
 from warpcontact.captures import beside_captures
 from warpcontact.formula_errors import told_by_warp
-from warpcontact.kernels import measures
-from warpcontact.kernels.motions.measures import coordinates
 from warpcontact.kernels.outcomes import events, reduce, stop
 from warpcontact.kernels.outcomes.base import Condition, Outcome
 from warpcontact.kernels.outcomes.source import MOST, Form
+from warpcontact.looks import measure_stages
 from warpcontact.outcomes.sources import Finder, Seen
 from warpcontact.outcomes.watch import Watch
 
@@ -160,18 +159,7 @@ class Observer:
 
     def _measure_stages(self, span: "Span", status: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that measure what is looked at."""
-        model = span.model
-        a, real, needs = model.arrays, model.types.real, self._needs_in_step
-        launches = []
-        if "bodies" in needs:
-            inputs = [status, a.model, state, a.bodies]
-            launches += span.prepare(measures.bodies(real), model.body_count, inputs)
-        if "points" in needs:
-            inputs = [status, a.model, state, a.contacts, a.points]
-            launches += span.prepare(measures.points(real), model.contact_count, inputs)
-        if "coordinates" in needs:
-            inputs = [status, a.model, state, a.coordinates]
-            launches += span.prepare(coordinates(real), model.body_count, inputs)
+        launches = measure_stages(span, self._needs_in_step, state, status)
         if self._shows and self._hard is not None:
             launches += self._hard.show_stages(span, status)
         return launches

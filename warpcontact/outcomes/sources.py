@@ -10,6 +10,7 @@ import warp as wp
 from warpcontact.checks import look_up
 from warpcontact.kernels.outcomes.base import COMPONENTS, Source
 from warpcontact.kernels.outcomes.source import EACH, SUM, Form
+from warpcontact.looks import IN_PARTS
 from warpcontact.readings import AXES, Reading
 
 if TYPE_CHECKING:
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from warpcontact.model import Model
     from warpcontact.unilateral.hard_contacts import HardContacts
 
-#: What readings may need and still be there in every step.
-IN_STEP = frozenset(("contacts", "distances", "bodies", "points", "coordinates"))
 #: Those of a contact with a mesh that are not computed where it is known to be far.
 OF_NEAR = frozenset(("gap", "normal", "status", "point"))
 
@@ -194,4 +193,4 @@ class Finder:
         element, _, quantity = name.rpartition(".")
         if self._hard and element in self._bodies and quantity in ("force", "torque"):
             return False
-        return reading is not None and len(reading.shape) < 2 and IN_STEP.issuperset(reading.needs)
+        return reading is not None and len(reading.shape) < 2 and IN_PARTS.issuperset(reading.needs)
