@@ -1,4 +1,8 @@
-"""Takes frames of a recording where they are measured, so that nobody has to come by for them."""
+"""Takes frames of a recording where they are measured, so that nobody has to come by for them.
+
+Frames are given by where the first is in memory and how much one takes: of an array of all of them Warp would keep
+that in 32 bits.
+"""
 
 import functools
 
@@ -15,13 +19,16 @@ def take() -> wp.Kernel:
         work: Work,
         number: wp.array(dtype=wp.int32),  # [0] of the frame
         source: wp.array3d(dtype=wp.uint32),  # [env, item, word]
-        result: wp.array4d(dtype=wp.uint32),  # [frame, env, item, word]
+        first: wp.uint64,  # address of the first frame [env, item, word]
+        size: wp.uint64,  # from frame to frame [bytes]
     ):
+        shape = (source.shape[0], source.shape[1], source.shape[2])
+        frame = wp.array(ptr=first + wp.uint64(number[0]) * size, shape=shape, dtype=wp.uint32)
         for task in range(wp.tid(), task_count(work), work.threads):
             env = first_env(work) + task
             for item in range(source.shape[1]):
                 for word in range(source.shape[2]):
-                    result[number[0], env, item, word] = source[env, item, word]
+                    frame[env, item, word] = source[env, item, word]
 
     return take_frame
 
@@ -35,15 +42,18 @@ def take_total() -> wp.Kernel:
         work: Work,
         number: wp.array(dtype=wp.int32),  # [0] of the frame
         source: wp.array3d(dtype=wp.float64),  # [env, item, axis]
-        result: wp.array3d(dtype=wp.float64),  # [frame, env, axis]
+        first: wp.uint64,  # address of the first frame [env, axis]
+        size: wp.uint64,  # from frame to frame [bytes]
     ):
+        shape = (source.shape[0], source.shape[2])
+        frame = wp.array(ptr=first + wp.uint64(number[0]) * size, shape=shape, dtype=wp.float64)
         for task in range(wp.tid(), task_count(work), work.threads):
             env = first_env(work) + task
             for axis in range(source.shape[2]):
                 total = wp.float64(0.0)
                 for item in range(source.shape[1]):
                     total += source[env, item, axis]
-                result[number[0], env, axis] = total
+                frame[env, axis] = total
 
     return take_total_frame
 

@@ -61,7 +61,7 @@ class Copies:
 
     def __init__(self, part: Model) -> None:
         self._part = part
-        self._rows: list[tuple[wp.Kernel, wp.array, wp.array]] = []
+        self._rows: list[tuple[wp.Kernel, list[Any]]] = []
         # Whose memory that is.
         self._owners: list[tuple[wp.array, NDArray[Any]]] = []
         self._number: wp.array | None = None
@@ -75,20 +75,15 @@ class Copies:
         inner, size = (wp.types.type_size_in_bytes(dtype) for dtype in (word, source.dtype))
         # Each item in one piece, be it a number, a vector or a matrix; what has no items is one.
         items, apart = (source.shape[1], source.strides[1]) if source.ndim == 2 else (1, size)
-        frames, envs, words = *result.shape[:2], size // inner
-        of_source = _lent(source.ptr, word, (envs, items, words), (source.strides[0], apart, inner))
-        if reading.total:
-            of_result = _lent(result.ctypes.data, word, (frames, envs, words), (*result.strides[:2], inner))
-        else:
-            shape, strides = (frames, envs, items, words), (*result.strides[:2], size, inner)
-            of_result = _lent(result.ctypes.data, word, shape, strides)
-        self._rows.append((kernel, of_source, of_result))
+        shape, strides = (source.shape[0], items, size // inner), (source.strides[0], apart, inner)
+        seen = wp.array(ptr=source.ptr, dtype=word, shape=shape, strides=strides, device="cpu")
+        self._rows.append((kernel, [seen, result.ctypes.data, result.strides[0]]))
         self._owners.append((source, result))
 
     @beside_captures()
     def stages(self, span: Span, number: wp.array) -> list[wp.Launch]:
         """Returns the launches that take frame ``number`` [0], which they read when they run, of ``span``."""
-        return [launch for kernel, *rows in self._rows for launch in span.prepare(kernel, 1, [number, *rows])]
+        return [launch for kernel, inputs in self._rows for launch in span.prepare(kernel, 1, [number, *inputs])]
 
     @beside_captures()
     def take(self, number: int) -> None:
@@ -99,11 +94,6 @@ class Copies:
         self._number.numpy()[0] = number
         for launch in self._launches:
             launch.launch()
-
-
-def _lent(address: int, dtype: type, shape: tuple[int, ...], strides: tuple[int, ...]) -> wp.array:
-    """Returns memory of the host, whose owner keeps it, as an array."""
-    return wp.array(ptr=address, dtype=dtype, shape=shape, strides=strides, device="cpu")
 
 
 class Channel:

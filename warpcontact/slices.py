@@ -134,13 +134,13 @@ class Frames:
 
 
 class Begin(Enum):
-    """How the first of some steps comes to know what is near of contacts."""
+    """What comes before the first of some steps."""
 
-    #: It finds out.
+    #: Nothing that it has to know of.
     STEP = "step"
-    #: A look just told, for which nobody had to come by.
+    #: A look, which told what is near of contacts.
     LOOKED = "looked"
-    #: A look is due before it, and tells.
+    #: A look that is part of their graph, and may tell.
     LOOK = "look"
 
 
@@ -202,8 +202,10 @@ class Stepper:
         self._graphs: dict[tuple[int, Begin], wp.Graph] = {}
         # Of those, by what is asked for, which it is made up of.
         self._ways: dict[tuple[int, Begin], list[wp.Graph]] = {}
-        # A look, what it is for, and where it finds, and counts, the number of the frame that launches take.
+        # A look, whether it tells what is near, what it is for, and where it finds, and counts, the number of the
+        # frame that launches take.
         self._look: list[wp.Launch] = []
+        self._tells = False
         self._look_graph: wp.Graph | None = None
         self._look_for: tuple[frozenset[str], weakref.ref[Any]] | None = None
         self._number = np.zeros(1, np.int32)
@@ -248,7 +250,8 @@ class Stepper:
         if not self.captured:
             return []
         look = self._look if begin is Begin.LOOK else []
-        first = self._steps[0].whole if begin is Begin.STEP else self._after_look
+        known = begin is Begin.LOOKED or (begin is Begin.LOOK and self._tells)
+        first = self._after_look if known else self._steps[0].whole
         rest = [launch for number in range(1, steps) for launch in self._steps[number % 2].whole]
         return [*look, *first, *rest, *(self._steps[0].back if steps % 2 else [])]
 
@@ -298,15 +301,17 @@ class Stepper:
         whose = self if copies is None else copies
         if self._look_for is None or self._look_for[0] != frames.needs or self._look_for[1]() is not whose:
             self._forget_look()
+            self._tells = self.ready_after_look(frames.needs)
             look = span.model.look(frames.needs, span.slice)
             if copies is not None:
                 look = look + self._copy_stages(copies)
             if self.captured and look:
                 self._look_graph = self._captured(look)
             self._look, self._look_for = look, (frames.needs, weakref.ref(whose))
-        self.after_frame = Begin.STEP
-        if self.ready_after_look(frames.needs):
-            self.after_frame = Begin.LOOKED if copies is None else Begin.LOOK
+        if copies is not None and self.captured:
+            self.after_frame = Begin.LOOK
+        else:
+            self.after_frame = Begin.LOOKED if self._tells else Begin.STEP
 
     def _forget_look(self) -> None:
         self._look_graph, self._look_for = None, None

@@ -113,10 +113,12 @@ def stepping_footprint(
             tally = look_span(_Tally, part, 1, buffers.hard, looks)
             look = look_stages(tally, looks, part.no_step, None)
             size += _captured_bytes(look) if one.captured else LAUNCH_BYTES * len(look)
-            if one.ready_after_look(looks):
+            begin = Begin.LOOKED if one.ready_after_look(looks) else Begin.STEP
+            if begin is Begin.LOOKED:
                 # A rest of one step, after the last frame of many, would have a smaller one beside it.
-                size += LAUNCH_BYTES * len(one.graph(1, Begin.LOOKED))
-                size += _captured_bytes([*look, *one.graph(2, Begin.LOOKED)])
+                size += LAUNCH_BYTES * len(one.graph(1, begin))
+            if one.captured and look:
+                size += _captured_bytes([*look, *one.graph(2, begin)])
         launches = Need("launches", HOST, size * (members if part.device.is_cpu else 1))
         needs = [*buffers.layout.needs(envs), launches]
         if observer is not None:
