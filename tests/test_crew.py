@@ -29,7 +29,7 @@ class Stepper:
     def capture(self, count):
         pass
 
-    def step(self, count, after_look):
+    def step(self, count, begin):
         if self.meeting is not None:
             self.meeting.wait(timeout=10.0)  # a BrokenBarrierError if the others are not stepped meanwhile
         self.log.append((str(self.device), threading.current_thread() is threading.main_thread()))

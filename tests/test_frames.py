@@ -10,7 +10,7 @@ from test_schedule import ENVS, SCENES, STATE, start
 import warpcontact as wc
 from warpcontact import crew, stepping
 from warpcontact.captures import capturing
-from warpcontact.looks import in_parts
+from warpcontact.looks import in_parts, known_needs
 from warpcontact.model import WITHOUT_CONTACT
 from warpcontact.recorder import Recorder
 from warpcontact.schedule import Span, force_stages
@@ -162,7 +162,7 @@ def test_steps_after_looks_are_captured_where_there_are_some(device):
 
     def captured():
         _, made = sim._prepared
-        return {key for stepper in made._steppers for key in stepper._graphs}
+        return {key[:2] for stepper in made._steppers for key in stepper._graphs}
 
     # On a GPU a frame is looked at when it is there, and eight steps are four times two.
     on_cpu = sim.model.device.is_cpu
@@ -183,14 +183,13 @@ def test_recordings_after_each_other_have_their_own_frames(device):
         recorder.start()
         for _ in sim.advance(recorder, 40, 10, start=sim.time):
             pass
-        made.append({name: values.copy() for name, values in recorder.frames().items()})
-        recorder.rewind()
-        before = [values.copy() for values in recorder.frames().values()]
+        made.append(recorder.frames())
+        before = {name: values.copy() for name, values in made[-1].items()}
         sim.step(7)
-        assert all((one == other).all() for one, other in zip(before, recorder.frames().values(), strict=True))
-    if sim.model.device.is_cpu:
-        _, crew_of_sim = sim._prepared
-        assert {(2, Begin.LOOK), (8, Begin.STEP)} <= set(crew_of_sim._steppers[0]._graphs)
+        sim.step_in_frames(1, 7, recorder.needs, lambda part, own, number: None)
+        sim.step(3)
+        for name, values in made[-1].items():
+            np.testing.assert_array_equal(values, before[name], err_msg=name)
     for frames in made:
         for number in range(5):
             plain.step(10 if number else 0)
@@ -198,7 +197,49 @@ def test_recordings_after_each_other_have_their_own_frames(device):
                 np.testing.assert_array_equal(
                     values[number], plain.model.reading(name), err_msg=f"{name} {number}"
                 )
-        plain.step(7)
+        plain.step(17)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_all_needs_of_readings_are_known(name, device):
+    for reading in SCENES[name]().build(device=device).parts[0].readings.values():
+        assert known_needs(set(reading.needs)) == set(reading.needs)
+
+
+@pytest.mark.parametrize(
+    ("frames", "every", "needs", "message"),
+    [
+        (-1, 1, (), "frames must be a whole number of at least 0, got -1"),
+        (1, 0, (), "every must be a whole number of at least 1, got 0"),
+        (1, 2.0, (), "every must be a whole number of at least 1, got 2.0"),
+        (
+            1,
+            1,
+            ("bodies", "contacts"),
+            r"needs \['bodies'\] are not known, there are \['contact_coup",
+        ),
+    ],
+)
+def test_wrong_frames_are_refused_by_name(frames, every, needs, message, device):
+    sim = simulation("two bodies", device)
+    with pytest.raises(ValueError, match=message):
+        sim.step_in_frames(frames, every, set(needs), lambda part, own, number: None)
+    assert sim.steps == 0
+
+
+def test_recorders_of_the_same_needs_capture_once(device):
+    sim = simulation("two bodies", device)
+    replayed = []
+    for name in ("lower.normal_force", "upper.normal_force"):
+        recorder = Recorder(sim.model, [name], 5, poses=False)
+        recorder.start()
+        for _ in sim.advance(recorder, 40, 10, start=sim.time):
+            pass
+        replayed.append({key: id(graph) for key, graph in sim._prepared[1]._steppers[0]._graphs.items()})
+    assert replayed[0] == replayed[1]
+    if sim.model.device.is_cpu:
+        needs = frozenset(recorder.needs)
+        assert {(2, Begin.LOOK, needs), (8, Begin.STEP, frozenset())} <= replayed[0].keys()
 
 
 def test_looks_are_not_prepared_while_another_thread_captures(device):

@@ -170,7 +170,7 @@ def test_a_recording_takes_what_is_planned(device):
     recorder.start()
     for frame in range(5):
         recorder.take(float(frame))
-    rings = sum(ring.memory.capacity for channel in recorder.channels for ring in channel.rings)
+    rings = sum(ring.memory.capacity for channel in recorder.channels for ring in channel.rings.values())
     recording = recorder.finish({})
     stored = sum(variable.nbytes for variable in recording.data_vars.values())
     assert size.on_host(7, 5) == stored
@@ -211,15 +211,19 @@ def test_plan_tells_and_runs_nothing(device, tmp_path, capsys, monkeypatch):
     assert "--shard 0: shard must be a whole number of at least 1, got 0" in capsys.readouterr().err
 
 
+# Readings of all kinds of needs that one point on a mesh has.
+RECORDED = ("scene.kinetic_energy", "scene.linear_momentum", "touch.gap", "touch.normal_force", "touch.point")
+
 GROWTH = """
 import ctypes, gc, sys
 import numpy as np
 import warp as wp
 wp.config.log_level = wp.LOG_ERROR
 import warpcontact as wc
+from warpcontact.recorder import Recorder
 
 kind, envs, steps, device = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
-looks = set(sys.argv[5:])
+names = sys.argv[5:]
 
 def used():
     gc.collect()
@@ -245,17 +249,22 @@ def stepped(envs):
     model = scene.build(envs, device)
     model["body.mass"] = np.linspace(0.5, 1.0, envs)
     sim = wc.Simulation(model, dt=1e-4, threads=2, graphs=steps > 4)
-    if looks:
-        model.make_measures(looks)
-        sim.step_in_frames(1, steps, looks, lambda part, own, number: None)
-    else:
+    if not names:
         sim.step(steps)
-    return sim
+        return sim, None
+    recorder = Recorder(model, names, 1 + steps // 10, poses=True)
+    recorder.start()
+    for _ in sim.advance(recorder, steps, 10, start=0.0):
+        pass
+    return sim, recorder
 
 one = stepped(1)
 before = used()
-many = stepped(envs)
-memory = many.memory().with_needs(many.needs_of_frames(looks))
+many, recorder = stepped(envs)
+memory = many.memory()
+if recorder is not None:
+    recorded = recorder.size().needs(device, envs, len(recorder.times))
+    memory = memory.with_needs([*many.needs_of_frames(recorder.needs), *recorded])
 place = "host" if device == "cpu" else device
 # What the scene takes in any case is taken a second time.
 print(used() - before, memory.on(place))
@@ -264,20 +273,21 @@ print(used() - before, memory.on(place))
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "envs", "steps", "looks"),
+    ("kind", "envs", "steps", "names"),
     [
         ("sphere", 200_000, 4, ()),
         ("box", 20_000, 4, ()),
         ("sphere", 10_000, 35, ()),
-        ("sphere", 10_000, 35, ("positions", "energies", "momenta", "contacts", "distances", "points")),
+        ("sphere", 10_000, 35, ("body.position",)),
+        ("sphere", 10_000, 35, RECORDED),
     ],
-    ids=["spheres", "boxes of 64 points", "captured", "captured with frames"],
+    ids=["spheres", "boxes of 64 points", "captured", "captured with poses", "captured with frames"],
 )
-def test_the_estimate_is_what_the_process_grows_by(kind, envs, steps, looks, device):
+def test_the_estimate_is_what_the_process_grows_by(kind, envs, steps, names, device):
     """Within 15 %: also what is not in arrays, such as launches and graphs, and what allocators add."""
     if device == "cpu" and not Path("/proc/self/status").is_file():
         pytest.skip("this system does not tell how much memory a process has")
-    words = [sys.executable, "-c", GROWTH, kind, str(envs), str(steps), device, *looks]
+    words = [sys.executable, "-c", GROWTH, kind, str(envs), str(steps), device, *names]
     result = subprocess.run(words, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     grown, estimate = map(int, result.stdout.split()[-2:])

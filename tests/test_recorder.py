@@ -204,6 +204,25 @@ def test_blocks_are_a_recording_in_pieces(device, in_slices):
     np.testing.assert_allclose(np.concatenate([block.time for block in blocks]), 7e-3 * np.arange(16))
 
 
+def test_no_more_frames_are_taken_than_there_is_room_for(device):
+    sim = falling(device)
+    recorder = Recorder(sim.model, WATCHED, 3, poses=False)
+    with pytest.raises(RuntimeError, match=r"room for 0 of 3 frames, not for 1 more: start it first"):
+        recorder.take(0.0)
+    recorder.start()
+    recorder.take(0.0)
+    frames = recorder.frames()
+    with pytest.raises(RuntimeError, match=r"room for 2 of 3 frames, not for 3 more: .*rewind it"):
+        sim._record(recorder, 3, 1, 0.0, 0)
+    assert (sim.steps, recorder.taken) == (0, 1)
+    done = []
+    with pytest.raises(RuntimeError, match=r"room for 0 of 3 frames, not for 1 more"):
+        done += sim.advance(recorder, 11, 1, start=0.0, taken=1)
+    assert (sim.steps, recorder.taken) == (2, 3)
+    for name, values in frames.items():
+        np.testing.assert_array_equal(values, recorder.frames()[name][:1], err_msg=name)
+
+
 def test_time_goes_on_from_run_to_run(device):
     sim = wc.Simulation(dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device), dt=1e-3)
     sim.run(0.01)

@@ -381,7 +381,7 @@ def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
         def capture(self, count):
             pass
 
-        def step(self, count, after_look):
+        def step(self, count, begin):
             time.sleep(0.02 * count)
 
     assert list(crew.Crew([crew.Share([slice(0, 1)], [Stepper()])]).step(24)) == [8, 16, 24]

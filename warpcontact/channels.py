@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 
 from warpcontact.available import HOST
 from warpcontact.captures import beside_captures
+from warpcontact.copies import Copies
 from warpcontact.environments import Environments
 from warpcontact.footprint import Need
-from warpcontact.kernels import recording
 from warpcontact.model import Model
-from warpcontact.readings import Reading
-from warpcontact.schedule import Span
 
 # Frames wait on a GPU up to this size, then move to the host in one copy.
 RING_BYTES = 64 * 2**20
@@ -56,46 +54,6 @@ class Frame:
         return needs
 
 
-class Copies:
-    """The launches that take the frames of a part on the CPU, and what they take them from and to."""
-
-    def __init__(self, part: Model) -> None:
-        self._part = part
-        self._rows: list[tuple[wp.Kernel, list[Any]]] = []
-        # Whose memory that is.
-        self._owners: list[tuple[wp.array, NDArray[Any]]] = []
-        self._number: wp.array | None = None
-        self._launches: list[wp.Launch] = []
-
-    @beside_captures()
-    def add(self, reading: Reading, result: NDArray[Any]) -> None:
-        """Adds a reading of the part; ``result`` receives all its frames (frame, env, …)."""
-        source = reading.array(self._part.arrays)
-        kernel, word = (recording.take_total(), wp.float64) if reading.total else (recording.take(), wp.uint32)
-        inner, size = (wp.types.type_size_in_bytes(dtype) for dtype in (word, source.dtype))
-        # Each item in one piece, be it a number, a vector or a matrix; what has no items is one.
-        items, apart = (source.shape[1], source.strides[1]) if source.ndim == 2 else (1, size)
-        shape, strides = (source.shape[0], items, size // inner), (source.strides[0], apart, inner)
-        seen = wp.array(ptr=source.ptr, dtype=word, shape=shape, strides=strides, device="cpu")
-        self._rows.append((kernel, [seen, result.ctypes.data, result.strides[0]]))
-        self._owners.append((source, result))
-
-    @beside_captures()
-    def stages(self, span: Span, number: wp.array) -> list[wp.Launch]:
-        """Returns the launches that take frame ``number`` [0], which they read when they run, of ``span``."""
-        return [launch for kernel, inputs in self._rows for launch in span.prepare(kernel, 1, [number, *inputs])]
-
-    @beside_captures()
-    def take(self, number: int) -> None:
-        """Takes all environments of a frame."""
-        if self._number is None:
-            self._number = wp.zeros(1, dtype=wp.int32, device="cpu")
-            self._launches = self.stages(Span(self._part, self._part.envs, False, True), self._number)
-        self._number.numpy()[0] = number
-        for launch in self._launches:
-            launch.launch()
-
-
 class Channel:
     """The frames of one reading: one result on the host, and on each GPU a buffer, once they are allocated."""
 
@@ -119,11 +77,6 @@ class Channel:
                 copies[part].add(part.readings[self.frame.name], self.result[:, own])
             else:
                 self.rings[part] = Ring(part, self.frame, self.result[:, own])
-
-    def take(self, number: int) -> None:
-        """Takes a frame of the parts on GPUs."""
-        for ring in self.rings.values():
-            ring.take(number)
 
     def drain(self) -> None:
         """Takes to the host what waits on a device."""

@@ -1,6 +1,6 @@
 """What is launched to look at a state: what readings need, of some environments apart from the others."""
 
-from collections.abc import Set
+from collections.abc import Iterable, Set
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
@@ -17,6 +17,17 @@ if TYPE_CHECKING:
 OF_FAR = ("distances", "points", "contact_couplings", *SMOOTH)
 #: Needs that can be computed of some environments apart from the others, and in every step.
 IN_PARTS = frozenset(("contacts", "distances", *measures.OF_BODIES, "points", "coordinates"))
+
+#: All needs.
+KNOWN = IN_PARTS.union(OF_FAR, ("reactions", "piles"))
+
+
+def known_needs(needs: Iterable[str]) -> frozenset[str]:
+    """Returns ``needs``; raises ``ValueError`` if nothing tells how to compute one."""
+    wanted = frozenset(needs)
+    if unknown := wanted - KNOWN:
+        raise ValueError(f"needs {sorted(unknown)} are not known, there are {sorted(KNOWN)}")
+    return wanted
 
 
 def in_parts(device: wp.Device, hard: "HardContacts | None", needs: Set[str]) -> bool:

@@ -130,8 +130,6 @@ class Reading:
         """Returns what is reported from what was read; ``axis`` is the item axis."""
         if not self.total:
             return values
-        if values.shape[axis] == 0:
-            return values.sum(axis=axis)
         # From the first item to the last, and never −0, as launches sum up.
         return np.add.accumulate(values, axis=axis).take(-1, axis=axis) + 0.0
 

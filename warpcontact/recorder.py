@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from warpcontact._version import __version__
 from warpcontact.arrays import row_bytes
 from warpcontact.available import HOST, Room
-from warpcontact.channels import Channel, Copies, Frame
+from warpcontact.channels import Channel, Frame
+from warpcontact.copies import Copies
 from warpcontact.environments import Environments
 from warpcontact.footprint import (
     Footprint,
@@ -153,7 +154,8 @@ class Recorder:
         self.channels = [Channel(model, reading.name) for reading in readings]
         #: What takes frames of parts on the CPU, once started.
         self.copies: dict[Model, Copies] = {}
-        self.times = np.zeros(frames)
+        self.most = frames
+        self.times = np.zeros(0)
         self.taken = 0
 
     def size(self) -> RecordingSize:
@@ -165,8 +167,16 @@ class Recorder:
 
     @property
     def room(self) -> int:
-        """How many frames more it holds until it is rewound."""
+        """How many frames more it holds until it is rewound; none before it is started."""
         return len(self.times) - self.taken
+
+    def require(self, frames: int) -> None:
+        """Raises ``RuntimeError`` if it does not hold so many frames more."""
+        if frames > self.room:
+            raise RuntimeError(
+                f"the recorder has room for {self.room} of {self.most} frames, not for {frames} more: "
+                "start it first, and rewind it for a new block"
+            )
 
     def start(self, beside: Iterable[Need] = ()) -> None:
         """Allocates what the frames are put into.
@@ -177,7 +187,7 @@ class Recorder:
         Raises:
             MemoryError: If that is more than there is; says how many frames would fit.
         """
-        size, frames = self.size(), len(self.times)
+        size, frames = self.size(), self.most
         footprint = total(
             Footprint(part.envs, str(part.device), tuple(size.needs(str(part.device), part.envs, frames)))
             for part in self.model.parts
@@ -185,12 +195,13 @@ class Recorder:
         room = shortage(footprint, rooms_of(footprint))
         if room is not None:
             raise MemoryShortage(self._too_much(footprint, room), footprint.on(room.place), usable(room))
+        self.times = np.zeros(frames)
         self.copies = {part: Copies(part) for part in self.model.parts if part.device.is_cpu}
         for channel in self.channels:
             channel.allocate(frames, self.copies)
 
     def _too_much(self, footprint: Footprint, room: Room) -> str:
-        envs, frames = self.model.envs, len(self.times)
+        envs, frames = self.model.envs, self.most
         sizes = {channel.frame.name: envs * frames * channel.frame.host for channel in self.channels}
         largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
         most = int(frames * usable(room) / footprint.on(room.place))
@@ -202,16 +213,26 @@ class Recorder:
         return f"the recording of {frames} frames: {said(footprint, room)}; {advice} (largest: {named})"
 
     def take(self, time: float) -> None:
-        """Takes one frame of the current state at ``time`` [s]."""
+        """Takes one frame of the current state at ``time`` [s].
+
+        Raises:
+            RuntimeError: If there is no room for it.
+        """
+        self.require(1)
         # All parts are at work before the first is waited for.
         for part in self.model.parts:
             part.prepare(self.needs)
         for part in self.model.parts:
-            if part in self.copies:
-                self.copies[part].take(self.taken)
-        for channel in self.channels:
-            channel.take(self.taken)
+            self.take_of(part, slice(0, part.envs), self.taken)
         self.count([time])
+
+    def take_of(self, part: Model, own: slice, number: int) -> None:
+        """Takes frame ``number`` of a part, what it needs being computed; ``own`` are all of its environments."""
+        if part in self.copies:
+            self.copies[part].take(number)
+        else:
+            for channel in self.channels:
+                channel.rings[part].take(number)
 
     def count(self, times: Sequence[float]) -> None:
         """Counts the next frames, at ``times`` [s], which are taken of all environments."""

@@ -4,7 +4,7 @@ import contextlib
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, Need, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.kernels.outcomes.base import Outcome
-from warpcontact.looks import in_parts
+from warpcontact.looks import in_parts, known_needs
 from warpcontact.model import Model, State
 from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.parameters import rounded
@@ -102,14 +102,14 @@ class Simulation:
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
         integrator.check_step(self.dt)
         rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.parts[0].types.real))
-        self.crossing_steps = _at_least_one("crossing_steps", crossing_steps)
+        self.crossing_steps = _whole("crossing_steps", crossing_steps)
         if self.crossing_steps > 1 and not model.parts[0].sweeps:
             warnings.warn(
                 f"crossing_steps = {self.crossing_steps} divides no step: no contact of the scene has swept=True",
                 ContactWarning,
                 stacklevel=2,
             )
-        self.threads = available_threads() if threads is None else _at_least_one("threads", threads)
+        self.threads = available_threads() if threads is None else _whole("threads", threads)
         self.deterministic = bool(deterministic)
         self.distance_cache = bool(distance_cache)
         self.graphs = bool(graphs)
@@ -200,10 +200,10 @@ class Simulation:
 
     def needs_of_frames(self, needs: Set[str]) -> list[Need]:
         """Returns what steps take more of memory if they are recorded, by what readings need."""
-        alone, with_frames = (self._stepping(self.model.envs, looks) for looks in (frozenset(), frozenset(needs)))
+        alone, with_frames = (self._stepping(self.model.envs, looks) for looks in (None, frozenset(needs)))
         return [Need("launches", HOST, with_frames.of("launches") - alone.of("launches"))]
 
-    def _stepping(self, envs: int, looks: frozenset[str] = frozenset()) -> Footprint:
+    def _stepping(self, envs: int, looks: frozenset[str] | None = None) -> Footprint:
         """Returns what this simulation would take if it had ``envs`` environments, beside the model."""
         return stepping_footprint(
             self.model.shares_of(envs),
@@ -270,13 +270,11 @@ class Simulation:
             RuntimeError: If a list of partners of a mutual contact was too short. On a GPU that is said by what
                 waits for it, such as a reading or the end of a run.
         """
-        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 0:
-            raise ValueError(f"count must be a whole number of at least 0, got {count!r}")
-        if count:
+        if _whole("count", count, least=0):
             self._advance(count, None)
 
     def step_in_frames(
-        self, frames: int, every: int, needs: Set[str], take: Callable[[Model, slice, int], None]
+        self, frames: int, every: int, needs: Iterable[str], take: Callable[[Model, slice, int], None]
     ) -> None:
         """Takes ``frames`` times ``every`` steps, and looks at the state after each ``every`` of them.
 
@@ -289,25 +287,27 @@ class Simulation:
             take: Called when it is computed, with a part of the model, a range of its environments and the number
                 of the frame, from 0. Of each environment frames come in their order; ranges come from several
                 threads and may be at different frames, so only the range may be read.
-        """
-        self._attach()
-        needs = frozenset(needs)
-        if self._looks_in_parts(needs):
-            self._advance(frames * every, Frames(every, needs, take))
-            return
-        for number in range(frames):
-            self._advance(every, None)
-            # All parts are at work before the first is waited for.
-            for part in self.model.parts:
-                part.prepare(needs)
-            for part in self.model.parts:
-                take(part, slice(0, part.envs), number)
 
-    def _looks_in_parts(self, needs: Set[str]) -> bool:
-        """Whether looks for readings with ``needs`` can be at slices, by the way of their steps."""
-        return self.watch.quarantine == "freeze" and all(
-            in_parts(part.device, part.hard, needs) for part in self.model.parts
-        )
+        Raises:
+            ValueError: If a number or a need is not allowed.
+            QuarantineError, RuntimeError: As ``step``.
+        """
+        count = _whole("frames", frames, least=0)
+        self._step_in_frames(count, Frames(_whole("every", every), known_needs(needs), take))
+
+    def _step_in_frames(self, count: int, frames: Frames) -> None:
+        self._attach()
+        parts = self.model.parts
+        if self.watch.quarantine == "freeze" and all(in_parts(p.device, p.hard, frames.needs) for p in parts):
+            self._advance(count * frames.every, frames)
+            return
+        for number in range(frames.first, frames.first + count):
+            self._advance(frames.every, None)
+            # All parts are at work before the first is waited for.
+            for part in parts:
+                part.prepare(frames.needs)
+            for part in parts:
+                frames.take(part, slice(0, part.envs), number)
 
     def _advance(self, count: int, frames: Frames | None) -> None:
         model = self.model
@@ -480,21 +480,16 @@ class Simulation:
 
     def _record(self, recorder: "Recorder", frames: int, every: int, start: float, done: int) -> None:
         """Takes ``frames`` times ``every`` steps after the first ``done``, and a frame after each of these."""
-        times = [start + (done + (number + 1) * every) * self.dt for number in range(frames)]
-        if self._looks_in_parts(recorder.needs):
-            kind = Frames(every, frozenset(recorder.needs), copies=recorder.copies, first=recorder.taken)
-            self._advance(frames * every, kind)
-            recorder.count(times)
-            return
-        for time_of_frame in times:
-            self._advance(every, None)
-            recorder.take(time_of_frame)
+        recorder.require(frames)
+        needs = frozenset(recorder.needs)
+        self._step_in_frames(frames, Frames(every, needs, recorder.take_of, recorder.copies, recorder.taken))
+        recorder.count([start + (done + (number + 1) * every) * self.dt for number in range(frames)])
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"
 
 
-def _at_least_one(name: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
+def _whole(name: str, value: object, least: int = 1) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
     return int(value)

@@ -5,20 +5,18 @@ time, and replayed; launches and replays compute the same. They are the same for
 from memory which slice they are for: each thread has its own, and takes them from slice to slice.
 """
 
-import weakref
 from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import warp as wp
 
 from warpcontact.arrays import Layout, broadcast, per_env
 from warpcontact.captures import beside_captures, capturing
+from warpcontact.copies import Copies, Taking
 from warpcontact.integrators import Integrator
-from warpcontact.kernels import recording
 from warpcontact.looks import looks_at_near
 from warpcontact.outcomes.observer import Observer
 from warpcontact.outcomes.watch import Watch
@@ -31,7 +29,6 @@ from warpcontact.schedule import (
 )
 
 if TYPE_CHECKING:
-    from warpcontact.channels import Copies
     from warpcontact.draft import PartDraft
     from warpcontact.model import Model
 
@@ -39,6 +36,8 @@ if TYPE_CHECKING:
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
 CPU_GRAPH_STEPS = (8, 2, 1)
+# Readings for which there is room where a launch reads what to take.
+FEWEST_ROWS = 32
 
 
 @dataclass(frozen=True)
@@ -116,14 +115,14 @@ class Frames:
         needs: What is computed for each, see ``Reading.needs``.
         take: Called when it is, by the thread that computed it, with the model, its environments that are there,
             and the number of the frame: in any order of environments, one frame after the other.
-        copies: In place of that, what launches take, by model.
+        copies: By model, on the CPU, what launches take where looks are at slices; ``take`` is not called there.
         first: Number of the first of these frames.
     """
 
     every: int
     needs: frozenset[str]
-    take: Callable[["Model", slice, int], None] | None = None
-    copies: Mapping["Model", "Copies"] = field(default_factory=dict)
+    take: Callable[["Model", slice, int], None]
+    copies: Mapping["Model", Copies] = field(default_factory=dict)
     first: int = 0
 
     def cut(self, done: int, count: int) -> list[int]:
@@ -198,17 +197,14 @@ class Stepper:
         # What is decided on the host cannot be captured.
         self.captured = captured and not divides
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
-        # By their steps, and how these begin.
-        self._graphs: dict[tuple[int, Begin], wp.Graph] = {}
+        # By their steps, how these begin, and what a look among them is for.
+        self._graphs: dict[tuple[int, Begin, frozenset[str]], wp.Graph] = {}
         # Of those, by what is asked for, which it is made up of.
-        self._ways: dict[tuple[int, Begin], list[wp.Graph]] = {}
-        # A look, whether it tells what is near, what it is for, and where it finds, and counts, the number of the
-        # frame that launches take.
-        self._look: list[wp.Launch] = []
-        self._tells = False
-        self._look_graph: wp.Graph | None = None
-        self._look_for: tuple[frozenset[str], weakref.ref[Any]] | None = None
-        self._number = np.zeros(1, np.int32)
+        self._ways: dict[tuple[int, Begin, frozenset[str]], list[wp.Graph]] = {}
+        # By what is needed; what is now; and what takes frames.
+        self._looks: dict[frozenset[str], tuple[list[wp.Launch], wp.Graph | None]] = {}
+        self._needs: frozenset[str] = frozenset()
+        self._taking: Taking | None = None
         self.after_frame = Begin.STEP
 
     def go_to(self, own: slice) -> None:
@@ -249,8 +245,8 @@ class Stepper:
         """Returns the launches of the graph of ``steps`` steps, none if nothing is captured."""
         if not self.captured:
             return []
-        look = self._look if begin is Begin.LOOK else []
-        known = begin is Begin.LOOKED or (begin is Begin.LOOK and self._tells)
+        look = self._looks[self._needs][0] if begin is Begin.LOOK else []
+        known = begin is Begin.LOOKED or (begin is Begin.LOOK and self.ready_after_look(self._needs))
         first = self._after_look if known else self._steps[0].whole
         rest = [launch for number in range(1, steps) for launch in self._steps[number % 2].whole]
         return [*look, *first, *rest, *(self._steps[0].back if steps % 2 else [])]
@@ -269,12 +265,18 @@ class Stepper:
 
     def capture(self, count: int, begin: Begin = Begin.STEP) -> None:
         """Captures what ``step`` will replay. Not while other threads step."""
-        if not self.captured or (count, begin) in self._ways:
+        if not self.captured or self._key(count, begin) in self._ways:
             return
-        keys = list(self._graphs_of(count, begin))
-        for key in set(keys) - self._graphs.keys():
-            self._graphs[key] = self._captured(self.graph(*key))
-        self._ways[count, begin] = [self._graphs[key] for key in keys]
+        graphs = []
+        for way in self._graphs_of(count, begin):
+            key = self._key(*way)
+            if key not in self._graphs:
+                self._graphs[key] = self._captured(self.graph(*way))
+            graphs.append(self._graphs[key])
+        self._ways[self._key(count, begin)] = graphs
+
+    def _key(self, count: int, begin: Begin) -> tuple[int, Begin, frozenset[str]]:
+        return count, begin, self._needs if begin is Begin.LOOK else frozenset()
 
     def _captured(self, launches: list[wp.Launch]) -> wp.Graph:
         with capturing(), wp.ScopedCapture(device=self.device) as capture:
@@ -284,7 +286,7 @@ class Stepper:
     def step(self, count: int, begin: Begin = Begin.STEP) -> None:
         """Takes ``count`` steps, captured ones; the state is in the model's buffer before and after."""
         if self.captured:
-            for graph in self._ways[count, begin]:
+            for graph in self._ways[self._key(count, begin)]:
                 wp.capture_launch(graph)
             return
         with beside_captures():
@@ -295,37 +297,21 @@ class Stepper:
 
     def ready_look(self, frames: Frames) -> None:
         """Prepares, or captures, ``look``, and says how steps after it begin. Not while other threads step."""
-        span = self._span
-        copies = frames.copies.get(span.model)
-        # Launches know their arrays by address: those of copies that are gone are not launched again.
-        whose = self if copies is None else copies
-        if self._look_for is None or self._look_for[0] != frames.needs or self._look_for[1]() is not whose:
-            self._forget_look()
-            self._tells = self.ready_after_look(frames.needs)
-            look = span.model.look(frames.needs, span.slice)
-            if copies is not None:
-                look = look + self._copy_stages(copies)
-            if self.captured and look:
-                self._look_graph = self._captured(look)
-            self._look, self._look_for = look, (frames.needs, weakref.ref(whose))
+        copies = frames.copies.get(self._span.model)
+        count = 0 if copies is None else len(copies.rows)
+        if self._taking is None or self._taking.room < count:
+            self._taking = Taking(self._span, max(FEWEST_ROWS, 2 * count))
+            for known in (self._looks, self._graphs, self._ways):
+                known.clear()
+        self._taking.read(copies)
+        self._needs = frames.needs
+        if frames.needs not in self._looks:
+            launches = [*self._span.model.look(frames.needs, self._span.slice), *self._taking.launches]
+            self._looks[frames.needs] = launches, self._captured(launches) if self.captured else None
         if copies is not None and self.captured:
             self.after_frame = Begin.LOOK
         else:
-            self.after_frame = Begin.LOOKED if self._tells else Begin.STEP
-
-    def _forget_look(self) -> None:
-        self._look_graph, self._look_for = None, None
-        for known in (self._graphs, self._ways):
-            for key in [key for key in known if key[1] is Begin.LOOK]:
-                del known[key]
-
-    @beside_captures()
-    def _copy_stages(self, copies: "Copies") -> list[wp.Launch]:
-        """Returns the launches that take a frame, and count it."""
-        number = wp.zeros(1, dtype=wp.int32, device="cpu")
-        self._number = number.numpy()
-        counted = wp.launch(recording.count(), 1, [number], device="cpu", record_cmd=True)
-        return [*copies.stages(self._span, number), counted]
+            self.after_frame = Begin.LOOKED if self.ready_after_look(frames.needs) else Begin.STEP
 
     def ready_after_look(self, needs: Set[str]) -> bool:
         """Prepares the step after a look for readings with ``needs``; returns whether it has less to do."""
@@ -339,17 +325,19 @@ class Stepper:
         return True
 
     def go_to_frame(self, number: int) -> None:
-        """Tells launches the number of the frame that is next."""
-        self._number[0] = number
+        """Takes frame ``number`` next, where launches do."""
+        if self._taking is not None:
+            self._taking.go_to(number)
 
     def look(self, frames: Frames, number: int) -> None:
         """Computes frame ``number`` of its environments, and hands it on."""
-        if self._look_graph is not None:
-            wp.capture_launch(self._look_graph)
+        launches, graph = self._looks[frames.needs]
+        if graph is not None:
+            wp.capture_launch(graph)
         else:
             with beside_captures():
-                _launch(self._look)
-        if frames.take is not None:
+                _launch(launches)
+        if self._span.model not in frames.copies:
             frames.take(self._span.model, self.slice, number)
 
     def _take(self, way: int) -> None:

@@ -11,6 +11,7 @@ from warpcontact.captures import beside_captures
 from warpcontact.crew import available_threads
 from warpcontact.footprint import Footprint, Need, total
 from warpcontact.integrators import Integrator, SemiImplicitEuler
+from warpcontact.kernels import recording
 from warpcontact.looks import in_parts, look_span, look_stages
 from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.schedule import Span
@@ -78,13 +79,13 @@ def stepping_footprint(
     stop: Mapping[str, Stop] | None = None,
     events: Events | None = None,
     quarantine: str = "freeze",
-    looks: Set[str] = frozenset(),
+    looks: Set[str] | None = None,
     varied: Collection[str] = (),
 ) -> Footprint:
     """Returns what a ``Simulation`` takes beside the model; the options are those of its class.
 
     ``shares`` are the parts of the model, each with how many environments it has; the parameters ``varied`` are to
-    have a value in each. ``looks`` is what readings need that are recorded meanwhile.
+    have a value in each. ``looks`` is what readings need that are recorded meanwhile; ``None``: none are.
     """
     threads = available_threads() if threads is None else threads
     integrator = SemiImplicitEuler() if integrator is None else integrator
@@ -109,16 +110,16 @@ def stepping_footprint(
         size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
         for steps in one.graph_steps:
             size += _captured_bytes(one.graph(steps))
-        if watch.quarantine == "freeze" and in_parts(part.device, buffers.hard, looks):
+        if looks is not None and watch.quarantine == "freeze" and in_parts(part.device, buffers.hard, looks):
             tally = look_span(_Tally, part, 1, buffers.hard, looks)
-            look = look_stages(tally, looks, part.no_step, None)
-            size += _captured_bytes(look) if one.captured else LAUNCH_BYTES * len(look)
-            begin = Begin.LOOKED if one.ready_after_look(looks) else Begin.STEP
-            if begin is Begin.LOOKED:
-                # A rest of one step, after the last frame of many, would have a smaller one beside it.
-                size += LAUNCH_BYTES * len(one.graph(1, begin))
-            if one.captured and look:
-                size += _captured_bytes([*look, *one.graph(2, begin)])
+            look = [*look_stages(tally, looks, part.no_step, None), recording.take()]
+            size += LAUNCH_BYTES * len(look)
+            if one.captured:
+                begin = Begin.LOOKED if one.ready_after_look(looks) else Begin.STEP
+                if begin is Begin.LOOKED:
+                    size += LAUNCH_BYTES * len(one.graph(1, begin))
+                # By itself, and with the steps after it; a rest of one would have a smaller graph beside that.
+                size += _captured_bytes(look) + _captured_bytes([*look, *one.graph(2, begin)])
         launches = Need("launches", HOST, size * (members if part.device.is_cpu else 1))
         needs = [*buffers.layout.needs(envs), launches]
         if observer is not None:

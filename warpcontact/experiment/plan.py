@@ -140,7 +140,7 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
         stepping = {
             "integrator": settings.integrator.make(),
             "crossing_steps": settings.crossing_steps,
-            "looks": size.measured,
+            "looks": size.measured if frames else None,
         }
         return draft.memory(envs, design.names, **stepping, **watching(settings)).with_needs(
             [
