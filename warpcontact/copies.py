@@ -21,13 +21,12 @@ class Copies:
     Args:
         part: The part.
 
-    Attributes:
-        rows: A ``kernels.recording.Row`` for each reading.
     """
 
     def __init__(self, part: "Model") -> None:
         self._part = part
-        self.rows = np.zeros(0, recording.Row.numpy_dtype())
+        # A ``kernels.recording.Row`` for each reading.
+        self._rows: list[tuple[int, ...]] = []
         # Whose memory that is.
         self._owners: list[tuple[wp.array, NDArray[Any]]] = []
         self._taking: Taking | None = None
@@ -42,15 +41,22 @@ class Copies:
             items, size = 1, items * size
         words = size // (8 if reading.total else 4)
         place = (source.ptr, source.strides[0], apart, result.ctypes.data, result.strides[0])
-        row = np.array([(*place, items, words, int(reading.total))], self.rows.dtype)
-        self.rows = np.concatenate([self.rows, row])
+        self._rows.append((*place, items, words, int(reading.total)))
         self._owners.append((source, result))
+
+    def __len__(self) -> int:
+        """Returns the number of readings."""
+        return len(self._rows)
+
+    def rows(self) -> NDArray[Any]:
+        """Returns what a launch is told of the readings, a ``kernels.recording.Row`` for each."""
+        return np.array(self._rows, recording.Row.numpy_dtype())
 
     @beside_captures()
     def take(self, number: int) -> None:
         """Takes all environments of a frame."""
         if self._taking is None:
-            self._taking = Taking(Span(self._part, self._part.envs, False, True), len(self.rows))
+            self._taking = Taking(Span(self._part, self._part.envs, False, True), len(self))
             self._taking.read(self)
         self._taking.go_to(number)
         for launch in self._taking.launches:
@@ -82,8 +88,8 @@ class Taking:
         """Takes frames of other readings from now on, or of none."""
         count = 0
         if copies is not None:
-            count = len(copies.rows)
-            self._rows[:count] = copies.rows
+            count = len(copies)
+            self._rows[:count] = copies.rows()
         self._place[1] = count
 
     def go_to(self, number: int) -> None:

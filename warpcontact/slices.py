@@ -298,7 +298,7 @@ class Stepper:
     def ready_look(self, frames: Frames) -> None:
         """Prepares, or captures, ``look``, and says how steps after it begin. Not while other threads step."""
         copies = frames.copies.get(self._span.model)
-        count = 0 if copies is None else len(copies.rows)
+        count = 0 if copies is None else len(copies)
         if self._taking is None or self._taking.room < count:
             self._taking = Taking(self._span, max(FEWEST_ROWS, 2 * count))
             for known in (self._looks, self._graphs, self._ways):
