@@ -1,6 +1,7 @@
 """What stepping takes beside the model: a second buffer of the state, and the prepared launches and graphs."""
 
 import ctypes
+import functools
 from collections.abc import Collection, Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any, cast
 
@@ -137,6 +138,7 @@ def _captured_bytes(launched: list[Any]) -> int:
     return GRAPH_BYTES + int(CAPTURED * sum(map(_argument_bytes, launched))) if launched else 0
 
 
+@functools.cache
 def _argument_bytes(kernel: wp.Kernel) -> int:
     """Returns the size of the arguments of a kernel."""
     return sum(_size(argument.type) for argument in kernel.adj.args)
