@@ -14,6 +14,9 @@ from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, stru
 
 # Queues of contacts, by what they need; that of blocks to probe comes first.
 QUEUE_OF = {KNOWN: 1, LISTED: 2, SEARCH: 3}
+# Registers of a search in float32, which would take 200: with so few an H200 holds all its threads at once
+# (``schedule.SEARCHING``). They wait for memory most of the time.
+SEARCH_REGISTERS = 128
 
 
 @functools.cache
@@ -125,8 +128,9 @@ def work_off(real: type, follows: bool, part: str) -> wp.Kernel:
     view_of, look, wake_of, news = block_of.view_of, block_of.look, block_of.wake_of, block_of.news
     put = _put(real)
     queue = QUEUE_OF[part]
+    registers = SEARCH_REGISTERS if part == SEARCH and real is wp.float32 else None
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED, cuda_max_registers=registers)
     def look_at_contacts(
         work: Work,
         model: Model,

@@ -29,7 +29,7 @@ def take() -> wp.Kernel:
 
     @wp.func
     def copy(row: Row, frame: wp.uint64, env: wp.uint64):
-        size = wp.uint64(4 * row.words)
+        size = wp.uint64(4) * wp.uint64(row.words)
         first = row.source + env * row.of_env
         target = frame + env * wp.uint64(row.items) * size
         for item in range(row.items):
@@ -41,7 +41,7 @@ def take() -> wp.Kernel:
     @wp.func
     def add_up(row: Row, frame: wp.uint64, env: wp.uint64):
         first = row.source + env * row.of_env
-        target = frame + env * wp.uint64(8 * row.words)
+        target = frame + env * wp.uint64(8) * wp.uint64(row.words)
         result = wp.array(ptr=target, shape=(row.words,), dtype=wp.float64)
         for word in range(row.words):
             total = wp.float64(0.0)

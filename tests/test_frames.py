@@ -227,19 +227,30 @@ def test_wrong_frames_are_refused_by_name(frames, every, needs, message, device)
     assert sim.steps == 0
 
 
+def _graphs_of(sim):
+    return {key: id(graph) for key, graph in sim._prepared[1]._steppers[0]._graphs.items()}
+
+
 def test_recorders_of_the_same_needs_capture_once(device):
     sim = simulation("two bodies", device)
-    replayed = []
+    sim.step(100)
+    replayed = [_graphs_of(sim)]
     for name in ("lower.normal_force", "upper.normal_force"):
         recorder = Recorder(sim.model, [name], 5, poses=False)
         recorder.start()
         for _ in sim.advance(recorder, 40, 10, start=sim.time):
             pass
-        replayed.append({key: id(graph) for key, graph in sim._prepared[1]._steppers[0]._graphs.items()})
-    assert replayed[0] == replayed[1]
+        replayed.append(_graphs_of(sim))
+    assert replayed[1] == replayed[2]
+    # And those without frames stay.
+    assert replayed[0].items() <= replayed[1].items()
     if sim.model.device.is_cpu:
         needs = frozenset(recorder.needs)
-        assert {(2, Begin.LOOK, needs), (8, Begin.STEP, frozenset())} <= replayed[0].keys()
+        assert {(2, Begin.LOOK, needs), (8, Begin.STEP, frozenset())} <= replayed[1].keys()
+        stepper = sim._prepared[1]._steppers[0]
+        whole, look = len(stepper.graph(2)), len(stepper._looks[needs][0])
+        # The first of two steps does not look for what is near again.
+        assert look < len(stepper.graph(2, Begin.LOOK)) < look + whole
 
 
 def test_looks_are_not_prepared_while_another_thread_captures(device):

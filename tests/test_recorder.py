@@ -204,6 +204,60 @@ def test_blocks_are_a_recording_in_pieces(device, in_slices):
     np.testing.assert_allclose(np.concatenate([block.time for block in blocks]), 7e-3 * np.arange(16))
 
 
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"graphs": False}, {"quarantine": "reset"}],
+    ids=["by launches in graphs", "by launches", "of all environments"],
+)
+def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
+    """However many of them are taken in one go, after others, by a crew that has not found its pace yet."""
+    sim = wc.Simulation(falling(device).model, dt=1e-3, threads=2, **options)
+    recorder = Recorder(sim.model, WATCHED, 60, poses=False)
+    recorder.start()
+    recorder.take(0.0)
+    sim._record(recorder, 7, 3, 0.0, 0)
+    sim._record(recorder, 50, 3, 0.0, 21)
+    expected = read_by_stopping(device, 58, 3)
+    for name, values in zip(WATCHED, expected, strict=True):
+        np.testing.assert_array_equal(recorder.frames()[name], values, err_msg=name)
+    np.testing.assert_allclose(recorder.series().time, 3e-3 * np.arange(58))
+
+
+def test_totals_are_of_the_first_item_to_the_last(device):
+    """Of so many that NumPy would add them up in another order, and never −0."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    position = 10.0 * np.random.default_rng(4).normal(size=(40, 3))
+    scene.add_bodies(position, 1.0, (1.0, 1.0, 1.0), name="stones")
+    model = scene.build(envs=3, device=device)
+    velocity = np.random.default_rng(5).normal(size=(3, 40, 3))
+    velocity[2] = -0.0
+    model["stones.linear_velocity"] = velocity
+    sim = wc.Simulation(model, dt=1e-3)
+    name = "scene.linear_momentum"
+    recorded = sim.run(0.02, [name], every=1e-2, poses=False)[name].values
+    total = np.zeros((3, 3))
+    for one in velocity.astype(np.float32).swapaxes(0, 1):
+        total += one
+    assert recorded.shape == (3, 3, 3)
+    for frame in recorded:
+        np.testing.assert_array_equal(frame, total)
+    assert not np.signbit(recorded[:, 2]).any()
+
+
+def test_a_recorder_that_is_started_again_begins_anew(device):
+    sim = falling(device)
+    recorder = Recorder(sim.model, WATCHED, 2, poses=False)
+    frames = {name: np.zeros((1, *values.shape[1:])) for name, values in recorder.frames().items()}
+    with pytest.raises(RuntimeError, match="room for 0 of 2 frames"):
+        recorder.go_on_from(frames, np.zeros(1))
+    for _ in range(2):
+        recorder.start()
+        assert (recorder.taken, recorder.room) == (0, 2)
+        recorder.take(0.0)
+    with pytest.raises(RuntimeError, match="room for 2 of 2 frames, not for 3 more"):
+        recorder.go_on_from(frames, np.zeros(3))
+
+
 def test_no_more_frames_are_taken_than_there_is_room_for(device):
     sim = falling(device)
     recorder = Recorder(sim.model, WATCHED, 3, poses=False)

@@ -1,8 +1,8 @@
 """The way of frames from where a reading is measured to the host.
 
-On the CPU launches put it where it belongs, as part of a look: a thread that came by through Python, which is no
-longer in its cache after steps, would take longer than they do. On a GPU frames wait in a buffer, and come to the
-host some at a time.
+On the CPU launches put it where it belongs, in one graph with steps: Python, which steps drive out of the cache of
+a core, takes longer to call than a slice to copy. On a GPU frames wait in a buffer, and come to the host some at a
+time.
 """
 
 from collections.abc import Mapping

@@ -16,51 +16,39 @@ if TYPE_CHECKING:
 
 
 class Copies:
-    """What launches take of the frames of a part on the CPU: from where readings are measured to their results.
+    """What is taken of the frames of a part on the CPU: from where readings are measured to their results.
 
     Args:
-        part: The part.
-
+        part: The part, which lives as long: its arrays may be views of its memory.
     """
 
     def __init__(self, part: "Model") -> None:
         self._part = part
-        # A ``kernels.recording.Row`` for each reading.
-        self._rows: list[tuple[int, ...]] = []
-        # Whose memory that is.
-        self._owners: list[tuple[wp.array, NDArray[Any]]] = []
-        self._taking: Taking | None = None
+        self._ways: list[tuple[Reading, wp.array, NDArray[Any]]] = []
 
     def add(self, reading: "Reading", result: NDArray[Any]) -> None:
         """Adds a reading of the part; ``result`` receives all its frames (frame, env, …)."""
-        source = reading.array(self._part.arrays)
-        size = wp.types.type_size_in_bytes(source.dtype)
-        # Each item is in one piece, be it a number, a vector or a matrix; what has no items is one.
-        items, apart = (source.shape[1], source.strides[1]) if source.ndim == 2 else (1, size)
-        if apart == size and not reading.total:
-            items, size = 1, items * size
-        words = size // (8 if reading.total else 4)
-        place = (source.ptr, source.strides[0], apart, result.ctypes.data, result.strides[0])
-        self._rows.append((*place, items, words, int(reading.total)))
-        self._owners.append((source, result))
-
-    def __len__(self) -> int:
-        """Returns the number of readings."""
-        return len(self._rows)
+        self._ways.append((reading, reading.array(self._part.arrays), result))
 
     def rows(self) -> NDArray[Any]:
-        """Returns what a launch is told of the readings, a ``kernels.recording.Row`` for each."""
-        return np.array(self._rows, recording.Row.numpy_dtype())
+        """Returns what launches are told of the readings, a ``kernels.recording.Row`` for each."""
+        return np.array([_row(*way) for way in self._ways], recording.Row.numpy_dtype())
 
-    @beside_captures()
     def take(self, number: int) -> None:
-        """Takes all environments of a frame."""
-        if self._taking is None:
-            self._taking = Taking(Span(self._part, self._part.envs, False, True), len(self))
-            self._taking.read(self)
-        self._taking.go_to(number)
-        for launch in self._taking.launches:
-            launch.launch()
+        """Takes a frame of all environments, without a launch."""
+        for reading, source, result in self._ways:
+            result[number] = reading.finish(source.numpy(), axis=1)
+
+
+def _row(reading: "Reading", source: wp.array, result: NDArray[Any]) -> tuple[int, ...]:
+    size = wp.types.type_size_in_bytes(source.dtype)
+    # Each item is in one piece, be it a number, a vector or a matrix; what has no items is one.
+    items, apart = (source.shape[1], source.strides[1]) if source.ndim == 2 else (1, size)
+    if apart == size and not reading.total:
+        items, size = 1, items * size
+    words = size // (8 if reading.total else 4)
+    place = (source.ptr, source.strides[0], apart, result.ctypes.data, result.strides[0])
+    return (*place, items, words, int(reading.total))
 
 
 class Taking:
@@ -68,19 +56,17 @@ class Taking:
 
     Args:
         span: The environments, on the CPU.
-        room: Of how many readings at most.
 
     Attributes:
         launches: It.
-        room: Of how many readings at most.
     """
 
     @beside_captures()
-    def __init__(self, span: Span, room: int) -> None:
+    def __init__(self, span: Span) -> None:
         place = wp.zeros(2, dtype=wp.int32, device="cpu")
-        rows = wp.zeros(room, dtype=recording.Row, device="cpu")
+        # There is room for all readings.
+        rows = wp.zeros(len(span.model.readings), dtype=recording.Row, device="cpu")
         self.launches = span.prepare(recording.take(), 1, [place, rows])
-        self.room = room
         # Views, which keep what the launch reads.
         self._place, self._rows = place.numpy(), rows.numpy()
 
@@ -88,8 +74,9 @@ class Taking:
         """Takes frames of other readings from now on, or of none."""
         count = 0
         if copies is not None:
-            count = len(copies)
-            self._rows[:count] = copies.rows()
+            rows = copies.rows()
+            count = len(rows)
+            self._rows[:count] = rows
         self._place[1] = count
 
     def go_to(self, number: int) -> None:

@@ -195,7 +195,7 @@ class Recorder:
         room = shortage(footprint, rooms_of(footprint))
         if room is not None:
             raise MemoryShortage(self._too_much(footprint, room), footprint.on(room.place), usable(room))
-        self.times = np.zeros(frames)
+        self.times, self.taken = np.zeros(frames), 0
         self.copies = {part: Copies(part) for part in self.model.parts if part.device.is_cpu}
         for channel in self.channels:
             channel.allocate(frames, self.copies)
@@ -234,7 +234,7 @@ class Recorder:
             for channel in self.channels:
                 channel.rings[part].take(number)
 
-    def count(self, times: Sequence[float]) -> None:
+    def count(self, times: Sequence[float] | NDArray[Any]) -> None:
         """Counts the next frames, at ``times`` [s], which are taken of all environments."""
         self.times[self.taken : self.taken + len(times)] = times
         self.taken += len(times)
@@ -259,8 +259,9 @@ class Recorder:
 
     def go_on_from(self, frames: Mapping[str, NDArray[Any]], times: NDArray[Any]) -> None:
         """Takes over what ``frames`` returned of another recorder, and ``times`` [s] of these."""
-        self.taken = len(times)
-        self.times[: self.taken] = times
+        self.taken = 0
+        self.require(len(times))
+        self.count(times)
         for channel in self.channels:
             channel.result[: self.taken] = frames[channel.frame.name]
             channel.go_on_from(self.taken)

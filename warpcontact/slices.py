@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
 CPU_GRAPH_STEPS = (8, 2, 1)
-# Readings for which there is room where a launch reads what to take.
-FEWEST_ROWS = 32
 
 
 @dataclass(frozen=True)
@@ -197,7 +195,8 @@ class Stepper:
         # What is decided on the host cannot be captured.
         self.captured = captured and not divides
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
-        # By their steps, how these begin, and what a look among them is for.
+        # By their steps, how these begin, and what a look among them is for. All are kept: few sets of needs come
+        # up in a simulation.
         self._graphs: dict[tuple[int, Begin, frozenset[str]], wp.Graph] = {}
         # Of those, by what is asked for, which it is made up of.
         self._ways: dict[tuple[int, Begin, frozenset[str]], list[wp.Graph]] = {}
@@ -298,11 +297,8 @@ class Stepper:
     def ready_look(self, frames: Frames) -> None:
         """Prepares, or captures, ``look``, and says how steps after it begin. Not while other threads step."""
         copies = frames.copies.get(self._span.model)
-        count = 0 if copies is None else len(copies)
-        if self._taking is None or self._taking.room < count:
-            self._taking = Taking(self._span, max(FEWEST_ROWS, 2 * count))
-            for known in (self._looks, self._graphs, self._ways):
-                known.clear()
+        if self._taking is None:
+            self._taking = Taking(self._span)
         self._taking.read(copies)
         self._needs = frames.needs
         if frames.needs not in self._looks:
