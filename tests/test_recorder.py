@@ -233,15 +233,21 @@ def test_totals_are_of_the_first_item_to_the_last(device):
     velocity[2] = -0.0
     model["stones.linear_velocity"] = velocity
     sim = wc.Simulation(model, dt=1e-3)
-    name = "scene.linear_momentum"
-    recorded = sim.run(0.02, [name], every=1e-2, poses=False)[name].values
+    names = ["scene.linear_momentum", "scene.kinetic_energy", "stones.kinetic_energy"]
+    recording = sim.run(0.02, names, every=1e-2, poses=False)
+    momenta, energies, each = (recording[name].values for name in names)
     total = np.zeros((3, 3))
     for one in velocity.astype(np.float32).swapaxes(0, 1):
         total += one
-    assert recorded.shape == (3, 3, 3)
-    for frame in recorded:
+    assert momenta.shape == (3, 3, 3)
+    for frame in momenta:
         np.testing.assert_array_equal(frame, total)
-    assert not np.signbit(recorded[:, 2]).any()
+    assert not np.signbit(momenta[:, 2]).any()
+    total = np.zeros((3, 3))
+    for one in np.moveaxis(each, 2, 0):
+        total += one
+    assert (total != each.sum(axis=2)).any()
+    np.testing.assert_array_equal(energies, total)
 
 
 def test_a_recorder_that_is_started_again_begins_anew(device):
