@@ -114,6 +114,12 @@ def test_experiment_is_what_the_same_script_does(device, tmp_path):
     np.testing.assert_array_equal(recorded["touch.gap"].values, expected["touch.gap"].values)
 
 
+def test_experiments_and_models_say_what_they_are(device):
+    experiment = wc.Experiment.from_toml(EXAMPLE).changed(envs=1, duration=0.06)
+    assert repr(experiment) == "<Experiment terrain drop: 1 environment × 0.06 s, dt = 0.0002 s>"
+    assert repr(experiment.model(device=device)).startswith("<Model of 1 environment: ")
+
+
 def test_defaults_are_those_of_the_python_api():
     for settings, function in (
         (SurfaceSettings, wc.Scene.add_surface),

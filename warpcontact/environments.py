@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from warpcontact.checks import Array, look_up
 from warpcontact.couplings.elements import Catenary
 from warpcontact.devices import spread
-from warpcontact.footprint import Footprint, require, total
+from warpcontact.footprint import Footprint, environments, require, total
 from warpcontact.health import Health
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
@@ -420,7 +420,7 @@ class Environments(ABC):
     def __repr__(self) -> str:
         first = self.parts[0]
         return (
-            f"<{type(self).__name__} of {self.envs} environments: {first.body_count} bodies, "
+            f"<{type(self).__name__} of {environments(self.envs)}: {first.body_count} bodies, "
             f"{first.contact_count + first.smooth_count} contacts, {self.precision} on "
             f"{', '.join(map(str, self.devices))}>"
         )

@@ -18,7 +18,7 @@ from warpcontact.available import HOST
 from warpcontact.captures import beside_captures
 from warpcontact.crew import Crew, Share, available_threads
 from warpcontact.environments import Environments
-from warpcontact.footprint import Footprint, Need, require
+from warpcontact.footprint import Footprint, Need, environments, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.looks import in_parts, known_needs
@@ -416,7 +416,7 @@ class Simulation:
             else tqdm(
                 total=steps,
                 unit="step",
-                desc=f"{self.model.envs} environments",
+                desc=environments(self.model.envs),
                 delay=1.0,
                 disable=None if progress is None else not progress,
             )

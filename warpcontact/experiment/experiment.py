@@ -34,6 +34,7 @@ from warpcontact.experiment.sampling import Sobol
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
 from warpcontact.experiment.variation import Variation, truncated
+from warpcontact.footprint import environments
 from warpcontact.integrators.base import formulas_of
 from warpcontact.model import Model
 from warpcontact.scene import Scene
@@ -86,6 +87,10 @@ class Experiment:
         self._loaded: Loaded = {}
         self._own = OwnFiles(self.folder, on_stage or _say_nothing)
         self._check(content)
+
+    def __repr__(self) -> str:
+        s = self.settings
+        return f"<Experiment {s.name}: {environments(s.envs)} × {s.duration:g} s, dt = {s.dt:g} s>"
 
     @classmethod
     def from_toml(
@@ -299,8 +304,7 @@ class Experiment:
                     notices.add_mesh(mesh.file, self._loaded[f"surface[{i}]", mesh].report)
 
     def _tell_of_sampling(self, notices: Notices) -> None:
-        envs = self.settings.envs
-        if isinstance(self.design.sampler, Sobol) and envs & (envs - 1):
+        if isinstance(self.design.sampler, Sobol) and (envs := self.settings.envs) & (envs - 1):
             below = 1 << envs.bit_length() - 1
             notices.add(
                 f"sampling.method = 'sobol' with {envs} environments: Sobol' points fill their space evenly if "

@@ -11,6 +11,7 @@ from typing import Any
 
 from warpcontact.experiment.folder import PROGRESS
 from warpcontact.experiment.store import Commit, Shard
+from warpcontact.footprint import environments
 
 # Between two looks [s].
 INTERVAL = 1.0
@@ -34,7 +35,7 @@ class Bar:
             total=envs * steps,
             unit="step",
             unit_scale=True,
-            desc=f"{envs} environments{several}",
+            desc=f"{environments(envs)}{several}",
             delay=1.0,
             disable=None if show is None else not show,
         )

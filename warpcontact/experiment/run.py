@@ -342,7 +342,7 @@ class Run:
         s = self.summary
         shards = f" in {len(self.shards)} shards" if len(self.shards) > 1 else ""
         title = (
-            f"{s['name']}: {s['envs']} environments × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s"
+            f"{s['name']}: {environments(s['envs'])} × {s['duration']:g} s in {s['steps']} steps of {s['dt']:g} s"
         )
         lines = [title]
         if "wall_time" in s:
