@@ -1,5 +1,6 @@
 """How frames get on the CPU from where readings are measured to where they are kept: by launches."""
 
+import functools
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,8 +31,9 @@ class Copies:
         """Adds a reading of the part; ``result`` receives all its frames (frame, env, …)."""
         self._ways.append((reading, reading.array(self._part.arrays), result))
 
+    @functools.cached_property
     def rows(self) -> NDArray[Any]:
-        """Returns what launches are told of the readings, a ``kernels.recording.Row`` for each."""
+        """What launches are told of the readings, once all are added: a ``kernels.recording.Row`` for each."""
         return np.array([_row(*way) for way in self._ways], recording.Row.numpy_dtype())
 
     def take(self, number: int) -> None:
@@ -74,9 +76,8 @@ class Taking:
         """Takes frames of other readings from now on, or of none."""
         count = 0
         if copies is not None:
-            rows = copies.rows()
-            count = len(rows)
-            self._rows[:count] = rows
+            count = len(copies.rows)
+            self._rows[:count] = copies.rows
         self._place[1] = count
 
     def go_to(self, number: int) -> None:
