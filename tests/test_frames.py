@@ -2,13 +2,14 @@
 
 import threading
 
+import memory_scenes
 import numpy as np
 import pytest
 import warp as wp
 from test_schedule import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
-from warpcontact import crew, stepping
+from warpcontact import crew, looks, stepping
 from warpcontact.captures import capturing
 from warpcontact.looks import in_parts, known_needs
 from warpcontact.model import WITHOUT_CONTACT
@@ -200,10 +201,10 @@ def test_recordings_after_each_other_have_their_own_frames(device):
         plain.step(17)
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_all_needs_of_readings_are_known(name, device):
-    for reading in SCENES[name]().build(device=device).parts[0].readings.values():
-        assert known_needs(set(reading.needs)) == set(reading.needs)
+def test_needs_that_are_known_are_those_of_all_readings(device):
+    models = [make().build(device=device) for make in memory_scenes.SCENES.values()]
+    needs = {need for model in models for reading in model.parts[0].readings.values() for need in reading.needs}
+    assert known_needs(needs) == needs == looks.KNOWN
 
 
 @pytest.mark.parametrize(
