@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import warp as wp
+from warpcontact.kernels import cell_search, cells, frames, search
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels import frames, search
 from warpcontact.kernels.types import (
     AT_POINT,
     CONTACT,
@@ -44,7 +44,7 @@ ROUNDING = 16.0
 # The same of a point alone, in units of epsilon times its coordinates: on fine meshes this is more.
 POINT_ROUNDING = 4.0
 # Parts of a look.
-WHOLE, KNOWN, LISTED, SEARCH = "whole", "known", "listed", "search"
+WHOLE, KNOWN, LISTED, CELLS, SEARCH = "whole", "known", "listed", "cells", "search"
 # Result of one that is left to the next part.
 LATER = -2.0
 # Contacts that stay with the part of the surface that they touched.
@@ -74,10 +74,14 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         WHOLE: of_search.recall,
         KNOWN: recall_sure,
         LISTED: of_search.recall_listed,
+        CELLS: of_search.recall_nothing,
         SEARCH: of_search.recall_nothing,
     }[part]
     nearest_of_all = of_search.nearest_of_all
+    if part == CELLS:
+        nearest_in_cell = cell_search.functions(real, remembered).nearest_in_cell
     nearest_to_remember = of_search.nearest_to_remember_aside if in_queues else of_search.nearest_to_remember
+    list_at, cell_of = cells.functions(real).list_at, cells.functions(real).cell_of
     frame = frames.functions(real)
     apart, turned = frame.apart, frame.turned
     orientation_to_world, rotation_to_world = frame.orientation_to_world, frame.rotation_to_world
@@ -211,6 +215,17 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 foot = walk(model, last, p_S)
                 held = inner(model, foot)
         if not held:
+            if wp.static(part == KNOWN):  # noqa: SIM102  Warp would evaluate both sides
+                # What is far on the outer side needs no more than the cell it is in.
+                if cache.faces[env, contact] == 0 and (option & LATCHED) == 0:
+                    cell = cell_of(model, patch, p_S)
+                    if cell >= 0:
+                        around = model.cell_free[cell] - reach
+                        if around > real(0.5) * model.patch_cells_size[patch]:
+                            contacts.status[env, contact] = OPEN
+                            contacts.penetration[env, contact] = real(0.0)
+                            contacts.armed[env, contact] = 1
+                            return scale * around
             # A sphere sees at least what it overlaps.
             seen = wp.max(geometry.search_radius * view.per_scale, reach)
             recalled = Recalled()
@@ -225,7 +240,18 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     sure += model.patch_slack[patch] + query_epsilon * (extent + sure)
                     recalled.known = sure < reach + model.patch_skin[patch]
             foot = recalled.foot
-            if wp.static(part in (KNOWN, LISTED)):
+            if wp.static(part == CELLS):
+                about = list_at(model, patch, p_S)
+                if about < 0:
+                    return real(LATER)
+                margin = model.patch_slack[patch] + query_epsilon * (extent + reach)
+                close_by = reach + model.patch_skin[patch]
+                recalled = nearest_in_cell(model, patch, about, p_S, margin, close_by, cache, env, contact)
+                if not recalled.known:
+                    return real(LATER)
+                foot = recalled.foot
+                cache.nearest[env, contact] = foot.row
+            elif wp.static(part in (KNOWN, LISTED)):
                 if not recalled.known:
                     return real(LATER)
             elif not recalled.known:

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import warp as wp
+from warpcontact.kernels import cells
 from warpcontact.kernels import closest_point as closest
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels.closest_point import ROUNDING, WHOLE
@@ -36,6 +37,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     Model, History, Contacts, Cache = t.Model, t.History, t.Contacts, t.Cache
     contact_of = closest.functions(real, follows, part)
     View, view_of, room_on_side = contact_of.View, contact_of.view_of, contact_of.room_on_side
+    cell_of = cells.functions(real).cell_of
     foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
     rounded_down = wp.constant(real(1.0 - 4.0 * t.epsilon))
@@ -50,6 +52,11 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         patch = view.patch
         c_W = view.apart_W + view.R_WB * model.block_center[env, block]
         c_S = view.per_scale * (wp.transpose(view.R_WS) * c_W)
+        if wp.static(part != WHOLE):
+            cell = cell_of(model, patch, c_S)
+            if cell >= 0:
+                # Where that is little, each point looks into its own.
+                return view.scale * model.cell_free[cell]
         query = wp.mesh_query_point_no_sign(
             model.patch_mesh[patch],
             wp.vec3f(wp.float32(c_S[0]), wp.float32(c_S[1]), wp.float32(c_S[2])),

@@ -9,11 +9,12 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import near as nearness
-from warpcontact.kernels.closest_point import KNOWN, LATER, LISTED, SEARCH
+from warpcontact.kernels import warps
+from warpcontact.kernels.closest_point import CELLS, KNOWN, LATER, LISTED, SEARCH
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
 
 # Queues of contacts, by what they need; that of blocks to probe comes first.
-QUEUE_OF = {KNOWN: 1, LISTED: 2, SEARCH: 3}
+QUEUE_OF = {KNOWN: 1, LISTED: 2, CELLS: 3, SEARCH: 4}
 # Registers of a search in float32, which would take 200: with so few an H200 holds all its threads at once
 # (``schedule.SEARCHING``). They wait for memory most of the time.
 SEARCH_REGISTERS = 128
@@ -120,14 +121,18 @@ def probe(real: type, follows: bool) -> wp.Kernel:
 
 
 @functools.cache
-def work_off(real: type, follows: bool, part: str) -> wp.Kernel:
-    """Returns the kernel that looks at the contacts in the queue of ``part`` or hands them on; items: contacts."""
+def work_off(real: type, follows: bool, part: str, next_part: str) -> wp.Kernel:
+    """Returns the kernel that looks at the contacts in the queue of ``part`` or hands them on; items: contacts.
+
+    For ``CELLS`` each takes a whole warp.
+    """
     t = structs(real)
     Model, State, History, Contacts, Near, Cache = t.Model, t.State, t.History, t.Contacts, t.Near, t.Cache
     block_of = nearness.functions(real, follows, part)
     view_of, look, wake_of, news = block_of.view_of, block_of.look, block_of.wake_of, block_of.news
     put = _put(real)
-    queue = QUEUE_OF[part]
+    queue, next_queue = QUEUE_OF[part], QUEUE_OF[next_part]
+    together = warps.LANES if part == CELLS else 1
     registers = SEARCH_REGISTERS if part == SEARCH and real is wp.float32 else None
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED, cuda_max_registers=registers)
@@ -143,7 +148,8 @@ def work_off(real: type, follows: bool, part: str) -> wp.Kernel:
         thread = wp.tid()
         if wp.static(part == SEARCH):
             thread = spread(thread, work.threads)
-        for i in range(thread, cache.waiting[queue], work.threads):
+        first = thread // wp.static(together)
+        for i in range(first, cache.waiting[queue], work.threads // wp.static(together)):
             task = cache.waiting_contact[queue, i]
             env = first_env(work) + task // work.items
             contact = task % work.items
@@ -152,7 +158,8 @@ def work_off(real: type, follows: bool, part: str) -> wp.Kernel:
             before = contacts.status[env, contact]
             free = look(model, view, history, contacts, True, cache, env, contact)
             if wp.static(part != SEARCH) and free == real(LATER):
-                put(cache, wp.static(queue + 1), task)
+                if thread % wp.static(together) == 0:
+                    put(cache, next_queue, task)
             else:
                 cache.wake[env, contact] = wake_of(cache.set_travel[env, number], free)
                 near.news[env, contact] = news(contacts, history, env, contact, before)

@@ -271,6 +271,8 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
 
     return SimpleNamespace(
         Recalled=Recalled,
+        remember=remember,
+        list_faces=list_faces,
         recall=recall,
         recall_nothing=recall_nothing,
         recall_sure=recall_sure,

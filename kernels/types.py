@@ -98,7 +98,7 @@ REMEMBERED = 16
 REMEMBERED_IN_QUEUES = 8
 
 # Queues of a GPU.
-QUEUES = 4
+QUEUES = 5
 
 # How a body may move.
 FREE = 0
@@ -219,6 +219,14 @@ def structs(real: type) -> SimpleNamespace:
         patch_wall_start: wp.array(dtype=wp.int32)  # [patch + 1] first row of its walls
         wall_normal: wp.array(dtype=vec3)  # [wall] unit, into the region of SIDES_ABOVE, S
         wall_offset: wp.array(dtype=real)  # [wall] of its plane along the normal
+        # Cells about a patch, for queues of a GPU: ``cells.py``
+        patch_cells: wp.array(dtype=wp.vec4i)  # [patch] how many along x, y and z, and its first; −1: none
+        patch_cells_origin: wp.array(dtype=vec3)  # [patch] their lowest corner, S
+        patch_cells_size: wp.array(dtype=real)  # [patch] of a cell, unit of the mesh
+        cell_free: wp.array(dtype=real)  # [cell] all its points are this far on the outer side; <= 0: unknown
+        cell_list: wp.array(dtype=wp.int32)  # [cell] row of its list; −1: none
+        list_reach: wp.array(dtype=real)  # [list] other faces are farther from all points of the cell
+        list_face: wp.array2d(dtype=wp.int32)  # [list, place] rows of faces; −1: no more
         face_corner: wp.array2d(dtype=vec3)  # [face, 0 to 2] its corners, [face, 3] its unit normal; S
         face_normal: wp.array2d(dtype=vec3)  # [face, feature] unit pseudonormal, S
         face_flags: wp.array2d(dtype=wp.uint8)  # [face, feature] FEATURE_* bits

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import warp as wp
+from celled import cells_everywhere
 from warpcontact.kernels.types import QUEUES
 
 import warpcontact as wc
@@ -150,6 +151,8 @@ def with_queues(monkeypatch):
         cache = model.arrays.cache
         cache.waiting_block = wp.zeros(tasks, dtype=wp.int32, device="cpu")
         cache.waiting_contact = wp.zeros((QUEUES, contacts), dtype=wp.int32, device="cpu")
+        # A search in a cell takes a warp.
+        model.arrays.celled = False
         return Span(model, count, cached, ordered, queued=True, hard=hard, **own)
 
     monkeypatch.setattr(simulation, "Span", queued)
@@ -171,11 +174,13 @@ def test_what_is_known_of_distances_changes_nothing(name, precision, device):
     assert_same(known, afresh)
 
 
-@pytest.fixture(params=["blocks", "queues"])
+@pytest.fixture(params=["blocks", "queues", "queues and cells"])
 def looked_at(request, monkeypatch):
     """Contacts are looked at as on a CPU, or as on a GPU."""
-    if request.param == "queues":
+    if request.param != "blocks":
         with_queues(monkeypatch)
+    if request.param == "queues and cells":
+        cells_everywhere(monkeypatch)
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
@@ -316,12 +321,15 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
 
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("cells", [False, True], ids=["", "and cells"])
 @pytest.mark.parametrize("name", SCENES)
-def test_queues_change_nothing(name, precision, monkeypatch):
+def test_queues_change_nothing(name, cells, precision, monkeypatch):
     """As a GPU looks at contacts, here by one thread."""
     usual, _ = run(name, precision, "cpu")
 
     with_queues(monkeypatch)
+    if cells:
+        cells_everywhere(monkeypatch)
     assert_same(run(name, precision, "cpu")[0], usual)
 
 

@@ -150,7 +150,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     contact_couplings.declare(arrays, layout, t)
     point_count = sum(points.count for points in scene.points)
     contact_couplings.upload_normals(arrays.model, point_count, parameters, t)
-    meshes = upload_patches(common.patches, arrays.model, layout, t)
+    meshes = upload_patches(common.patches, arrays, layout, t)
     _add_contacts(contacts, start_of, common.patches.of_contact, contact_couplings, arrays, layout, parameters, t)
     couplings = make_sets(scene, layout, parameters, t)
     moves = any(body.motion.kind != types.FREE for body in scene.bodies)

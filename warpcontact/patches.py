@@ -13,6 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout
+from warpcontact.cells import declare_grids, grids_about
 from warpcontact.checks import Array
 from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_COUNT
 from warpcontact.meshes import Mesh
@@ -35,8 +36,13 @@ class Patch:
     normal: NDArray[np.float64]  # (F, 7, 3) unit pseudonormals
     flags: NDArray[np.uint8]  # (F, 7) FEATURE_* bits
     neighbor: NDArray[np.int32]  # (F, 3) 3 × face + edge across each edge; −1: none, or not one alone
-    skin: float  # how much farther faces are remembered than the nearest
+    edge: float  # length of a usual edge
     sides: Sides
+
+    @property
+    def skin(self) -> float:
+        """How much farther faces are remembered than the nearest."""
+        return SKIN * self.edge
 
 
 def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_active: bool) -> Patch:
@@ -87,7 +93,7 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
         normal=normal,
         flags=flags,
         neighbor=neighbor,
-        skin=SKIN * float(np.median(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2))),
+        edge=float(np.median(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2))),
         sides=sides_of(mesh, corner, ends, neighbor, whole=whole),
     )
 
@@ -141,14 +147,16 @@ def make_patches(contacts: list[Contact]) -> Patches:
     return made
 
 
-def upload_patches(made: Patches, model: Any, layout: Layout, t: SimpleNamespace) -> list[wp.Mesh]:
-    """Declares the patches of ``model``.
+def upload_patches(made: Patches, arrays: Any, layout: Layout, t: SimpleNamespace) -> list[wp.Mesh]:
+    """Declares the patches of ``arrays.model``, and says in ``arrays.celled`` whether any has cells.
 
     Returns:
         The meshes, a list that is filled when they are made: a kernel holds only their ids, so somebody has to
         keep them.
     """
-    patches = made.patches
+    patches, model = made.patches, arrays.model
+    grids = grids_about(made, layout.device)
+    arrays.celled = any(grid is not None for grid in grids)
     meshes: list[wp.Mesh] = []
 
     def make_meshes(_: int) -> None:
@@ -186,6 +194,8 @@ def upload_patches(made: Patches, model: Any, layout: Layout, t: SimpleNamespace
             for patch, start in zip(patches, starts, strict=False)
         ]
         send("face_neighbor", np.concatenate(shifted), wp.int32)
+        # Last, as they are filled from all of this.
+        declare_grids(grids, model, layout, t)
     return meshes
 
 

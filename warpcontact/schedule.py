@@ -13,8 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from warpcontact.kernels import contact_coupling, history, integrate, near, queues, sweep, travel, wrenches
-from warpcontact.kernels.closest_point import KNOWN, LISTED, SEARCH
+from warpcontact.kernels import (
+    contact_coupling,
+    history,
+    integrate,
+    near,
+    queues,
+    sweep,
+    travel,
+    warps,
+    wrenches,
+)
+from warpcontact.kernels.closest_point import CELLS, KNOWN, LISTED, SEARCH
 from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
@@ -164,12 +174,14 @@ def queue_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
             threads=some(blocks, SEARCHING),
             together=FEW_TOGETHER,
         )
-    for part, most in ((KNOWN, LOOKING), (LISTED, LOOKING), (SEARCH, SEARCHING)):
+    parts = [KNOWN, LISTED, *([CELLS] if a.celled else []), SEARCH]
+    for part, next_part in zip(parts, [*parts[1:], SEARCH], strict=True):
+        each = warps.LANES if part == CELLS else 1
         launches += span.prepare(
-            queues.work_off(real, follows, part),
+            queues.work_off(real, follows, part, next_part),
             contacts,
             [a.model, state, a.history, a.cache, a.contacts, a.near],
-            threads=some(contacts, most),
+            threads=some(each * contacts, LOOKING if part in (KNOWN, LISTED) else SEARCHING),
             together=FEW_TOGETHER,
         )
     return launches + span.prepare(queues.gather(real), blocks, [status, a.model, a.cache, a.near])

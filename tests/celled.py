@@ -1,0 +1,11 @@
+"""Has meshes get cells on the CPU as well."""
+
+from types import SimpleNamespace
+
+from warpcontact import cells, patches
+
+
+def cells_everywhere(monkeypatch):
+    """Makes cells for models on the CPU, which does not search in them."""
+    a_gpu = SimpleNamespace(is_cuda=True)
+    monkeypatch.setattr(patches, "grids_about", lambda made, _: cells.grids_about(made, a_gpu))

@@ -1,0 +1,168 @@
+"""Cells about meshes: what they say of the points in them, beside every face, and what they take."""
+
+import numpy as np
+import pytest
+from brute_force import Surface, nearest_on_triangles
+from celled import cells_everywhere
+
+import warpcontact as wc
+from warpcontact import cells
+from warpcontact.patches import make_patches
+
+LAW = wc.laws.Hooke(stiffness=1e4)
+POINTS = 3000
+# What is touched, the radius of what touches it, and whether its outer side is all that is outside.
+CASES = {
+    "terrain": (wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), 0.1, False),
+    "terrain, by points": (wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), 0.0, False),
+    "sheet with a rim": (wc.meshes.grid((1.0, 0.6), (10, 7)), 0.02, False),
+    "ball": (wc.meshes.icosphere(0.4, 3), 0.05, True),
+    "box": (wc.meshes.box((0.4, 0.5, 0.3)), 0.05, True),
+}
+
+
+@pytest.fixture(autouse=True)
+def on_any_device(monkeypatch):
+    cells_everywhere(monkeypatch)
+
+
+def scene_of(mesh, radius, *, count=1, scale=1.0):
+    scene = wc.Scene()
+    body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+    point = scene.add_point(body, (0, 0, 0))
+    for _ in range(count):
+        scene.add_contact(point, scene.add_surface(mesh, scale=scale), wc.Template(law=LAW), radius=radius)
+    return scene
+
+
+def grids_of(scene):
+    """The grids that a model of the scene has."""
+    from warpcontact import patches
+
+    return patches.grids_about(make_patches(scene.contacts), None)
+
+
+@pytest.fixture(params=CASES)
+def celled(request, device):
+    """The faces of a mesh, its cells, points in them with the cell of each, and what is known of the mesh."""
+    mesh, radius, closed = CASES[request.param]
+    model = scene_of(mesh, radius).build(device=device)
+    own = model.parts[0].arrays.model
+    counts = own.patch_cells.numpy()[0]
+    origin, size = own.patch_cells_origin.numpy()[0], own.patch_cells_size.numpy()[0]
+    assert counts[3] == 0
+    assert own.cell_list.size == np.prod(counts[:3])
+    random = np.random.default_rng(3)
+    points = origin + size * random.uniform(0.0, counts[:3], (POINTS, 3))
+    # Most of them where it matters, and some in the corners of cells.
+    corners = own.face_corner.numpy()[:, :3].astype(float)
+    faces = random.integers(len(corners), size=POINTS)
+    near = np.einsum("nk,nkx->nx", random.dirichlet(np.ones(3), POINTS), corners[faces])
+    points[POINTS // 4 :] = (near + random.normal(scale=radius + size, size=(POINTS, 3)))[POINTS // 4 :]
+    snapped = origin + size * (np.round((points - origin) / size) + random.choice([-1e-4, 1e-4], (POINTS, 3)))
+    points = np.concatenate([points, snapped]).astype(np.float32)
+    at = np.floor((points - origin) / size).astype(int)
+    inside = ((at >= 0) & (at < counts[:3])).all(axis=1)
+    points, at = points[inside], at[inside]
+    cell = at[:, 0] + counts[0] * (at[:, 1] + counts[1] * at[:, 2])
+    assert len(points) > POINTS
+    return corners, own, points, cell, model, closed
+
+
+def distances(corners, points):
+    """Distance of every point from every face (N, F)."""
+    return np.stack(
+        [
+            np.linalg.norm(p - nearest_on_triangles(np.broadcast_to(p, (len(corners), 3)), corners), axis=1)
+            for p in points.astype(float)
+        ]
+    )
+
+
+def distance_and_side(corners, points):
+    """Distance of points from the nearest face, and how far they are on its outer side, times its area."""
+    distance, foot, face = Surface(corners).nearest(points)
+    normal = np.cross(corners[face, 1] - corners[face, 0], corners[face, 2] - corners[face, 0])
+    return distance, np.einsum("nx,nx->n", points - foot, normal)
+
+
+def test_no_face_out_of_a_list_is_within_its_reach(celled):
+    corners, own, points, cell, *_ = celled
+    row = own.cell_list.numpy()[cell]
+    listed = row >= 0
+    assert listed.mean() > 0.2
+    away = distances(corners, points[listed])
+    lists, reach = own.list_face.numpy()[row[listed]], own.list_reach.numpy()[row[listed]]
+    for number, places in enumerate(lists):
+        faces = places[places >= 0]
+        assert len(set(faces)) == len(faces) > 0
+        assert (np.delete(away[number], faces) > reach[number]).all()
+    # So the nearest is in nearly all lists, with room for moving on.
+    assert (away.min(axis=1) < reach).mean() > 0.95
+
+
+def test_every_point_that_may_touch_has_a_list(celled):
+    corners, own, points, cell, model, _ = celled
+    distance, side = distance_and_side(corners, points)
+    reach = model.scene.contacts[0].radius.max() + own.patch_skin.numpy()[0]
+    touching = (side > 0.0) & (distance < reach)
+    assert touching.sum() > 100
+    # But for a few beside a rim, where the middle of a cell may be on the inner side.
+    assert (own.cell_list.numpy()[cell[touching]] >= 0).mean() > 0.995
+
+
+def test_what_is_free_is_that_far_on_the_outer_side(celled):
+    corners, own, points, cell, _, closed = celled
+    free = own.cell_free.numpy()[cell]
+    known = free > 0.0
+    assert known.mean() > 0.1
+    distance, side = distance_and_side(corners, points[known])
+    assert (distance > free[known]).all()
+    if closed:
+        assert np.abs(Surface(corners).winding(points[known])).max() < 0.5
+        # It is less than the distance by no more than a cell is wide, and rounding.
+        size = own.patch_cells_size.numpy()[0]
+        assert (distance - free[known] < 1.75 * size + 1e-4).all()
+    else:
+        assert (side > 0.0).all()
+
+
+def test_scaled_surfaces_have_the_cells_of_what_touches_them_in_their_unit():
+    mesh, radius, _ = CASES["ball"]
+    (as_it_is,) = grids_of(scene_of(mesh, radius))
+    (larger,) = grids_of(scene_of(mesh, 10.0 * radius, scale=10.0))
+    assert (larger.counts, larger.size) == (as_it_is.counts, as_it_is.size)
+    assert larger.reach == pytest.approx(as_it_is.reach)
+
+
+@pytest.mark.parametrize("radius", [1.0, 30.0])
+def test_a_ball_that_sees_more_faces_than_a_list_has_gets_none(radius):
+    assert grids_of(scene_of(wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), radius)) == [None]
+
+
+def test_what_takes_too_much_gets_none(monkeypatch):
+    mesh, radius, _ = CASES["ball"]
+    (one,) = grids_of(scene_of(mesh, radius))
+    monkeypatch.setattr(cells, "MOST_BYTES", 2.5 * one.bytes)
+    grids = grids_of(scene_of(mesh, radius, count=4))
+    assert [grid is not None for grid in grids] == [True, True, False, False]
+    for name in ("CELL_BYTES", "LIST_BYTES"):
+        with monkeypatch.context() as here:
+            here.setattr(cells, name, 1000)
+            assert grids_of(scene_of(mesh, radius)) == [None]
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_the_plan_counts_them(precision, device):
+    mesh, radius, _ = CASES["ball"]
+    model = scene_of(mesh, radius).build(device=device, precision=precision)
+    own = model.parts[0].arrays.model
+    taken = sum(array.capacity for array in (own.cell_list, own.cell_free, own.list_face, own.list_reach))
+    without = sum(
+        array.capacity
+        for name, array in ((name, getattr(own, name)) for name in own._cls.vars)
+        if name.startswith(("patch_", "wall_", "face_", "surface_"))
+    )
+    assert taken > 100_000
+    planned = model.footprint().of("surfaces")
+    assert taken < planned < taken + without + 1_000_000
