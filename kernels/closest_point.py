@@ -44,7 +44,7 @@ ROUNDING = 16.0
 # The same of a point alone, in units of epsilon times its coordinates: on fine meshes this is more.
 POINT_ROUNDING = 4.0
 # Parts of a look.
-WHOLE, KNOWN, LISTED, CELLS, SEARCH = "whole", "known", "listed", "cells", "search"
+WHOLE, KNOWN, LISTED, RECALLED, CELLS, SEARCH = "whole", "known", "listed", "recalled", "cells", "search"
 # Result of one that is left to the next part.
 LATER = -2.0
 # Contacts that stay with the part of the surface that they touched.
@@ -59,8 +59,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     side their nearest point is the one reached by walking from the last, so that neither the middle of a plate
     nor its far side turns the force over.
 
-    ``part`` is ``WHOLE``, or one of three that do it in turn, each putting off what it does not know: ``KNOWN``
-    takes the face that is sure to be nearest, ``LISTED`` looks through the remembered ones, ``SEARCH`` searches.
+    ``part`` is ``WHOLE``, or one of some that do it in turn, each putting off what it does not know: ``KNOWN``
+    takes the face that is sure to be nearest, ``LISTED`` looks through the remembered ones, ``RECALLED`` does
+    both; ``CELLS`` searches near surfaces that have cells, ``SEARCH`` all.
     """
     t = structs(real)
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
@@ -74,6 +75,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         WHOLE: of_search.recall,
         KNOWN: recall_sure,
         LISTED: of_search.recall_listed,
+        RECALLED: of_search.recall,
         CELLS: of_search.recall_nothing,
         SEARCH: of_search.recall_nothing,
     }[part]
@@ -215,7 +217,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 foot = walk(model, last, p_S)
                 held = inner(model, foot)
         if not held:
-            if wp.static(part == KNOWN):  # noqa: SIM102  Warp would evaluate both sides
+            if wp.static(part in (KNOWN, RECALLED)):  # noqa: SIM102  Warp would evaluate both sides
                 # What is far on the outer side needs no more than the cell it is in.
                 if cache.faces[env, contact] == 0 and (option & LATCHED) == 0:
                     cell = cell_of(model, patch, p_S)
@@ -251,7 +253,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     return real(LATER)
                 foot = recalled.foot
                 cache.nearest[env, contact] = foot.row
-            elif wp.static(part in (KNOWN, LISTED)):
+            elif wp.static(part in (KNOWN, LISTED, RECALLED)):
                 if not recalled.known:
                     return real(LATER)
             elif not recalled.known:

@@ -10,11 +10,11 @@ import functools
 import warp as wp
 from warpcontact.kernels import near as nearness
 from warpcontact.kernels import warps
-from warpcontact.kernels.closest_point import CELLS, KNOWN, LATER, LISTED, SEARCH
+from warpcontact.kernels.closest_point import CELLS, KNOWN, LATER, LISTED, RECALLED, SEARCH
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
 
 # Queues of contacts, by what they need; that of blocks to probe comes first.
-QUEUE_OF = {KNOWN: 1, LISTED: 2, CELLS: 3, SEARCH: 4}
+QUEUE_OF = {KNOWN: 1, RECALLED: 1, LISTED: 2, CELLS: 3, SEARCH: 4}
 # Registers of a search in float32, which would take 200: with so few an H200 holds all its threads at once
 # (``schedule.SEARCHING``). They wait for memory most of the time.
 SEARCH_REGISTERS = 128

@@ -12,7 +12,7 @@ from celled import cells_everywhere
 from warpcontact.kernels.types import QUEUES
 
 import warpcontact as wc
-from warpcontact import crew, simulation, stepping
+from warpcontact import crew, schedule, simulation, stepping
 from warpcontact.schedule import Span
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -166,8 +166,13 @@ def with_queues(monkeypatch):
 
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("few", [True, False], ids=["", "as of many"])
 @pytest.mark.parametrize("name", SCENES)
-def test_what_is_known_of_distances_changes_nothing(name, precision, device):
+def test_what_is_known_of_distances_changes_nothing(name, few, precision, device, monkeypatch):
+    if not few:
+        if device == "cpu":
+            pytest.skip("a CPU does the same for few and many")
+        monkeypatch.setattr(schedule, "FEW", 0)
     known, pushed = run(name, precision, device)
     afresh, _ = run(name, precision, device, distance_cache=False, graphs=False, threads=1)
     assert pushed.sum() >= 3
@@ -321,15 +326,17 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
 
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("cells", [False, True], ids=["", "and cells"])
+@pytest.mark.parametrize("few", [False, True], ids=["of many", "of few, and cells"])
 @pytest.mark.parametrize("name", SCENES)
-def test_queues_change_nothing(name, cells, precision, monkeypatch):
+def test_queues_change_nothing(name, few, precision, monkeypatch):
     """As a GPU looks at contacts, here by one thread."""
     usual, _ = run(name, precision, "cpu")
 
     with_queues(monkeypatch)
-    if cells:
+    if few:
         cells_everywhere(monkeypatch)
+    else:
+        monkeypatch.setattr(schedule, "FEW", 0)
     assert_same(run(name, precision, "cpu")[0], usual)
 
 

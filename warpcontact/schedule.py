@@ -24,7 +24,7 @@ from warpcontact.kernels import (
     warps,
     wrenches,
 )
-from warpcontact.kernels.closest_point import CELLS, KNOWN, LISTED, SEARCH
+from warpcontact.kernels.closest_point import CELLS, KNOWN, LISTED, RECALLED, SEARCH
 from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 # Most threads of a GPU that work off a queue, in whole warps, however long it is.
 LOOKING = 262144
 SEARCHING = 65536
+# Up to so many blocks one launch less is worth more than threads side by side that do the same.
+FEW = 131072
 # Threads of a block of these: with many registers each, small blocks fill a processor better.
 FEW_TOGETHER = 64
 
@@ -174,14 +176,15 @@ def queue_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
             threads=some(blocks, SEARCHING),
             together=FEW_TOGETHER,
         )
-    parts = [KNOWN, LISTED, *([CELLS] if a.celled else []), SEARCH]
+    parts = [KNOWN, LISTED] if span.count * blocks > FEW else [RECALLED]
+    parts += [CELLS, SEARCH] if a.celled else [SEARCH]
     for part, next_part in zip(parts, [*parts[1:], SEARCH], strict=True):
         each = warps.LANES if part == CELLS else 1
         launches += span.prepare(
             queues.work_off(real, follows, part, next_part),
             contacts,
             [a.model, state, a.history, a.cache, a.contacts, a.near],
-            threads=some(each * contacts, LOOKING if part in (KNOWN, LISTED) else SEARCHING),
+            threads=some(each * contacts, SEARCHING if part in (CELLS, SEARCH) else LOOKING),
             together=FEW_TOGETHER,
         )
     return launches + span.prepare(queues.gather(real), blocks, [status, a.model, a.cache, a.near])
