@@ -47,6 +47,22 @@ def test_a_sound_scene_is_silent_and_warnings_come_once(device):
     assert [warning.category for warning in caught] == [wc.ContactWarning]
 
 
+@pytest.mark.parametrize(
+    "step",
+    [
+        lambda sim: sim.step(),
+        lambda sim: sim.run(0.02),
+        lambda sim: sim.step_in_frames(1, 2, [], lambda *_: None),
+    ],
+    ids=["step", "run", "step_in_frames"],
+)
+def test_a_warning_points_to_who_steps(step, device):
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), height=-1e-3, device=device)
+    with pytest.warns(wc.ContactWarning) as caught:
+        step(wc.Simulation(model, dt=0.01))
+    assert [warning.filename for warning in caught] == [__file__]
+
+
 def told(sim, match):
     """Returns what the first step of a simulation warns about, as far as it matches."""
     with warnings.catch_warnings(record=True) as caught:

@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warpcontact import checkpoint, checks
-from warpcontact.advice import ContactWarning, advice
+from warpcontact.advice import ContactWarning, advice, level_outside
 from warpcontact.arrays import Layout
 from warpcontact.available import HOST
 from warpcontact.captures import beside_captures
@@ -315,7 +315,7 @@ class Simulation:
         if model.at_start and not self.advised:
             self.advised = True
             for sentence in self.advice():
-                warnings.warn(sentence, ContactWarning, stacklevel=3)
+                warnings.warn(sentence, ContactWarning, stacklevel=level_outside())
         for part, buffers in zip(model.parts, self._buffers, strict=True):
             part.untouched = False
             if buffers.hard is not None:
