@@ -22,7 +22,7 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
     near, of_search, of_warp = feet.functions(real), search.functions(real, remembered), warps.functions(real)
-    foot_on, nearer = near.foot_on, near.nearer
+    foot_on, nearer, inner = near.foot_on, near.nearer, near.inner
     Recalled, remember, list_faces = of_search.Recalled, of_search.remember, of_search.list_faces
     real_of, least = of_warp.real_of, of_warp.least
     rounding = wp.constant(real(t.epsilon * ROUNDING))
@@ -42,18 +42,20 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
     ):
         """The nearest of the faces of a cell, a face for each thread of a warp.
 
-        Faces are remembered if the nearest is nearer than ``within``. Nothing is known if a face that is not in
-        the list may be as near.
+        Faces are remembered on the inner side and nearer than ``within``. Nothing is known if a face that is not
+        in the list may be as near.
         """
         lane = warps.lane()
         row = model.list_face[about, lane]
         own = foot_on(model, wp.max(row, 0), p)
         distance = own.distance
+        span = own.span
         if row < 0:
             distance = real(wp.inf)
+            span = real(0.0)
         nearest = least(distance)
         # All that may be as near as the nearest, one after the other.
-        others = warps.lanes_with(distance <= nearest + rounding * own.span)
+        others = warps.lanes_with(distance <= nearest - rounding * least(-span))
         best = foot_on(model, warps.int_of(row, warps.first_of(others)), p)
         others = warps.without_first(others)
         while others != 0:
@@ -64,7 +66,7 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
         answer.foot = best
         beyond = model.list_reach[about]
         answer.known = nearest + margin < beyond
-        if answer.known and nearest >= within:
+        if answer.known and nearest >= within and not inner(model, best):
             cache.faces[env, contact] = 0
         elif answer.known:
             before = wp.int32(0)

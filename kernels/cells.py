@@ -11,7 +11,8 @@ from warpcontact.kernels.types import structs
 
 # Faces in the list of a cell, at most. The rest of them are farther than its reach.
 IN_CELL = 32
-# A cell is filled as if it were so much larger, for points that rounding puts into the one beside theirs.
+# A cell is filled as if it were so much larger, for points that rounding puts into the one beside theirs; what is
+# taken off for the rounding of a query serves for them as well.
 OVERLAP = 1.001
 
 

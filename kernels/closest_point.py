@@ -382,4 +382,6 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         contacts.arm[env, contact] = arm_W + view.R_WS * to_contact
         return free
 
-    return SimpleNamespace(View=View, view_of=view_of, room_on_side=room_on_side, look=look)
+    return SimpleNamespace(
+        View=View, view_of=view_of, room_on_side=room_on_side, nearest_of_all=nearest_of_all, look=look
+    )

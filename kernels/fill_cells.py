@@ -6,12 +6,11 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels import closest_point as closest
 from warpcontact.kernels import foot as feet
+from warpcontact.kernels import search
 from warpcontact.kernels.cells import IN_CELL, OVERLAP
 from warpcontact.kernels.closest_point import ROUNDING, WHOLE
-from warpcontact.kernels.types import structs
-
-# A face that is nearer than so much of the differences has no direction to rely on.
-STEADY = 0.002
+from warpcontact.kernels.search import STEADY
+from warpcontact.kernels.types import REMEMBERED_IN_QUEUES, structs
 
 
 @functools.cache
@@ -24,7 +23,7 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     vec3, Model = t.vec3, t.Model
-    of_face = feet.functions(real)
+    of_face, nearest_of_all = feet.functions(real), search.functions(real, REMEMBERED_IN_QUEUES).nearest_of_all
     foot_on, inner = of_face.foot_on, of_face.inner
     room_on_side = closest.functions(real, False, WHOLE).room_on_side
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
@@ -61,9 +60,11 @@ def kernel(real: type) -> wp.Kernel:
         first = foot_on(model, start + query.face, c)
         extent = wp.max(wp.max(wp.abs(c[0]), wp.abs(c[1])), wp.abs(c[2]))
         unsure = model.patch_slack[patch] + query_epsilon * (extent + first.distance)
+        # One that the query takes for as near may show the other side.
+        first = nearest_of_all(model, patch, c, first, unsure)
         within = inner(model, first)
         if not within:
-            model.cell_free[cell] = wp.min(first.distance - unsure, room_on_side(model, patch, c)) - radius
+            model.cell_free[cell] = wp.min(first.distance, room_on_side(model, patch, c)) - unsure - radius
         skin = model.patch_skin[patch]
         far = wp.where(within, skin, reach + skin + size) + radius
         if first.distance > far:

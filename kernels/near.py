@@ -37,6 +37,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     Model, History, Contacts, Cache = t.Model, t.History, t.Contacts, t.Cache
     contact_of = closest.functions(real, follows, part)
     View, view_of, room_on_side = contact_of.View, contact_of.view_of, contact_of.room_on_side
+    nearest_of_all = contact_of.nearest_of_all
     cell_of = cells.functions(real).cell_of
     foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
@@ -67,6 +68,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         foot = foot_on(model, view.start + query.face, c_S)
         extent = wp.max(wp.max(wp.abs(c_S[0]), wp.abs(c_S[1])), wp.abs(c_S[2]))
         unsure = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
+        if wp.static(real is wp.float64) or model.patch_thin[patch] > real(0.0):
+            # One that the query takes for as near may show the other side.
+            foot = nearest_of_all(model, patch, c_S, foot, unsure)
         if inner(model, foot):
             return real(-1.0)
         return view.scale * wp.min(foot.distance - unsure, room_on_side(model, patch, c_S))

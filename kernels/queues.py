@@ -34,8 +34,8 @@ def _put(real: type) -> wp.Function:
 @wp.func
 def spread(thread: int, threads: int):
     """Numbers threads anew, so that the first are in different warps: searches go different ways."""
-    warps = (threads + 31) // 32
-    return (thread % 32) * warps + thread // 32
+    number = (threads + 31) // 32
+    return (thread % 32) * number + thread // 32
 
 
 @functools.cache

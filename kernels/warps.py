@@ -33,7 +33,7 @@ def first_of(lanes: int) -> int:
     ...
 
 
-@wp.func_native("return lanes & (lanes - 1);")
+@wp.func_native("return unsigned(lanes) & (unsigned(lanes) - 1u);")
 def without_first(lanes: int) -> int:
     """The others."""
     ...

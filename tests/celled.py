@@ -8,4 +8,4 @@ from warpcontact import cells, patches
 def cells_everywhere(monkeypatch):
     """Makes cells for models on the CPU, which does not search in them."""
     a_gpu = SimpleNamespace(is_cuda=True)
-    monkeypatch.setattr(patches, "grids_about", lambda made, _: cells.grids_about(made, a_gpu))
+    monkeypatch.setattr(patches, "grids_about", lambda made, _, real: cells.grids_about(made, a_gpu, real))

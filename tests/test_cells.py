@@ -1,7 +1,10 @@
 """Cells about meshes: what they say of the points in them, beside every face, and what they take."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import warp as wp
 from brute_force import Surface, nearest_on_triangles
 from celled import cells_everywhere
 
@@ -11,12 +14,22 @@ from warpcontact.patches import make_patches
 
 LAW = wc.laws.Hooke(stiffness=1e4)
 POINTS = 3000
+
+
+def with_slivers(sheet):
+    """Moves the vertices at x = 0 to where those at 0.1 are, but for 4 mm."""
+    vertices = sheet.vertices.copy()
+    vertices[np.abs(vertices[:, 0]) < 1e-9, 0] = 0.096
+    return wc.Mesh(vertices, sheet.faces)
+
+
 # What is touched, the radius of what touches it, and whether its outer side is all that is outside.
 CASES = {
     "terrain": (wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), 0.1, False),
     "terrain, by points": (wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), 0.0, False),
     "sheet with a rim": (wc.meshes.grid((1.0, 0.6), (10, 7)), 0.02, False),
     "ball": (wc.meshes.icosphere(0.4, 3), 0.05, True),
+    "sheet with slivers": (with_slivers(wc.meshes.grid((1.0, 0.6), (10, 7))), 0.02, False),
     "box": (wc.meshes.box((0.4, 0.5, 0.3)), 0.05, True),
 }
 
@@ -39,14 +52,15 @@ def grids_of(scene):
     """The grids that a model of the scene has."""
     from warpcontact import patches
 
-    return patches.grids_about(make_patches(scene.contacts), None)
+    return patches.grids_about(make_patches(scene.contacts), None, wp.float32)
 
 
-@pytest.fixture(params=CASES)
+@pytest.fixture(params=[(name, precision) for name in CASES for precision in ("float32", "float64")], ids="-".join)
 def celled(request, device):
     """The faces of a mesh, its cells, points in them with the cell of each, and what is known of the mesh."""
-    mesh, radius, closed = CASES[request.param]
-    model = scene_of(mesh, radius).build(device=device)
+    name, precision = request.param
+    mesh, radius, closed = CASES[name]
+    model = scene_of(mesh, radius).build(device=device, precision=precision)
     own = model.parts[0].arrays.model
     counts = own.patch_cells.numpy()[0]
     origin, size = own.patch_cells_origin.numpy()[0], own.patch_cells_size.numpy()[0]
@@ -60,7 +74,7 @@ def celled(request, device):
     near = np.einsum("nk,nkx->nx", random.dirichlet(np.ones(3), POINTS), corners[faces])
     points[POINTS // 4 :] = (near + random.normal(scale=radius + size, size=(POINTS, 3)))[POINTS // 4 :]
     snapped = origin + size * (np.round((points - origin) / size) + random.choice([-1e-4, 1e-4], (POINTS, 3)))
-    points = np.concatenate([points, snapped]).astype(np.float32)
+    points = np.concatenate([points, snapped]).astype(np.float32 if precision == "float32" else float)
     at = np.floor((points - origin) / size).astype(int)
     inside = ((at >= 0) & (at < counts[:3])).all(axis=1)
     points, at = points[inside], at[inside]
@@ -166,3 +180,66 @@ def test_the_plan_counts_them(precision, device):
     assert taken > 100_000
     planned = model.footprint().of("surfaces")
     assert taken < planned < taken + without + 1_000_000
+
+
+def block_with_a_gap(gap, cells=10, half=0.25, height=0.0137):
+    """A unit cube with a flat hollow of two sheets, and a rim between them."""
+    block = wc.meshes.box((1, 1, 1))
+    side = np.linspace(-half, half, cells + 1)
+    y, x = np.meshgrid(side, side)
+    sheets = [np.stack([x, y, height + 0 * x + up], axis=-1).reshape(-1, 3) for up in (0.0, gap)]
+    number = np.arange((cells + 1) ** 2).reshape(cells + 1, -1)
+    a, b, c, d = (own.ravel() for own in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    # Seen from the hollow, the lower sheet faces up and the upper one down.
+    lower = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    above = number.size
+    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
+    p, q = rim, np.roll(rim, -1)
+    walls = np.concatenate([np.stack([q, p, p + above], 1), np.stack([q, p + above, q + above], 1)])
+    hollow = np.concatenate([lower, lower[:, ::-1] + above, walls]) + len(block.vertices)
+    return wc.Mesh(np.concatenate([block.vertices, *sheets]), np.concatenate([block.faces, hollow]))
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_a_narrow_gap_within_a_body_frees_nothing(precision, device):
+    """Of its two sides, as near as a query can tell, one shows the gap and the other the body."""
+    near = block_with_a_gap(2e-6)
+    faces = near.faces
+    # Of two meshes of a surface, far apart, coordinates are large.
+    far = np.array([60.0, 0.0, 60.0])
+    scene = wc.Scene()
+    point = scene.add_point(scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0)), (0, 0, 0))
+    surface = scene.add_surface([near, wc.Mesh(near.vertices + far, faces)])
+    scene.add_contact(point, surface, wc.Template(law=LAW), radius=0.0)
+    model = scene.build(device=device, precision=precision)
+    own = model.parts[0].arrays.model
+    for patch, middle in enumerate((0.0 * far, far)):
+        *counts, first = own.patch_cells.numpy()[patch]
+        origin, size = own.patch_cells_origin.numpy()[patch], own.patch_cells_size.numpy()[patch]
+        free = own.cell_free.numpy()[first : first + np.prod(counts)]
+        at = np.indices(counts[::-1]).reshape(3, -1)[::-1].T
+        away = np.abs(origin.astype(float) + size * (at + 0.5) - surface_centre(surface, middle))
+        assert (away < 0.5).all(axis=1).sum() > 100
+        assert (free[(away < 0.5).all(axis=1)] <= 0.0).all()
+        assert (free > 0.0).any()
+
+
+def surface_centre(surface, middle):
+    """Where the middle of a mesh is in the frame of the tables."""
+    return middle - surface.centre
+
+
+def test_where_lists_run_out_cells_have_none(device, monkeypatch):
+    mesh, radius, _ = CASES["ball"]
+    usual = scene_of(mesh, radius).build(device=device).parts[0].arrays.model
+    forced = cells.grid_about
+
+    def with_ten(*arguments):
+        grid = forced(*arguments)
+        return replace(grid, lists=10, bytes=grid.bytes - (grid.lists - 10) * (4 * cells.IN_CELL + 4))
+
+    monkeypatch.setattr(cells, "grid_about", with_ten)
+    few = scene_of(mesh, radius).build(device=device).parts[0].arrays.model
+    row = few.cell_list.numpy()
+    assert sorted(row[row >= 0]) == list(range(10))
+    np.testing.assert_array_equal(few.cell_free.numpy(), usual.cell_free.numpy())

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 FINEST, COARSEST = 0.5, 1.0
 # Cells beside those near the patch, where there is room for them.
 AROUND = 8.0
-# What a cell takes in float32, and a list of faces [bytes].
-OF_CELL, OF_LIST = 8, 4 * IN_CELL + 4
 # What the cells of a patch may take, its lists, and those of all patches [bytes].
 CELL_BYTES, LIST_BYTES, MOST_BYTES = 16 * 2**20, 64 * 2**20, 256 * 2**20
 
@@ -35,6 +33,7 @@ class Grid:
         size: Size of a cell.
         lists: Room for lists of faces, which cells near the patch have.
         reach: How far points on the outer side are that come to touch.
+        bytes: What it takes.
     """
 
     origin: NDArray[np.float64]
@@ -42,20 +41,19 @@ class Grid:
     size: float
     lists: int
     reach: float
+    bytes: int
 
     @property
     def cells(self) -> int:
         """How many there are."""
         return int(np.prod(self.counts))
 
-    @property
-    def bytes(self) -> int:
-        """What it takes in float32."""
-        return OF_CELL * self.cells + OF_LIST * self.lists
 
+def grids_about(made: "Patches", device: wp.Device, real: type) -> list[Grid | None]:
+    """Returns the grids about patches; ``None`` where there is none, as on a CPU, which waits for no search.
 
-def grids_about(made: "Patches", device: wp.Device) -> list[Grid | None]:
-    """Returns the grids about patches; ``None`` where there is none, as on a CPU, which waits for no search."""
+    The first have theirs where there is no room for all.
+    """
     grids: list[Grid | None] = [None] * len(made.patches)
     if not device.is_cuda:
         return grids
@@ -65,19 +63,21 @@ def grids_about(made: "Patches", device: wp.Device) -> list[Grid | None]:
         reach[own] = np.maximum(reach[own], contact.radius.max() / contact.surface.scale.min())
     left = MOST_BYTES
     for number, patch in enumerate(made.patches):
-        grid = grid_about(patch, float(reach[number]))
+        grid = grid_about(patch, float(reach[number]), real)
         if grid is not None and (left := left - grid.bytes) >= 0:
             grids[number] = grid
     return grids
 
 
-def grid_about(patch: "Patch", reach: float) -> Grid | None:
+def grid_about(patch: "Patch", reach: float, real: type) -> Grid | None:
     """Returns the grid about a patch; ``None`` where it would take too much, or help too little.
 
     Args:
         patch: The patch.
         reach: Radius of the largest sphere that touches it, in the unit of the mesh.
+        real: Type of a real number.
     """
+    of_cell, of_list = _sizes(real)
     corner = patch.corner
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     low, high = corner.min(axis=(0, 1)), corner.max(axis=(0, 1))
@@ -96,11 +96,18 @@ def grid_about(patch: "Patch", reach: float) -> Grid | None:
             margin = reach + patch.skin + beyond * size
             counts = np.ceil((high - low + 2.0 * margin) / size)
             cells = float(np.prod(counts))
-            if cells * OF_CELL <= CELL_BYTES and lists * OF_LIST <= LIST_BYTES:
+            if cells * of_cell <= CELL_BYTES and lists * of_list <= LIST_BYTES:
                 x, y, z = counts.astype(int).tolist()
-                return Grid(low - margin, (x, y, z), size, min(lists, int(cells)), reach)
+                lists = min(lists, int(cells))
+                return Grid(low - margin, (x, y, z), size, lists, reach, int(cells) * of_cell + lists * of_list)
         size *= 1.1
     return None
+
+
+def _sizes(real: type) -> tuple[int, int]:
+    """Returns what a cell takes, and a list of faces [bytes]."""
+    own = wp.types.type_size_in_bytes(real)
+    return 4 + own, 4 * IN_CELL + own
 
 
 def declare_grids(grids: Sequence[Grid | None], model: Any, layout: Layout, t: SimpleNamespace) -> None:
@@ -108,7 +115,7 @@ def declare_grids(grids: Sequence[Grid | None], model: Any, layout: Layout, t: S
     there = [grid for grid in grids if grid is not None]
     first_cell = np.cumsum([0] + [0 if grid is None else grid.cells for grid in grids]).tolist()
     first_list = np.cumsum([0] + [0 if grid is None else grid.lists for grid in grids]).tolist()
-    none = Grid(np.zeros(3), (0, 0, 0), 1.0, 0, 0.0)
+    none = Grid(np.zeros(3), (0, 0, 0), 1.0, 0, 0.0, 0)
     rows = [grid or none for grid in grids]
     counts = [(*grid.counts, start if grid.cells else -1) for grid, start in zip(rows, first_cell, strict=False)]
     layout.content("surfaces", model, "patch_cells", np.array(counts).reshape(-1, 4), wp.vec4i)
@@ -116,7 +123,6 @@ def declare_grids(grids: Sequence[Grid | None], model: Any, layout: Layout, t: S
     layout.content("surfaces", model, "patch_cells_origin", origins, t.vec3)
     layout.content("surfaces", model, "patch_cells_size", [grid.size for grid in rows], t.real)
     cells, lists = first_cell[-1], first_list[-1]
-    real_bytes = wp.types.type_size_in_bytes(t.real)
 
     def make(_: int) -> None:
         device = layout.device
@@ -126,6 +132,7 @@ def declare_grids(grids: Sequence[Grid | None], model: Any, layout: Layout, t: S
         model.list_face = wp.empty((lists, IN_CELL), dtype=wp.int32, device=device)
         if not there:
             return
+        # Warp parses functions as they are made: not for a CPU.
         from warpcontact.kernels import fill_cells
 
         used = wp.zeros(len(grids), dtype=wp.int32, device=device)
@@ -135,4 +142,4 @@ def declare_grids(grids: Sequence[Grid | None], model: Any, layout: Layout, t: S
                 inputs = [model, patch, grid.reach, first_list[patch], grid.lists, own]
                 wp.launch(fill_cells.kernel(t.real), grid.cells, inputs, device=device)
 
-    layout.other("surfaces", cells * (4 + real_bytes) + lists * (4 * IN_CELL + real_bytes), make)
+    layout.other("surfaces", sum(grid.bytes for grid in there), make)

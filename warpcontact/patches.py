@@ -155,7 +155,7 @@ def upload_patches(made: Patches, arrays: Any, layout: Layout, t: SimpleNamespac
         keep them.
     """
     patches, model = made.patches, arrays.model
-    grids = grids_about(made, layout.device)
+    grids = grids_about(made, layout.device, t.real)
     arrays.celled = any(grid is not None for grid in grids)
     meshes: list[wp.Mesh] = []
 
