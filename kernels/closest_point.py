@@ -177,6 +177,13 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         contacts.face[env, contact] = -1
 
     @wp.func
+    def leave(contacts: Contacts, env: int, contact: int):
+        """Fills ``contacts`` for one that is far away on the outer side, as far as steps look at it."""
+        contacts.status[env, contact] = OPEN
+        contacts.penetration[env, contact] = real(0.0)
+        contacts.armed[env, contact] = 1
+
+    @wp.func
     def look(
         model: Model,
         view: View,
@@ -224,9 +231,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     if cell >= 0:
                         around = model.cell_free[cell] - reach
                         if around > real(0.5) * model.patch_cells_size[patch]:
-                            contacts.status[env, contact] = OPEN
-                            contacts.penetration[env, contact] = real(0.0)
-                            contacts.armed[env, contact] = 1
+                            leave(contacts, env, contact)
                             return scale * around
             # A sphere sees at least what it overlaps.
             seen = wp.max(geometry.search_radius * view.per_scale, reach)
@@ -383,5 +388,10 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         return free
 
     return SimpleNamespace(
-        View=View, view_of=view_of, room_on_side=room_on_side, nearest_of_all=nearest_of_all, look=look
+        View=View,
+        view_of=view_of,
+        room_on_side=room_on_side,
+        nearest_of_all=nearest_of_all,
+        leave=leave,
+        look=look,
     )

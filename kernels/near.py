@@ -19,7 +19,6 @@ from warpcontact.kernels.types import (
     ENV_ACTIVE,
     INLINED,
     LATCHED,
-    OPEN,
     Work,
     first_env,
     structs,
@@ -37,7 +36,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     Model, History, Contacts, Cache = t.Model, t.History, t.Contacts, t.Cache
     contact_of = closest.functions(real, follows, part)
     View, view_of, room_on_side = contact_of.View, contact_of.view_of, contact_of.room_on_side
-    nearest_of_all = contact_of.nearest_of_all
+    nearest_of_all, leave = contact_of.nearest_of_all, contact_of.leave
     cell_of = cells.functions(real).cell_of
     foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
@@ -112,9 +111,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         free = left_of(model, env, block, contact, around)
         if not (free > real(FEW) * around):
             return real(-1.0)
-        contacts.status[env, contact] = OPEN
-        contacts.penetration[env, contact] = real(0.0)
-        contacts.armed[env, contact] = 1
+        leave(contacts, env, contact)
         return free
 
     @wp.func

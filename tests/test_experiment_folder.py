@@ -138,6 +138,14 @@ def test_picture_is_made_of_whatever_there_is(changes, tmp_path):
     assert run.files["picture"].stat().st_size > 10_000
 
 
+def tracks_of(recording):
+    """The tracks that a picture shows."""
+    from warpcontact.experiment import picture
+
+    chosen = picture._evenly(recording.sizes["env"], picture.TRACKS)
+    return [picture._tracks(recording, body, chosen) for body in recording.scene.bodies]
+
+
 def test_picture_shows_what_differs_from_the_side_that_tells(tmp_path):
     from warpcontact.experiment import picture
 
@@ -152,7 +160,7 @@ def test_picture_shows_what_differs_from_the_side_that_tells(tmp_path):
     values, label = picture._color_values(recording, list(varied))
     np.testing.assert_allclose(values, [1, 2, 3, 4])
     assert label.startswith("touch.law.stiffness [N/m")
-    assert picture._extent(recording)[0] == [0, 2]
+    assert picture._extent(tracks_of(recording))[0] == [0, 2]
     recording["touch.law.stiffness"][0, 1] = 7.0  # items that differ are no colour
     assert picture._color_values(recording, list(varied))[1] == "environment"
 
@@ -170,7 +178,7 @@ def test_picture_shows_some_of_a_line_on_what_does_not_move(tmp_path):
     changes = {"surface": [], "contact": [], "body": [buoy], "point": ends, "catenary": [line], "dt": 0.01}
     changes["record"] = {"readings": ["line.force_b", "line.tension_b"]}
     recording = wc.Experiment(content(**changes)).run(tmp_path, device="cpu").recording
-    plane, lower, upper = picture._extent(recording)
+    plane, lower, upper = picture._extent(tracks_of(recording))
     assert plane == [0, 2]
     shapes = picture._coupling_shapes(recording)
     low, high = picture._window(recording.scene, [], shapes, lower, upper, plane)

@@ -131,7 +131,7 @@ def test_the_picture_shows_what_shapes_stand_on_and_how_they_touch(tmp_path, dev
         "smooth_contact": [{"name": "touch", "shape": "box", "other_shape": "floor", "template": "soft"}],
     }
     recording = wc.Experiment.from_dict(study).run(tmp_path, device=device).recording
-    plane, lower, upper = picture._extent(recording)
+    plane, lower, upper = picture._extent([recording["ball.position"].values])
     low, high = picture._window(recording.scene, [], [], lower, upper, plane)
     assert (high - low).max() == pytest.approx(10.0 * 0.1)
     floor, ring = ground.grounds_of(recording, 2.0)

@@ -116,3 +116,13 @@ def test_heights_are_above_tracks_and_dots():
     # Dots of ends are at 3, tracks where Matplotlib has lines.
     assert heights
     assert all(height.get_zorder() > 3 for height in heights)
+
+
+def test_the_view_is_of_the_tracks_that_are_shown():
+    level = np.array([[[0.0, 0.0, 0.5], [1.0, 0.01, 0.2]], [[2.0, 0.0, 0.1], [np.nan, 5.0, 0.0]]])
+    plane, low, high = picture._extent([level])
+    assert plane == [0, 2]
+    np.testing.assert_array_equal([low, high], [[0.0, 0.1], [2.0, 0.5]])
+    plane, low, high = picture._extent([level, np.array([[[-1.0, 3.0, 0.0]]])])
+    assert plane == [0, 1]
+    np.testing.assert_array_equal([low, high], [[-1.0, 0.0], [2.0, 3.0]])

@@ -27,7 +27,6 @@ from warpcontact.experiment.ground import (
     grounds_of,
     legend_entries,
 )
-from warpcontact.experiment.store import CHUNK
 from warpcontact.health import Health
 from warpcontact.picture_file import save
 from warpcontact.recording import Recording
@@ -67,7 +66,10 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
         health: Which environments are stopped or frozen.
     """
     envs, times = recording.sizes["env"], recording["time"].values
-    plane, lower, upper = _extent(recording)
+    chosen = _evenly(envs, TRACKS)
+    # Of a set so many bodies that its tracks are as many as those of one body may be.
+    tracks = [_tracks(recording, body, chosen) for body in recording.scene.bodies]
+    plane, lower, upper = _extent(tracks)
     shapes = _coupling_shapes(recording)
     # Of a half-space first as much as the tracks need, wherever on it they are, then what the window has room for.
     reach = float(np.abs([lower, upper]).max() + np.max(upper - lower)) or 1.0
@@ -92,7 +94,7 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
         grid = figure.add_gridspec(2, 2, width_ratios=(float(np.clip(width / height, 0.6, 1.15)), 1.0))
         places = grid[:, 0], grid[0, 1], grid[1, 1]
     above, first, second = (figure.add_subplot(place) for place in places)
-    _draw_tracks(figure, above, recording, grounds, shapes, varied, plane, window, wide)
+    _draw_tracks(figure, above, recording, chosen, tracks, grounds, shapes, varied, plane, window, wide)
     for axes, (values, label) in zip((first, second), _chosen_readings(recording), strict=True):
         _draw_quantiles(axes, times, values, label)
         axes.set_xlabel("time [s]")
@@ -104,41 +106,21 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
     save(figure, path)
 
 
-def _extent(recording: Recording) -> tuple[list[int], NDArray[Any], NDArray[Any]]:
-    """Returns the two axes of the plane in which the tracks are shown, and the corners of where they are.
-
-    Some environments at a time: of a recording in a file, there may be more than fit into memory.
-    """
-    planes = [0, 2], [0, 1]
-    lows, highs, ends = [], [], []
-    for body in recording.scene.bodies:
-        track = recording[f"{body.name}.position"]
-        some = max(1, CHUNK // max(1, track.nbytes // track.sizes["env"]))
-        for first in range(0, track.sizes["env"], some):
-            points = track.isel(env=slice(first, first + some)).values.reshape(-1, 3)
-            lows.append(points.min(axis=0))
-            highs.append(points.max(axis=0))
-            ends.append([_ends(points[:, plane]) for plane in planes])
-    extent = np.max(highs, axis=0) - np.min(lows, axis=0)
-    chosen = 0 if extent[1] <= FLAT * extent.max() else 1
-    lower = np.min([each[chosen][0] for each in ends], axis=0)
-    upper = np.max([each[chosen][1] for each in ends], axis=0)
-    return planes[chosen], lower, upper
-
-
-def _ends(points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Returns the smallest and largest coordinates of those points (n, 2) that are finite."""
-    finite = np.isfinite(points).all(axis=1)[:, None]
-    return (
-        points.min(axis=0, where=finite, initial=np.inf),
-        points.max(axis=0, where=finite, initial=-np.inf),
-    )
+def _extent(tracks: list[NDArray[Any]]) -> tuple[list[int], NDArray[Any], NDArray[Any]]:
+    """Returns the two axes of the plane in which tracks are shown, and the corners of where they are."""
+    points = np.concatenate([track.reshape(-1, 3) for track in tracks])
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    plane = [0, 2] if high[1] - low[1] <= FLAT * (high - low).max() else [0, 1]
+    return plane, low[plane], high[plane]
 
 
 def _draw_tracks(
     figure: Figure,
     axes: Any,
     recording: Recording,
+    chosen: NDArray[np.int_],
+    tracks: list[NDArray[Any]],
     grounds: list[Ground],
     shapes: list[NDArray[Any]],
     varied: list[str],
@@ -148,9 +130,6 @@ def _draw_tracks(
 ) -> None:
     scene = recording.scene
     envs = recording.sizes["env"]
-    chosen = _evenly(envs, TRACKS)
-    # Of a set so many bodies that its tracks are as many as those of one body may be.
-    tracks = [_tracks(recording, body, chosen) for body in scene.bodies]
     lower, upper = window
     from_above = plane == [0, 1]
     step = contour_step(grounds, lower, upper) if from_above else 0.0
