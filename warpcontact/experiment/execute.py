@@ -25,7 +25,7 @@ from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.fingerprint import differences, fingerprint
 from warpcontact.experiment.lock import writing
 from warpcontact.experiment.notices import Notices
-from warpcontact.experiment.plan import Plan
+from warpcontact.experiment.plan import DRAWN_AT_ONCE, Plan
 from warpcontact.experiment.progress import Bar
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.schema import Settings
@@ -364,6 +364,8 @@ def _end(job: Job, summary: dict[str, Any], warned: Callable[[], list[str]]) -> 
 
 def _show(run: Run, job: Job) -> None:
     """Writes what shows the results."""
+    import zarr
+
     from warpcontact.experiment.outcome_picture import write_outcome_picture
     from warpcontact.experiment.picture import write_picture
     from warpcontact.usd import export_usd
@@ -374,9 +376,11 @@ def _show(run: Run, job: Job) -> None:
         return
     recording = run.recording
     usd_envs = min(settings.output.usd_envs, settings.envs)
-    if usd_envs:
-        # All environments would take more than the run: whoever wants them exports them.
-        export_usd(
-            recording, run.folder / files_of.ANIMATION, envs=range(usd_envs), ensemble=False, progress=False
-        )
-    write_picture(run.folder / files_of.PICTURE, recording, settings.name, list(job.design.names), run.health)
+    # Of what has the values of some environments Zarr would have 64 pieces in memory at once.
+    with zarr.config.set({"async.concurrency": DRAWN_AT_ONCE}):
+        if usd_envs:
+            # All environments would take more than the run: whoever wants them exports them.
+            export_usd(
+                recording, run.folder / files_of.ANIMATION, envs=range(usd_envs), ensemble=False, progress=False
+            )
+        write_picture(run.folder / files_of.PICTURE, recording, settings.name, list(job.design.names), run.health)

@@ -31,10 +31,11 @@ from warpcontact.whole_steps import frame_count, recorded_steps
 
 # Frames are gathered up to this size before they are written [bytes].
 BLOCK = 64 * 2**20
-# Pieces of a recording that are in memory at once while it is compressed, each with a copy, and for its picture;
-# measured.
+# Pieces of a recording that are in memory at once while it is compressed, each with a copy, and for its picture,
+# and what threads that write leave in the hands of the allocator [bytes]; measured.
 WRITTEN_AT_ONCE = 2 * WRITERS
 DRAWN_AT_ONCE = 2
+LEFT_BY_WRITERS = 8 * 2**20
 # What a run loads beside: kernels, what makes and stores data sets, what draws its picture, and with series what
 # writes its animation; measured.
 LOADED = 100 * 2**20
@@ -135,8 +136,8 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
 
     def footprint(envs: int) -> Footprint:
         block = block_of(size, envs, frames)
-        writing = min(WRITTEN_AT_ONCE * CHUNK, size.on_host(envs, block) // 2)
-        drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames)) if frames else 0
+        writing = min(WRITTEN_AT_ONCE * CHUNK, 3 * size.on_host(envs, block) // 4)
+        drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames) // 4) if frames else 0
         stepping = {
             "integrator": settings.integrator.make(),
             "crossing_steps": settings.crossing_steps,
@@ -146,7 +147,7 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
             [
                 *total(recording(part, own, block) for part, own in draft.shares(envs)).needs,
                 Need("values", HOST, envs * design.row_bytes, design.row_bytes),
-                Need("writing", HOST, max(writing, drawing)),
+                Need("writing", HOST, max(writing, drawing) + LEFT_BY_WRITERS),
             ]
         )
 
