@@ -182,26 +182,29 @@ def test_recordings_have_values_of_every_kind(precision, device, in_slices):
     assert (recordings[0]["feet_of_two.normal_force"].values > 0.0).any()
 
 
-def test_blocks_are_a_recording_in_pieces(device, in_slices):
+@pytest.mark.parametrize("blocks", [1, 2, 3])
+def test_blocks_are_a_recording_in_pieces(blocks, device, in_slices):
+    """A block stays as it is until as many were begun after it as there are."""
     sim = falling(device)
-    recorder = Recorder(sim.model, WATCHED, 3, poses=False)
+    recorder = Recorder(sim.model, WATCHED, 3, poses=False, blocks=blocks)
     recorder.start()
-    blocks, done, written = [], [], 0
+    shown, kept, done, written = [], [], [], 0
     for steps in sim.advance(recorder, 110, 7, start=0.0):
         # All frames that are due are there, and no more than a block holds.
         assert written + recorder.taken == steps // 7 + 1
         assert sim.steps == steps
         done.append(steps)
         if recorder.taken == 3:
-            blocks.append(recorder.series().copy(deep=True))
+            shown.append(recorder.series())
+            kept += [block.copy(deep=True) for block in shown[len(kept) : len(shown) - blocks + 1]]
             written += 3
             recorder.rewind()
-    blocks.append(recorder.series())
-    assert (done[0], done[-1], [block.time.size for block in blocks]) == (0, 110, [3, 3, 3, 3, 3, 1])
+    kept += [*shown[len(kept) :], recorder.series()]
+    assert (done[0], done[-1], [block.time.size for block in kept]) == (0, 110, [3, 3, 3, 3, 3, 1])
     expected = read_by_stopping(device, 16, 7)
     for name, values in zip(WATCHED, expected, strict=True):
-        np.testing.assert_array_equal(np.concatenate([block[name] for block in blocks]), values, err_msg=name)
-    np.testing.assert_allclose(np.concatenate([block.time for block in blocks]), 7e-3 * np.arange(16))
+        np.testing.assert_array_equal(np.concatenate([block[name] for block in kept]), values, err_msg=name)
+    np.testing.assert_allclose(np.concatenate([block.time for block in kept]), 7e-3 * np.arange(16))
 
 
 @pytest.mark.parametrize(
@@ -215,8 +218,8 @@ def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
     recorder = Recorder(sim.model, WATCHED, 60, poses=False)
     recorder.start()
     recorder.take(0.0)
-    sim._record(recorder, 7, 3, 0.0, 0)
-    sim._record(recorder, 50, 3, 0.0, 21)
+    sim._record(recorder, 7, 3, 0.0, 0, follows=False)
+    sim._record(recorder, 50, 3, 0.0, 21, follows=True)
     expected = read_by_stopping(device, 58, 3)
     for name, values in zip(WATCHED, expected, strict=True):
         np.testing.assert_array_equal(recorder.frames()[name], values, err_msg=name)
@@ -273,7 +276,7 @@ def test_no_more_frames_are_taken_than_there_is_room_for(device):
     recorder.take(0.0)
     frames = recorder.frames()
     with pytest.raises(RuntimeError, match=r"room for 2 of 3 frames, not for 3 more: .*rewind it"):
-        sim._record(recorder, 3, 1, 0.0, 0)
+        sim._record(recorder, 3, 1, 0.0, 0, follows=False)
     assert (sim.steps, recorder.taken) == (0, 1)
     done = []
     with pytest.raises(RuntimeError, match=r"room for 0 of 3 frames, not for 1 more"):

@@ -395,7 +395,7 @@ def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
         def go_to(self, own):
             pass
 
-        def capture(self, count):
+        def capture(self, count, begin):
             pass
 
         def step(self, count, begin):

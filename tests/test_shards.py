@@ -16,11 +16,13 @@ from test_experiment import EXAMPLE, content
 
 import warpcontact as wc
 from warpcontact import available
+from warpcontact.channels import Frame
 from warpcontact.draft import Draft
-from warpcontact.experiment import shards, store
+from warpcontact.experiment import plan, shards, store
 from warpcontact.experiment.plan import shard_size
 from warpcontact.experiment.shards import ShardRunner
 from warpcontact.footprint import Need
+from warpcontact.recorder import RecordingSize
 
 VARIED = {
     "ball.mass": {"uniform": [0.5, 2.0]},
@@ -340,6 +342,26 @@ def test_the_plan_of_an_experiment_is_what_its_run_takes(shard, tmp_path):
     assert result.returncode == 0, result.stderr
     took, planned = map(int, result.stdout.split()[-2:])
     assert planned == pytest.approx(took, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("envs", "frames", "block"),
+    [
+        (2**17, 3, 3),
+        (2**17, 8, 4),  # 4 MiB at least
+        (2**17, 100, 13),  # an eighth
+        (2**17, 1000, 32),  # 32 MiB at most
+        (2**23, 10, 1),
+        (1, 10, 10),
+        (1, 0, 1),
+    ],
+)
+def test_frames_are_written_in_blocks_that_are_neither_large_nor_small(envs, frames, block):
+    size = RecordingSize((Frame("ball.speed", 8, 8),), 100, frozenset())
+    assert plan.block_of(size, envs, frames) == block
+    assert plan.blocks_at_once(frames, block) == 1 + (frames > block)
+    (need, _) = size.needs("cpu", envs, block, plan.blocks_at_once(frames, block))
+    assert need.size == envs * 8 * block * (1 + (frames > block))
 
 
 def test_who_asks_to_stop_at_the_end_of_a_shard_is_heard(device, tmp_path, monkeypatch):

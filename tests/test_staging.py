@@ -1,5 +1,7 @@
 """Chunks that a shard writes: as many at once as its threads, each with one writer, and nothing beside its own."""
 
+import contextlib
+import hashlib
 import threading
 import time
 
@@ -26,12 +28,17 @@ def made(tmp_path, monkeypatch):
 
 
 def write(folder, values, shard, threads=None):
-    staging = store.Ledger(folder).staging(shard, threads)
     own = values[:, shard.first : shard.stop]
     # A last shard is smaller than what runs.
     own = np.pad(own, ((0, 0), (0, 32 - shard.envs)), constant_values=7.0)
-    staging.write("series", xr.Dataset({"gap": (("time", "env"), own)}))
+    with store.Ledger(folder).staging(shard, threads) as staging:
+        staging.write("series", xr.Dataset({"gap": (("time", "env"), own)}))
+        staging.wait()
     return staging
+
+
+def series(values):
+    return xr.Dataset({"gap": (("time", "env"), values[:, :32])})
 
 
 @pytest.mark.parametrize(("threads", "most"), [(1, 1), (2, 2), (64, store.WRITERS), (None, store.WRITERS)])
@@ -80,14 +87,60 @@ def test_chunks_that_shards_share_have_one_writer_in_each(made, monkeypatch):
     assert [(own.start, own.stop) for own in regions] == [(38, 40), (40, 44), (44, 48), (48, 49)]
 
 
-def test_an_error_of_one_writer_ends_the_block(made, monkeypatch):
+def test_a_block_is_written_while_its_writer_goes_on(made, monkeypatch):
+    folder, values = made
+    begun, go_on = threading.Event(), threading.Event()
+    put = store._put
+
+    def held(piece):
+        begun.set()
+        assert go_on.wait(60)
+        put(piece)
+
+    monkeypatch.setattr(store, "_put", held)
+    with store.Ledger(folder).staging(store.Shard(0, 0, 32)) as staging:
+        staging.write("series", series(values), 0)
+        assert begun.wait(60)
+        assert staging.written == {}
+        go_on.set()
+        staging.wait()
+        assert len(staging.written) == 8
+    for name, (size, sha) in staging.written.items():
+        content = (folder / store.STAGING / "shard_000000" / name).read_bytes()
+        assert (len(content), hashlib.sha256(content).hexdigest()) == (size, sha)
+
+
+@pytest.mark.parametrize("asks", ["write", "wait"])
+def test_who_comes_next_hears_that_a_block_could_not_be_written(asks, made, monkeypatch):
     folder, values = made
 
     def full(piece):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(store, "_put", full)
-    staging = store.Ledger(folder).staging(store.Shard(0, 0, 32))
-    with pytest.raises(OSError, match="No space left"):
-        staging.write("series", xr.Dataset({"gap": (("time", "env"), values[:, :32])}))
-    assert staging.written == set()
+    with store.Ledger(folder).staging(store.Shard(0, 0, 32)) as staging:
+        staging.write("series", series(values), 0)
+        with pytest.raises(OSError, match="No space left"):
+            staging.wait() if asks == "wait" else staging.write("series", series(values), FRAMES)
+        assert staging.written == {}
+        # Said once.
+        staging.wait()
+
+
+def test_nobody_writes_any_more_when_a_shard_is_left(made, monkeypatch):
+    folder, values = made
+    put, ended = store._put, []
+
+    def slow(piece):
+        time.sleep(0.05)
+        put(piece)
+        ended.append(piece)
+
+    monkeypatch.setattr(store, "_put", slow)
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        store.Ledger(folder).staging(store.Shard(0, 0, 32), 1) as staging,
+    ):
+        staging.write("series", series(values), 0)
+        raise KeyboardInterrupt
+    assert len(ended) == 8

@@ -5,7 +5,7 @@ a core, takes longer to call than a slice to copy. On a GPU frames wait in a buf
 time.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from typing import Any
@@ -43,9 +43,9 @@ class Frame:
         """Returns how many frames wait on the device."""
         return min(frames, max(1, RING_BYTES // max(1, envs * self.device)))
 
-    def needs(self, device: str, envs: int, frames: int) -> list[Need]:
-        """Returns what a buffer on ``device``, if it is a GPU, and the result on the host take."""
-        slots, result = self.slots(envs, frames), frames * self.host
+    def needs(self, device: str, envs: int, frames: int, blocks: int = 1) -> list[Need]:
+        """Returns what a buffer on ``device``, if it is a GPU, and the results on the host, one a block, take."""
+        slots, result = self.slots(envs, frames), blocks * frames * self.host
         needs = [Need("recording", HOST, envs * result, result)]
         if not wp.get_device(device).is_cpu:
             # A buffer of some frames is of about the same size however many environments there are.
@@ -55,7 +55,12 @@ class Frame:
 
 
 class Channel:
-    """The frames of one reading: one result on the host, and on each GPU a buffer, once they are allocated."""
+    """The frames of one reading: results on the host, and on each GPU a buffer, once they are allocated.
+
+    Attributes:
+        result: Where frames are put now, one of ``results``.
+        results: One for each block of frames.
+    """
 
     def __init__(self, model: Environments, name: str) -> None:
         self.model = model
@@ -66,22 +71,31 @@ class Channel:
         self._sample = self.reading.finish(source[:1].numpy()[None], axis=2)[0, 0]
         self.frame = Frame(name, row, self._sample.nbytes)
         self.result = np.zeros((0, model.envs, *self._sample.shape), dtype=self._sample.dtype)
+        self.results = [self.result]
         self.rings: dict[Model, Ring] = {}
 
     @beside_captures()
-    def allocate(self, frames: int, copies: Mapping[Model, Copies]) -> None:
-        """Makes room for ``frames`` frames, which ``copies`` are to take of parts on the CPU."""
-        self.result = np.zeros((frames, self.model.envs, *self._sample.shape), dtype=self._sample.dtype)
+    def allocate(self, frames: int, blocks: Sequence[Mapping[Model, Copies]]) -> None:
+        """Makes room for ``frames`` frames of each block, which are to be taken of parts on the CPU by copies."""
+        shape = (frames, self.model.envs, *self._sample.shape)
+        self.results = [np.zeros(shape, dtype=self._sample.dtype) for _ in blocks]
         for part, own in self.model.shares():
-            if part in copies:
-                copies[part].add(part.readings[self.frame.name], self.result[:, own])
-            else:
-                self.rings[part] = Ring(part, self.frame, self.result[:, own])
+            for copies, result in zip(blocks, self.results, strict=True):
+                if part in copies:
+                    copies[part].add(part.readings[self.frame.name], result[:, own])
+            if not part.device.is_cpu:
+                self.rings[part] = Ring(part, self.frame, own, frames)
+        self.begin(0)
+
+    def begin(self, block: int) -> None:
+        """Puts the frames that come next into a block, from its first on; what waits on a device is dropped."""
+        self.result = self.results[block]
+        self.go_on_from(0)
 
     def drain(self) -> None:
         """Takes to the host what waits on a device."""
         for ring in self.rings.values():
-            ring.drain()
+            ring.drain(self.result)
 
     def go_on_from(self, count: int) -> None:
         """Takes the first ``count`` frames of the result for taken, and what waits for lost."""
@@ -90,35 +104,36 @@ class Channel:
 
 
 class Ring:
-    """The frames of one reading of a part on a GPU: a buffer there, and where they go on the host.
+    """The frames of one reading of a part on a GPU, that wait in a buffer there.
 
     Args:
         part: The part.
         frame: What one frame takes, and of which reading.
-        result: Receives all frames (frame, env, …).
+        own: Environments of the part, among all.
+        frames: How many come until they are all on the host.
     """
 
-    def __init__(self, part: Model, frame: Frame, result: NDArray[Any]) -> None:
+    def __init__(self, part: Model, frame: Frame, own: slice, frames: int) -> None:
         self.reading = part.readings[frame.name]
         self.source = self.reading.array(part.arrays)
-        self.result = result
-        shape = (frame.slots(part.envs, len(result)), *self.source.shape)
+        self.own = own
+        shape = (frame.slots(part.envs, frames), *self.source.shape)
         self.memory = wp.zeros(shape, dtype=self.source.dtype, device=part.device)
         self.taken = 0
         self.drained = 0
 
     @beside_captures()
-    def take(self, number: int) -> None:
-        """Copies a frame."""
+    def take(self, number: int, result: NDArray[Any]) -> None:
+        """Copies a frame, and takes what waits to ``result`` when the buffer is full."""
         wp.copy(self.memory[number - self.drained], self.source)
         self.taken = number + 1
         if self.taken - self.drained == len(self.memory):
-            self.drain()
+            self.drain(result)
 
-    def drain(self) -> None:
-        """Takes what waits to the host."""
+    def drain(self, result: NDArray[Any]) -> None:
+        """Takes what waits to the host, to ``result`` (frame, env, …) of all environments."""
         count = self.taken - self.drained
         if count:
             values = self.reading.finish(self.memory.numpy()[:count], axis=2)
-            self.result[self.drained : self.taken] = values
+            result[self.drained : self.taken, self.own] = values
             self.drained = self.taken

@@ -13,11 +13,11 @@ from typing import Any
 
 import warp as wp
 
+from warpcontact.pace import Pace
 from warpcontact.slices import Begin, Frames, Stepper
 
-# Between two looks at whether somebody wants to interrupt [s]; the threads wait for each other then.
-_CHUNK = 0.1
-# Steps between two such looks at least, in whole graphs: on the CPU, and where a GPU has graphs.
+# Steps between two looks at whether somebody wants to interrupt, at least, in whole graphs: on the CPU, and where
+# a GPU has graphs. Threads wait for each other then.
 _FEWEST = 8
 _FEWEST_QUEUED = 32
 # Environment-steps below which starting threads takes longer than what they would save.
@@ -71,8 +71,7 @@ class Crew:
         self._threads = sum(members for _, members in self._teams)
         self._pool: ThreadPoolExecutor | None = None
         self._envs = sum(own.stop - own.start for share in shares for own in share.slices)
-        self._fewest = _FEWEST_QUEUED if self._queued else _FEWEST
-        self._chunk = self._fewest
+        self._pace = Pace(_FEWEST_QUEUED if self._queued else _FEWEST)
 
     def step(self, count: int, frames: Frames | None = None) -> Iterator[int]:
         """Takes ``count`` steps in all slices, some at a time; yields how many were taken so far.
@@ -81,30 +80,28 @@ class Crew:
         way, while what a slice has written is still near its thread.
         """
         done = 0
+        known = frames is not None and frames.follows
         while done < count:
-            some = min(count - done, self._chunk)
+            some = min(count - done, self._pace.steps)
             ways = [some]
             if frames is not None:
-                # Whole frames, if there is one: what is left of another would take launches of its own.
-                over = (done + some) % frames.every
-                some -= over if over < some and done + some < count else 0
+                some = frames.whole(done, some, count)
                 ways = frames.cut(done, some)
             for stepper in self._steppers:
                 if frames is not None:
                     stepper.ready_look(frames)
-                stepper.capture(ways[0])
+                stepper.capture(ways[0], stepper.after_look if known else Begin.STEP)
                 for way in set(ways[1:]):
                     stepper.capture(way, stepper.after_frame)
             start = time.perf_counter()
             with _uninterrupted():
-                self._step_all(some, functools.partial(_step, done=done, ways=ways, frames=frames))
+                work = functools.partial(_step, done=done, ways=ways, frames=frames, known=known)
+                self._step_all(some, work)
                 took = time.perf_counter() - start
                 done += some
+                known = frames is not None and done % frames.every == 0
                 yield done
-            if took < 0.5 * _CHUNK and 2 * some > self._chunk:
-                self._chunk *= 2
-            elif took > 2.0 * _CHUNK and self._chunk > self._fewest:
-                self._chunk //= 2
+            self._pace.took(some, took)
 
     def _step_all(self, count: int, work: Callable[[Stepper], None]) -> None:
         _step_each(0, iter(self._queued), work)
@@ -136,9 +133,12 @@ def _step_each(member: int, waiting: Iterator[tuple[Share, slice]], work: Callab
         work(stepper)
 
 
-def _step(stepper: Stepper, *, done: int, ways: list[int], frames: Frames | None) -> None:
-    """Takes steps in a slice, ``done`` being those before, and looks at it wherever a frame is due."""
-    begin = Begin.STEP
+def _step(stepper: Stepper, *, done: int, ways: list[int], frames: Frames | None, known: bool) -> None:
+    """Takes steps in a slice, ``done`` being those before, and looks at it wherever a frame is due.
+
+    ``known``: whether it was looked at before, as frames are.
+    """
+    begin = stepper.after_look if known else Begin.STEP
     if frames is not None:
         stepper.go_to_frame(frames.first + done // frames.every)
     for ahead, way in zip(range(len(ways) - 1, -1, -1), ways, strict=True):

@@ -49,8 +49,7 @@ def replaced(path: Path) -> Iterator[Path]:
     partial = path.with_name(f"{path.name}{PARTIAL}")
     try:
         yield partial
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
+        sync_file(partial)
         partial.replace(path)
     except BaseException as error:
         with contextlib.suppress(OSError):
@@ -67,12 +66,17 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         file.write((json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())
 
 
+def sync_file(path: Path) -> None:
+    """Waits until the content of a file is on the disk."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
 def sync(files: Iterable[Path], root: Path) -> None:
     """Waits until files are on the disk, and the names of them and of all folders from ``root`` on."""
     folders: set[Path] = set()
     for path in files:
-        with path.open("rb") as file:
-            os.fsync(file.fileno())
+        sync_file(path)
         folders |= _up_to(path.parent, root)
     for folder in sorted(folders):
         sync_folder(folder)

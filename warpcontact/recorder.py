@@ -52,9 +52,9 @@ class RecordingSize:
     parameters: int
     measured: frozenset[str]
 
-    def needs(self, device: str, envs: int, count: int) -> list[Need]:
-        """Returns what ``count`` frames of ``envs`` environments of a device take."""
-        needs = [need for frame in self.frames for need in frame.needs(device, envs, count)]
+    def needs(self, device: str, envs: int, count: int, blocks: int = 1) -> list[Need]:
+        """Returns what blocks of ``count`` frames of ``envs`` environments of a device take."""
+        needs = [need for frame in self.frames for need in frame.needs(device, envs, count, blocks)]
         return [*needs, Need("recording", HOST, envs * self.parameters, self.parameters)]
 
     def on_host(self, envs: int, count: int) -> int:
@@ -118,10 +118,11 @@ class Recorder:
     Args:
         model: The model.
         names: Readings to take.
-        frames: Number of frames that it holds.
+        frames: Number of frames that it holds, of each block.
         poses: Whether to take the pose of every body as well, and keep the parameters that differ.
         parameters: Names of further parameters to keep.
         series: Whether to take any frames: if not, only the parameters are kept.
+        blocks: How many blocks of frames it holds. What was taken stays until as many were begun after it.
     """
 
     def __init__(
@@ -132,6 +133,7 @@ class Recorder:
         poses: bool,
         parameters: Iterable[str] = (),
         series: bool = True,
+        blocks: int = 1,
     ) -> None:
         self.model = model
         self.kept = [model.find_parameter(name) for name in parameters]
@@ -152,10 +154,11 @@ class Recorder:
         self.needs = {need for reading in readings for need in reading.needs}
         model.make_measures(self.needs)
         self.channels = [Channel(model, reading.name) for reading in readings]
-        #: What takes frames of parts on the CPU, once started.
-        self.copies: dict[Model, Copies] = {}
-        self.most = frames
-        self.times = np.zeros(0)
+        self.most, self._blocks = frames, blocks
+        # Of each block, once started: what takes its frames of parts on the CPU, and their times.
+        self._copies: list[dict[Model, Copies]] = [{}]
+        self._times = np.zeros((1, 0))
+        self._block = 0
         self.taken = 0
 
     def size(self) -> RecordingSize:
@@ -164,6 +167,16 @@ class Recorder:
         parameters = {parameter.name: row_bytes(parameter.read(envs)) for parameter in self.kept}
         frames = tuple(channel.frame for channel in self.channels)
         return RecordingSize(frames, sum(parameters.values()), frozenset(self.needs))
+
+    @property
+    def copies(self) -> dict[Model, Copies]:
+        """What takes frames of parts on the CPU now."""
+        return self._copies[self._block]
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Times of the frames of the block [s], of which the first ``taken`` are there."""
+        return self._times[self._block]
 
     @property
     def room(self) -> int:
@@ -187,18 +200,19 @@ class Recorder:
         Raises:
             MemoryError: If that is more than there is; says how many frames would fit.
         """
-        size, frames = self.size(), self.most
+        size, frames, blocks = self.size(), self.most, self._blocks
         footprint = total(
-            Footprint(part.envs, str(part.device), tuple(size.needs(str(part.device), part.envs, frames)))
+            Footprint(part.envs, str(part.device), tuple(size.needs(str(part.device), part.envs, frames, blocks)))
             for part in self.model.parts
         ).with_needs(beside)
         room = shortage(footprint, rooms_of(footprint))
         if room is not None:
             raise MemoryShortage(self._too_much(footprint, room), footprint.on(room.place), usable(room))
-        self.times, self.taken = np.zeros(frames), 0
-        self.copies = {part: Copies(part) for part in self.model.parts if part.device.is_cpu}
+        on_cpu = [part for part in self.model.parts if part.device.is_cpu]
+        self._copies = [{part: Copies(part) for part in on_cpu} for _ in range(blocks)]
+        self._times, self._block, self.taken = np.zeros((blocks, frames)), 0, 0
         for channel in self.channels:
-            channel.allocate(frames, self.copies)
+            channel.allocate(frames, self._copies)
 
     def _too_much(self, footprint: Footprint, room: Room) -> str:
         envs, frames = self.model.envs, self.most
@@ -232,7 +246,7 @@ class Recorder:
             self.copies[part].take(number)
         else:
             for channel in self.channels:
-                channel.rings[part].take(number)
+                channel.rings[part].take(number, channel.result)
 
     def count(self, times: Sequence[float] | NDArray[Any]) -> None:
         """Counts the next frames, at ``times`` [s], which are taken of all environments."""
@@ -267,10 +281,10 @@ class Recorder:
             channel.go_on_from(self.taken)
 
     def rewind(self) -> None:
-        """Begins a new block of frames, in place of those taken so far."""
-        self.taken = 0
+        """Begins a new block of frames, in place of the oldest."""
+        self._block, self.taken = (self._block + 1) % self._blocks, 0
         for channel in self.channels:
-            channel.go_on_from(0)
+            channel.begin(self._block)
 
     def series(self) -> "xr.Dataset":
         """Returns the frames taken since the last ``rewind`` as a data set, (time, env, …); views."""

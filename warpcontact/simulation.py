@@ -24,6 +24,7 @@ from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.looks import in_parts, known_needs
 from warpcontact.model import Model, State
 from warpcontact.outcomes.watch import Events, Stop, Watch
+from warpcontact.pace import Pace
 from warpcontact.parameters import rounded
 from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.remarks import Remarks
@@ -39,11 +40,9 @@ if TYPE_CHECKING:
     from warpcontact.recorder import Recorder
     from warpcontact.recording import Recording
 
-# Steps between two looks at the progress bar, whole graphs; on a GPU, which queues them, so many at most. And how
-# long they may take [s]: fewer do when they take twice that.
+# Steps between two looks at the progress bar at least, whole graphs; and on a GPU, which queues them, at most.
 SHORTEST_PIECE = 8
 LONGEST_PIECE_QUEUED = 64
-PIECE = 0.1
 
 
 class Simulation:
@@ -424,7 +423,7 @@ class Simulation:
         start = self.time
         with bar_of_run as bar:
             before = 0
-            for done in self.advance(recorder, steps, stride, start=start):
+            for done in self.advance(recorder, steps, stride, start=start, alone=True):
                 bar.update(done - before)
                 before = done
         for sentence in (*remarks.about_frozen(), *remarks.new()):
@@ -439,7 +438,15 @@ class Simulation:
         )
 
     def advance(
-        self, recorder: "Recorder", steps: int, stride: int, *, start: float, done: int = 0, taken: int = 0
+        self,
+        recorder: "Recorder",
+        steps: int,
+        stride: int,
+        *,
+        start: float,
+        done: int = 0,
+        taken: int = 0,
+        alone: bool = False,
     ) -> Iterator[int]:
         """Steps and takes frames; yields how many steps are done, at the begin and after each piece of them.
 
@@ -450,9 +457,12 @@ class Simulation:
             start: Time at the begin [s].
             done: How many of the steps are taken already.
             taken: How many of the frames are.
+            alone: Whether nobody changes the model or looks at it while this yields. Steps do not look again for
+                what the frame before told then.
         """
+        follows = False
         queued = any(device.is_cuda for device in self.model.devices)
-        ahead = SHORTEST_PIECE
+        pace = Pace(SHORTEST_PIECE, LONGEST_PIECE_QUEUED if queued else None)
         if done == taken * stride:
             recorder.take(start + done * self.dt)
             taken += 1
@@ -461,29 +471,32 @@ class Simulation:
             if done >= steps:
                 return
             begin = time.perf_counter()
-            count = min(ahead, steps - done)
+            count = min(pace.steps, steps - done)
             every = taken * stride - done
-            if every > count:
+            # A frame that is not much farther is taken with its steps.
+            if every > min(2 * pace.steps, steps - done):
                 self.step(count)
+                follows = False
             else:
                 # The first of a piece may be nearer than the others are apart.
-                frames = min(count // stride, max(1, recorder.room)) if every == stride else 1
-                self._record(recorder, frames, every, start, done)
-                count, taken = frames * every, taken + frames
-            took = time.perf_counter() - begin
+                frames = max(1, min(count // stride, recorder.room)) if every == stride else 1
+                self._record(recorder, frames, every, start, done, follows)
+                count, taken, follows = frames * every, taken + frames, alone
+            pace.took(count, time.perf_counter() - begin)
             done += count
-            # On a GPU steps are queued, and no time tells how many do.
-            if 2 * count > ahead and took < PIECE and not (queued and ahead >= LONGEST_PIECE_QUEUED):
-                ahead *= 2
-            elif took > 2.0 * PIECE and ahead > SHORTEST_PIECE:
-                ahead //= 2
 
-    def _record(self, recorder: "Recorder", frames: int, every: int, start: float, done: int) -> None:
-        """Takes ``frames`` times ``every`` steps after the first ``done``, and a frame after each of these."""
-        recorder.require(frames)
+    def _record(
+        self, recorder: "Recorder", count: int, every: int, start: float, done: int, follows: bool
+    ) -> None:
+        """Takes ``count`` times ``every`` steps after the first ``done``, and a frame after each of these.
+
+        ``follows``: whether they follow a frame, see ``Frames``.
+        """
+        recorder.require(count)
         needs = frozenset(recorder.needs)
-        self._step_in_frames(frames, Frames(every, needs, recorder.take_of, recorder.copies, recorder.taken))
-        recorder.count([start + (done + (number + 1) * every) * self.dt for number in range(frames)])
+        frames = Frames(every, needs, recorder.take_of, recorder.copies, recorder.taken, follows)
+        self._step_in_frames(count, frames)
+        recorder.count([start + (done + (number + 1) * every) * self.dt for number in range(count)])
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"

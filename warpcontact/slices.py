@@ -115,6 +115,8 @@ class Frames:
             and the number of the frame: in any order of environments, one frame after the other.
         copies: By model, on the CPU, what launches take where looks are at slices; ``take`` is not called there.
         first: Number of the first of these frames.
+        follows: Whether the steps to it follow a frame with these needs, since when nobody changed the model or
+            looked at it.
     """
 
     every: int
@@ -122,6 +124,20 @@ class Frames:
     take: Callable[["Model", slice, int], None]
     copies: Mapping["Model", Copies] = field(default_factory=dict)
     first: int = 0
+    follows: bool = False
+
+    def whole(self, done: int, some: int, count: int) -> int:
+        """Returns about ``some`` of ``count`` steps, after the first ``done``: whole frames, if one is near.
+
+        What is left of another would take launches of its own, and does not know what the frame before told.
+        """
+        over = (done + some) % self.every
+        missing = self.every - over
+        if not over or done + some == count:
+            return some
+        if over < some:
+            return some - over
+        return some + missing if missing <= some and done + some + missing <= count else some
 
     def cut(self, done: int, count: int) -> list[int]:
         """Returns ``count`` steps after the first ``done`` as those from frame to frame."""
@@ -168,6 +184,7 @@ class Stepper:
         captured: Whether steps are replayed: on a GPU nothing is then waited for.
         graph_steps: Steps in its graphs, the most first.
         after_frame: How steps after a frame begin, for which ``ready_look`` was called.
+        after_look: How they begin where the frame was looked at before.
     """
 
     def __init__(
@@ -204,7 +221,7 @@ class Stepper:
         self._looks: dict[frozenset[str], tuple[list[wp.Launch], wp.Graph | None]] = {}
         self._needs: frozenset[str] = frozenset()
         self._taking: Taking | None = None
-        self.after_frame = Begin.STEP
+        self.after_frame = self.after_look = Begin.STEP
 
     def go_to(self, own: slice) -> None:
         """Takes the environments that are stepped next: others than all of the span only if it has slices."""
@@ -304,10 +321,8 @@ class Stepper:
         if frames.needs not in self._looks:
             launches = [*self._span.model.look(frames.needs, self._span.slice), *self._taking.launches]
             self._looks[frames.needs] = launches, self._captured(launches) if self.captured else None
-        if copies is not None and self.captured:
-            self.after_frame = Begin.LOOK
-        else:
-            self.after_frame = Begin.LOOKED if self.ready_after_look(frames.needs) else Begin.STEP
+        self.after_look = Begin.LOOKED if self.ready_after_look(frames.needs) else Begin.STEP
+        self.after_frame = Begin.LOOK if copies is not None and self.captured else self.after_look
 
     def ready_after_look(self, needs: Set[str]) -> bool:
         """Prepares the step after a look for readings with ``needs``; returns whether it has less to do."""

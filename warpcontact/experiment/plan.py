@@ -29,8 +29,12 @@ from warpcontact.footprint import (
 from warpcontact.recorder import Recorder, RecordingSize
 from warpcontact.whole_steps import frame_count, recorded_steps
 
-# Frames are gathered up to this size before they are written [bytes].
-BLOCK = 64 * 2**20
+# Frames are gathered up to this size before they are written, while others are gathered [bytes].
+BLOCK = 32 * 2**20
+# There are so many blocks of frames at least, so that little is left to write at the end, unless they would be
+# smaller than this [bytes]: a file takes time as well.
+BLOCKS = 8
+SMALLEST_BLOCK = 4 * 2**20
 # Pieces of a recording that are in memory at once while it is compressed, each with a copy, and for its picture,
 # and what threads that write leave in the hands of the allocator [bytes]; measured.
 WRITTEN_AT_ONCE = 2 * WRITERS
@@ -131,7 +135,8 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
 
     def recording(part: PartDraft, envs: int, block: int) -> Footprint:
         device = str(part.device)
-        needs = [*part.measures_needs(part.device, size.measured, envs), *size.needs(device, envs, block)]
+        held = size.needs(device, envs, block, blocks_at_once(frames, block))
+        needs = [*part.measures_needs(part.device, size.measured, envs), *held]
         return Footprint(envs, device, tuple(needs))
 
     def footprint(envs: int) -> Footprint:
@@ -179,8 +184,14 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
 
 def block_of(size: RecordingSize, envs: int, frames: int) -> int:
     """Returns how many of ``frames`` of ``envs`` environments are gathered before they are written."""
-    frame = size.on_host(envs, 1) - size.on_host(envs, 0)
-    return max(1, min(frames, BLOCK // max(1, frame)))
+    frame = max(1, size.on_host(envs, 1) - size.on_host(envs, 0))
+    enough = max(-(-frames // BLOCKS), SMALLEST_BLOCK // frame)
+    return max(1, min(frames, enough, BLOCK // frame))
+
+
+def blocks_at_once(frames: int, block: int) -> int:
+    """Returns how many blocks are in memory: one is gathered while another is written."""
+    return 1 if frames <= block else 2
 
 
 def shard_size(most: int, envs: int) -> int:

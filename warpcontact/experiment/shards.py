@@ -18,7 +18,7 @@ from warpcontact.contact_coupling_report import OUTCOMES
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.observation import watching
-from warpcontact.experiment.plan import kept
+from warpcontact.experiment.plan import blocks_at_once, kept
 from warpcontact.experiment.progress import Beacon
 from warpcontact.experiment.records import digest
 from warpcontact.experiment.schema import Settings
@@ -137,8 +137,16 @@ class ShardRunner:
         record = self.settings.record
         readings = record.readings or () if record.series else ()
         varied = kept(self.model, self.design.names, self.design.envs)
+        frames = self.frames
+        blocks = blocks_at_once(frames.count, frames.block)
         return Recorder(
-            self.model, readings, self.frames.block, poses=True, parameters=varied, series=record.series
+            self.model,
+            readings,
+            frames.block,
+            poses=True,
+            parameters=varied,
+            series=record.series,
+            blocks=blocks,
         )
 
     def templates(self) -> "dict[str, xr.Dataset]":
@@ -192,7 +200,6 @@ class ShardRunner:
         if commit.steps:
             commit = self._go_on(shard, commit, recorder)
         self._advise(commit)
-        attempt = _Attempt(self, shard, commit, recorder, self.ledger.staging(shard, self.threads), remarks)
         beacon = Beacon(self.folder, shard)
 
         def tell(done: int) -> None:
@@ -200,8 +207,8 @@ class ShardRunner:
                 progress(done, self.frozen(shard))
 
         try:
-            with interruptions() as asked:
-                done = attempt.run(asked, tell)
+            with self.ledger.staging(shard, self.threads) as staging, interruptions() as asked:
+                done = _Attempt(self, shard, commit, recorder, staging, remarks).run(asked, tell)
                 if asked.to_stop:
                     raise Interrupted
                 return done
@@ -295,7 +302,7 @@ class _Attempt:
         taken = taken if frames.count else min(1, commit.steps)
         steps = frames.steps
         for done in runner.simulation.advance(
-            self.recorder, steps, frames.stride, start=0.0, done=commit.steps, taken=taken
+            self.recorder, steps, frames.stride, start=0.0, done=commit.steps, taken=taken, alone=True
         ):
             tell(done)
             if frames.count and self.recorder.taken == frames.block:
@@ -310,7 +317,7 @@ class _Attempt:
         return self._finish()
 
     def _write_block(self) -> None:
-        """Writes the frames that were taken."""
+        """Lets the frames that were taken be written while others are taken."""
         self.staging.write("series", self.recorder.series(), self.commit.frames)
         self.commit.frames += self.recorder.taken
         self.recorder.rewind()
@@ -352,6 +359,7 @@ class _Attempt:
         return self.commit
 
     def _commit(self) -> None:
+        self.staging.wait()
         self.commit.wall_time = self.spent + time.perf_counter() - self.started
         self.runner.ledger.commit(self.shard, self.commit, self.staging.written)
         self.staging.clear()

@@ -11,11 +11,13 @@ chunks, that no other shard writes, into its staging folder. A commit brings the
 then the record that names them; only then are they moved to where readers look, which needs no space. Whatever
 ends a run at any moment leaves the last commit: ``Ledger.recover`` ends a move that was begun and drops what no
 record names. The bytes of all chunks follow from the experiment alone.
+
+Chunks of series are written, and brought to the disk, while steps go on; a commit waits for them.
 """
 
 import shutil
 from collections.abc import Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.crew import available_threads
-from warpcontact.durable import PARTIAL, sync, sync_folder, sync_names, write_json
+from warpcontact.durable import PARTIAL, sync, sync_file, sync_folder, sync_names, write_json
 from warpcontact.experiment.records import (
     COMMITS,
     DATA,
@@ -40,6 +42,7 @@ from warpcontact.experiment.records import (
 
 if TYPE_CHECKING:
     import xarray as xr
+    from zarr.abc.codec import BytesBytesCodec
 
 STAGING = "staging"
 CHECKPOINTS = "checkpoint"
@@ -136,8 +139,6 @@ def create(
 def _create_array(
     group: Any, name: str, template: "xr.DataArray", sizes: Mapping[Any, int], shard: int, block: int
 ) -> None:
-    from zarr.codecs import ZstdCodec
-
     tail = [size for dim, size in template.sizes.items() if dim not in ("time", "env")]
     row = template.dtype.itemsize * int(np.prod(tail, initial=1)) * (block if "time" in template.sizes else 1)
     chunk = {"env": largest_part(shard, max(1, CHUNK // max(1, row))), "time": block}
@@ -149,9 +150,19 @@ def _create_array(
         fill_value=empty_value(template.dtype),
         dimension_names=[str(dim) for dim in template.dims],
         attributes=dict(template.attrs),
-        # With a check sum: a chunk that was changed is no chunk.
-        compressors=ZstdCodec(level=1, checksum=True),
+        compressors=_compressors(template),
     )
+
+
+def _compressors(template: "xr.DataArray") -> "tuple[BytesBytesCodec, ...]":
+    """Returns how chunks of an array are compressed, with a check sum: a chunk that was changed is no chunk."""
+    from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
+
+    if "item" in template.dims:
+        # Most of many points are in the air, and their values 0: Zstandard leaves a third of what others do.
+        return (ZstdCodec(level=1, checksum=True),)
+    # Of what moves, bits in the order of their places are shorter, and take half the time.
+    return BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle"), Crc32cCodec()
 
 
 def empty_value(dtype: np.dtype[Any]) -> Any:
@@ -189,22 +200,17 @@ class Ledger:
         """Returns where ``shard`` writes, with so many threads; ``None``: with all."""
         return Staging(self.folder, shard, threads)
 
-    def commit(self, shard: Shard, commit: Commit, staged: Iterable[str]) -> None:
+    def commit(self, shard: Shard, commit: Commit, staged: Files) -> None:
         """Makes what was staged, and the checkpoint that is written already, count.
 
         Args:
             shard: The shard.
             commit: Its new record, without the staged files.
-            staged: Paths of these.
+            staged: These, whose contents are on the disk.
         """
         root = self.folder / STAGING / shard.name
-        staged = sorted(staged)
-        with ThreadPoolExecutor(available_threads()) as pool:
-            # What is read of them comes from memory, while the disk is waited for.
-            entries = pool.map(lambda name: measured(root, [name]), staged)
-            sync((root / name for name in staged), self.folder / STAGING)
-            for entry in entries:
-                commit.files |= entry
+        sync_names({(root / name).parent for name in staged}, self.folder / STAGING)
+        commit.files |= dict(sorted(staged.items()))
         write_json(self.folder / COMMITS / f"{shard.name}.json", asdict(commit))
         self._publish(shard, staged)
         self._drop_checkpoints(shard, commit)
@@ -278,13 +284,18 @@ class Ledger:
 
 
 class Staging:
-    """Where a shard writes chunks until they are committed.
+    """Where a shard writes chunks, while steps go on, until they are committed.
+
+    A context, at whose end nobody writes any more.
 
     Args:
         folder: Folder of the run.
         shard: The shard.
         threads: Threads that write at once, of which there are no more than ``WRITERS``; ``None``: those of the
             process.
+
+    Attributes:
+        written: The files that are there, and on the disk, since the last ``clear``.
     """
 
     def __init__(self, folder: Path, shard: Shard, threads: int | None = None) -> None:
@@ -292,17 +303,44 @@ class Staging:
         self._threads = min(threads or available_threads(), WRITERS)
         self._root = folder / STAGING / shard.name
         self._store = folder / DATA
-        self.written: set[str] = set()
+        self.written: Files = {}
         self._arrays: dict[str, Any] = {}
+        self._beside = ThreadPoolExecutor(1)
+        self._begun: Future[None] | None = None
+
+    def __enter__(self) -> "Staging":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._beside.shutdown()
 
     def write(self, group: str, data: "xr.Dataset", first_frame: int = 0) -> None:
-        """Writes the values of a data set of the shard; those of further environments are left out.
+        """Begins to write the values of a data set of the shard, once all is written that was begun before.
+
+        Those of further environments are left out. The values are read until ``wait`` returns, or more is written.
 
         Args:
             group: Where they belong.
             data: Variables (…, env, …), with frames (time, …) from a multiple of those of a chunk on.
             first_frame: Number of the first frame.
+
+        Raises:
+            OSError: If what was begun before could not be written.
         """
+        self.wait()
+        self._begun = self._beside.submit(self._write, group, data, first_frame)
+
+    def wait(self) -> None:
+        """Waits until all is written, and on the disk.
+
+        Raises:
+            OSError: If it could not be.
+        """
+        begun, self._begun = self._begun, None
+        if begun is not None:
+            begun.result()
+
+    def _write(self, group: str, data: "xr.Dataset", first_frame: int) -> None:
         first, stop = self._shard.first, self._shard.stop
         paths = {f"{group}/{name}": variable for name, variable in data.data_vars.items()}
         pieces = []
@@ -320,9 +358,16 @@ class Staging:
         with ThreadPoolExecutor(self._threads) as pool:
             for _ in pool.map(_put, pieces):
                 pass
-        for path in paths:
-            chunks = (self._root / path / "c").rglob("*")
-            self.written |= {one.relative_to(self._root).as_posix() for one in chunks if one.is_file()}
+            chunks = (one for path in paths for one in (self._root / path / "c").rglob("*") if one.is_file())
+            names = {one.relative_to(self._root).as_posix() for one in chunks} - self.written.keys()
+            # What is read of one file comes from memory, while the disk is waited for with another.
+            for entry in pool.map(self._settle, sorted(names)):
+                self.written |= entry
+
+    def _settle(self, name: str) -> Files:
+        """Waits until the content of a file is on the disk; returns what a record says of it."""
+        sync_file(self._root / name)
+        return measured(self._root, [name])
 
     def _array(self, path: str) -> Any:
         """Returns the array, in the staging folder, that has the chunks of a variable."""
@@ -337,7 +382,7 @@ class Staging:
 
     def clear(self) -> None:
         """Forgets what was committed; what steps write next goes into new files."""
-        self.written = set()
+        self.written = {}
 
     def remove(self) -> None:
         """Removes the folder."""
