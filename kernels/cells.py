@@ -1,48 +1,95 @@
-"""A grid of cells about a mesh: which faces may be nearest to a point of a cell, and how far all points of it are.
+"""A grid of cells about a mesh: which faces may be nearest to a point of a cell, and how far all its points are.
 
-What a search in a tree finds node by node, each step waiting for the last, a cell has in one place: for a GPU.
+What a search in a tree finds node by node, each step waiting for the last, a cell has in one place; and what is
+far away is known from one look, whatever was there before.
 """
 
 import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels.types import structs
+from warpcontact.kernels import foot as feet
+from warpcontact.kernels.sides import room_on_side as sides_of
+from warpcontact.kernels.types import natural, structs
 
-# Faces in the list of a cell, at most. The rest of them are farther than its reach.
-IN_CELL = 32
+# A list is a number: its first place times this, and how many faces there are, which are fewer.
+LISTED = 32
 # A cell is filled as if it were so much larger, for points that rounding puts into the one beside theirs; what is
 # taken off for the rounding of a query serves for them as well.
 OVERLAP = 1.001
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    return __ffs(bits) - 1;
+#else
+    return __builtin_ctz(bits);
+#endif
+    """
+)
+def first_of(bits: int) -> int:
+    """Number of the lowest of some bits."""
+    ...
 
 
 @functools.cache
 def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``."""
     t = structs(real)
-    vec3, Model = t.vec3, t.Model
+    vec3, Model, Cell = t.vec3, t.Model, t.Cell
+    foot_on, nearer = feet.functions(real).foot_on, feet.functions(real).nearer
+    distance_from = feet.functions(real).distance_from
+    room_on_side = sides_of(real)
+    nothing = wp.constant(real(0.0))
 
     @wp.func
-    def cell_of(model: Model, patch: int, p_S: vec3):
-        """The cell that a point of the mesh's frame is in; −1: none."""
+    def cell_at(model: Model, patch: int, p_S: vec3):
+        """What is known about a point of the mesh's frame; of a patch without cells nothing.
+
+        A point outside of the grid is on the side of the nearest cell, with no surface between them.
+        """
+        cell = Cell()
+        cell.faces = -1
         counts = model.patch_cells[patch]
-        cell = wp.int32(-1)
         if counts[3] >= 0:
-            q = (p_S - model.patch_cells_origin[patch]) / model.patch_cells_size[patch]
-            inside = q[0] >= real(0.0) and q[1] >= real(0.0) and q[2] >= real(0.0)
-            inside = inside and q[0] < real(counts[0]) and q[1] < real(counts[1]) and q[2] < real(counts[2])
-            if inside:
-                cell = wp.int32(q[0]) + counts[0] * (wp.int32(q[1]) + counts[1] * wp.int32(q[2]))
-                cell += counts[3]
+            size = model.patch_cells_size[patch]
+            q = (real(1.0) / size) * (p_S - model.patch_cells_origin[patch])
+            x = wp.clamp(q[0], nothing, real(counts[0]) - real(0.5))
+            y = wp.clamp(q[1], nothing, real(counts[1]) - real(0.5))
+            z = wp.clamp(q[2], nothing, real(counts[2]) - real(0.5))
+            number = wp.int32(x) + counts[0] * (wp.int32(y) + counts[1] * wp.int32(z))
+            cell = model.cells[natural(counts[3] + number)]
+            beyond = q - vec3(x, y, z)
+            inside = q[0] >= nothing and q[1] >= nothing and q[2] >= nothing
+            inside = inside and beyond[0] < real(0.5) and beyond[1] < real(0.5) and beyond[2] < real(0.5)
+            if not inside:
+                cell.faces = -1
+                if cell.free > nothing:
+                    away = wp.length(wp.max(wp.abs(beyond) - vec3(real(0.5)), vec3())) * size
+                    cell.free = wp.min(away + model.patch_cells_margin[patch], room_on_side(model, patch, p_S))
         return cell
 
     @wp.func
-    def list_at(model: Model, patch: int, p_S: vec3):
-        """The row of the list of faces about a point; −1: none."""
-        cell = cell_of(model, patch, p_S)
-        row = wp.int32(-1)
-        if cell >= 0:
-            row = model.cell_list[cell]
-        return row
+    def nearest_listed(model: Model, faces: int, p_S: vec3, margin: real):
+        """The foot on the nearest of the faces of a list, ``margin`` being wide enough for rounding."""
+        start = natural(faces) // wp.static(LISTED)
+        least = real(wp.inf)
+        # Those that are about as near as the nearest so far, as bits.
+        those = wp.int32(0)
+        for number in range(natural(faces) % wp.static(LISTED)):
+            distance = distance_from(model, natural(model.listed_face[start + number]), p_S)
+            if distance < least - margin:
+                those = wp.int32(0)
+            if distance <= least + margin:
+                those = those | (1 << number)
+            least = wp.min(least, distance)
+        best = foot_on(model, model.listed_face[start + first_of(those)], p_S)
+        those = those & (those - 1)
+        while those != 0:
+            best = nearer(model, best, foot_on(model, model.listed_face[start + first_of(those)], p_S))
+            those = those & (those - 1)
+        best.distance = wp.length(best.to_point)
+        return best
 
-    return SimpleNamespace(cell_of=cell_of, list_at=list_at)
+    return SimpleNamespace(cell_at=cell_at, nearest_listed=nearest_listed)

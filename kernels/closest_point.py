@@ -11,8 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels import cell_search, cells, frames, search
+from warpcontact.kernels import cells, frames, search
 from warpcontact.kernels import foot as feet
+from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import (
     AT_POINT,
     CONTACT,
@@ -29,10 +30,9 @@ from warpcontact.kernels.types import (
     REMEMBERED,
     REMEMBERED_IN_QUEUES,
     RIM_OUTER,
-    SIDES_ABOVE,
-    SIDES_NOWHERE,
     SWEPT,
     WRONG_SIDE,
+    natural,
     structs,
 )
 
@@ -44,7 +44,8 @@ ROUNDING = 16.0
 # The same of a point alone, in units of epsilon times its coordinates: on fine meshes this is more.
 POINT_ROUNDING = 4.0
 # Parts of a look.
-WHOLE, KNOWN, LISTED, RECALLED, CELLS, SEARCH = "whole", "known", "listed", "recalled", "cells", "search"
+WHOLE, KNOWN, LISTED, RECALLED, SEARCH = "whole", "known", "listed", "recalled", "search"
+CELL, EITHER, TREE = "cell", "either", "tree"
 # Result of one that is left to the next part.
 LATER = -2.0
 # Contacts that stay with the part of the surface that they touched.
@@ -61,7 +62,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
 
     ``part`` is ``WHOLE``, or one of some that do it in turn, each putting off what it does not know: ``KNOWN``
     takes the face that is sure to be nearest, ``LISTED`` looks through the remembered ones, ``RECALLED`` does
-    both; ``CELLS`` searches near surfaces that have cells, ``SEARCH`` all.
+    both, and ``SEARCH`` searches. Or, about meshes with cells, with nothing remembered: ``CELL`` looks through the
+    faces of a cell, ``TREE`` searches, and ``EITHER`` does what is due.
     """
     t = structs(real)
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
@@ -76,14 +78,11 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         KNOWN: recall_sure,
         LISTED: of_search.recall_listed,
         RECALLED: of_search.recall,
-        CELLS: of_search.recall_nothing,
-        SEARCH: of_search.recall_nothing,
-    }[part]
+    }.get(part, of_search.recall_nothing)
     nearest_of_all = of_search.nearest_of_all
-    if part == CELLS:
-        nearest_in_cell = cell_search.functions(real, remembered).nearest_in_cell
     nearest_to_remember = of_search.nearest_to_remember_aside if in_queues else of_search.nearest_to_remember
-    list_at, cell_of = cells.functions(real).list_at, cells.functions(real).cell_of
+    cell_at, nearest_listed = cells.functions(real).cell_at, cells.functions(real).nearest_listed
+    room_on_side = sides_of(real)
     frame = frames.functions(real)
     apart, turned = frame.apart, frame.turned
     orientation_to_world, rotation_to_world = frame.orientation_to_world, frame.rotation_to_world
@@ -132,12 +131,12 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     @wp.func
     def view_of(model: Model, state: State, env: int, number: int):
         view = View()
-        contact = model.set_contact[number]
+        contact = natural(model.set_contact[number])
         view.number = number
-        point = model.contact_point[contact]
+        point = natural(model.contact_point[contact])
         view.R_WB = rotation_to_world(state, env, model.point_body[point])
-        base = model.contact_patch[contact]
-        surface = model.patch_surface[base]
+        base = natural(model.contact_patch[contact])
+        surface = natural(model.patch_surface[base])
         carrier = model.surface_body[surface]
         o_W = turned(state, env, carrier, model.surface_position[env, surface])
         view.apart_W = apart(model, state, env, point, surface) - o_W
@@ -145,25 +144,10 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         view.R_WS = wp.quat_to_matrix(orientation_to_world(state, env, carrier, q_BS))
         view.scale = model.surface_scale[env, surface]
         view.per_scale = real(1.0) / view.scale
-        view.patch = base + model.surface_mesh[env, surface]
+        view.patch = natural(base + model.surface_mesh[env, surface])
         view.start = model.patch_face_start[view.patch]
         view.stop = model.patch_face_start[view.patch + 1]
         return view
-
-    @wp.func
-    def room_on_side(model: Model, patch: int, p_S: vec3):
-        """How far a point of the outer side can go before it may be on the inner side without coming through.
-
-        Of surfaces that are not known to keep their sides apart nothing is said: the result is negative.
-        """
-        sides = model.patch_sides[patch]
-        room = real(wp.inf)
-        if sides == SIDES_NOWHERE:
-            room = real(-1.0)
-        elif sides == SIDES_ABOVE:
-            for wall in range(model.patch_wall_start[patch], model.patch_wall_start[patch + 1]):
-                room = wp.min(room, wp.dot(model.wall_normal[wall], p_S) - model.wall_offset[wall])
-        return room
 
     @wp.func
     def lost(contacts: Contacts, env: int, contact: int, gap: real, status: int, armed: int, arm_W: vec3):
@@ -198,7 +182,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         geometry = model.contact_geometry[env, contact]
         radius = geometry.radius
         armed = history.armed[env, contact]
-        arm_W = view.R_WB * model.point_position[env, model.contact_point[contact]]
+        arm_W = view.R_WB * model.point_position[env, natural(model.contact_point[contact])]
         if wp.static(follows):
             contacts.crossed_face[env, contact] = -1
         if geometry.enabled == 0:
@@ -224,15 +208,6 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 foot = walk(model, last, p_S)
                 held = inner(model, foot)
         if not held:
-            if wp.static(part in (KNOWN, RECALLED)):  # noqa: SIM102  Warp would evaluate both sides
-                # What is far on the outer side needs no more than the cell it is in.
-                if cache.faces[env, contact] == 0 and (option & LATCHED) == 0:
-                    cell = cell_of(model, patch, p_S)
-                    if cell >= 0:
-                        around = model.cell_free[cell] - reach
-                        if around > real(0.5) * model.patch_cells_size[patch]:
-                            leave(contacts, env, contact)
-                            return scale * around
             # A sphere sees at least what it overlaps.
             seen = wp.max(geometry.search_radius * view.per_scale, reach)
             recalled = Recalled()
@@ -247,21 +222,21 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     sure += model.patch_slack[patch] + query_epsilon * (extent + sure)
                     recalled.known = sure < reach + model.patch_skin[patch]
             foot = recalled.foot
-            if wp.static(part == CELLS):
-                about = list_at(model, patch, p_S)
-                if about < 0:
+            known = recalled.known
+            if wp.static(part in (CELL, EITHER)):
+                cell = cell_at(model, patch, p_S)
+                # A latch that is not armed waits until the surface is in sight.
+                if cell.free > reach and (armed != 0 or (option & LATCHED) == 0):
+                    leave(contacts, env, contact)
+                    return scale * (cell.free - reach)
+                known = cell.faces >= 0
+                if known:
+                    margin = model.patch_slack[patch] + query_epsilon * (extent + reach)
+                    foot = nearest_listed(model, cell.faces, p_S, margin)
+            if wp.static(part in (KNOWN, LISTED, RECALLED, CELL)):
+                if not known:
                     return real(LATER)
-                margin = model.patch_slack[patch] + query_epsilon * (extent + reach)
-                close_by = reach + model.patch_skin[patch]
-                recalled = nearest_in_cell(model, patch, about, p_S, margin, close_by, cache, env, contact)
-                if not recalled.known:
-                    return real(LATER)
-                foot = recalled.foot
-                cache.nearest[env, contact] = foot.row
-            elif wp.static(part in (KNOWN, LISTED, RECALLED)):
-                if not recalled.known:
-                    return real(LATER)
-            elif not recalled.known:
+            elif not known:
                 # With a cache it looks farther, to know how long it need not look again. It never looks beyond the
                 # face that was nearest last: whichever that was, what is found is the same.
                 ahead = wp.where(cached, real(2.0) * seen, seen)
@@ -269,7 +244,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 hinted = wp.bool(False)
                 hint = cache.nearest[env, contact]
                 if hint >= view.start and hint < view.stop:
-                    if wp.static(part == SEARCH) or not cached or cache.faces[env, contact] == 0:
+                    if wp.static(part in (SEARCH, EITHER, TREE)) or not cached or cache.faces[env, contact] == 0:
                         foot = foot_on(model, hint, p_S)
                     hinted = foot.distance < ahead
                     limit = wp.min(limit, foot.distance)
@@ -294,21 +269,29 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 close = inside or foot.distance < reach + model.patch_skin[patch]
                 doubtful = close or foot.distance < reach + unsure or model.patch_thin[patch] > real(0.0)
                 doubtful = doubtful or wp.abs(foot.distance - seen) < unsure or (option & LATCHED) != 0
-                if cached:
-                    cache.faces[env, contact] = 0
-                if cached and close:
-                    foot = nearest_to_remember(model, patch, p_S, foot, unsure, cache, env, contact)
-                    unsure = real(0.0)
-                elif doubtful or wp.static(real is wp.float64):
-                    foot = nearest_of_all(model, patch, p_S, foot, unsure)
-                    unsure = real(0.0)
-                if cached or cache.faces[env, contact] == 0:
+                if wp.static(part in (EITHER, TREE)):
+                    if doubtful or wp.static(real is wp.float64):
+                        foot = nearest_of_all(model, patch, p_S, foot, unsure)
+                        unsure = real(0.0)
                     cache.nearest[env, contact] = foot.row
+                else:
+                    if cached:
+                        cache.faces[env, contact] = 0
+                    if cached and close:
+                        foot = nearest_to_remember(model, patch, p_S, foot, unsure, cache, env, contact)
+                        unsure = real(0.0)
+                    elif doubtful or wp.static(real is wp.float64):
+                        foot = nearest_of_all(model, patch, p_S, foot, unsure)
+                        unsure = real(0.0)
+                    if cached or cache.faces[env, contact] == 0:
+                        cache.nearest[env, contact] = foot.row
             if foot.distance >= seen:
                 lost(contacts, env, contact, out_of_sight, FAR, armed, arm_W)
                 return scale * (foot.distance - unsure - seen)
-        n_S = model.face_normal[foot.row, foot.feature]
-        flags = wp.int32(model.face_flags[foot.row, foot.feature])
+        row = natural(foot.row)
+        feature = natural(foot.feature)
+        n_S = model.face_normal[row, feature]
+        flags = wp.int32(model.face_flags[row, feature])
 
         # Signed distance s [m], direction n, and whether P lies beside an open border.
         side = wp.dot(foot.to_point, n_S)
@@ -390,7 +373,6 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     return SimpleNamespace(
         View=View,
         view_of=view_of,
-        room_on_side=room_on_side,
         nearest_of_all=nearest_of_all,
         leave=leave,
         look=look,

@@ -5,7 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.formula import Formula, coefficient_struct
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, first_env, structs, task_count
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, env_of, item_of, structs, task_count
 
 
 @wp.struct
@@ -52,8 +52,8 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
         reached: Reached,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            coupling = first_coupling + task % work.items
+            env = env_of(work, task)
+            coupling = first_coupling + item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             area = real(0.0)

@@ -15,7 +15,9 @@ from warpcontact.kernels.types import (
     HERTZ_PATCH,
     INLINED,
     Work,
-    first_env,
+    env_of,
+    item_of,
+    natural,
     structs,
     task_count,
 )
@@ -149,15 +151,15 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         wrenches: Wrenches,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            block = first_block + task % work.items
+            env = env_of(work, task)
+            block = first_block + item_of(work, task)
             if status[env] != ENV_ACTIVE or near.count[env, block] == 0:
                 continue
             # One body and one surface for all contacts of a block.
-            start = model.block_start[block]
-            contact = model.block_contact[start]
-            surface = model.patch_surface[model.contact_patch[contact]]
-            point = model.contact_point[contact]
+            start = natural(model.block_start[block])
+            contact = natural(model.block_contact[start])
+            surface = natural(model.patch_surface[natural(model.contact_patch[contact])])
+            point = natural(model.contact_point[contact])
             body_1 = model.point_body[point]
             body_2 = model.surface_body[surface]
             apart_W = apart(model, state, env, point, surface)
@@ -169,7 +171,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
                 R_W1 = rotation_to_world(state, env, body_1)
             total = Pair()
             for place in range(start, start + near.count[env, block]):
-                contact = near.contact[env, place]
+                contact = natural(near.contact[env, place])
                 pair = touch_of(
                     model, state, history, remembered, step[env, 0], coefficients, contacts, kept,
                     env, contact, contact - first_contact, body_1, body_2, apart_W, q_WS, R_W1,

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import triangle
-from warpcontact.kernels.types import FEATURE_ACTIVE, structs
+from warpcontact.kernels.types import FEATURE_ACTIVE, natural, structs
 
 # Rounding, in units of epsilon times the size of the differences: two distances this near are equal. Not wider:
 # the distances to a face and to its neighbour's edge differ in second order only, and the pseudonormal of an edge
@@ -26,6 +26,7 @@ def functions(real: type) -> SimpleNamespace:
     vec3, Model = t.vec3, t.Model
     closest_to_origin = triangle.functions(real).closest_to_origin
     tie_epsilon = wp.constant(real(t.epsilon * TIE))
+    zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
 
     @wp.struct
     class Foot:
@@ -39,10 +40,11 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def foot_on(model: Model, row: int, p: vec3):
-        a = model.face_corner[row, 0] - p
-        b = model.face_corner[row, 1] - p
-        c = model.face_corner[row, 2] - p
-        hit = closest_to_origin(a, b, c, model.face_corner[row, 3])
+        face = natural(row)
+        a = model.face_corner[face, 0] - p
+        b = model.face_corner[face, 1] - p
+        c = model.face_corner[face, 2] - p
+        hit = closest_to_origin(a, b, c, model.face_corner[face, 3])
         foot = Foot()
         foot.to_point = -hit.point
         foot.row = row
@@ -52,9 +54,38 @@ def functions(real: type) -> SimpleNamespace:
         return foot
 
     @wp.func
+    def distance_from(model: Model, row: int, p: vec3):
+        """Distance of a face, to rounding and without branches: in its plane, in its own axes."""
+        v = p - model.face_corner[row, 0]
+        x = wp.dot(v, model.face_frame[row, 0])
+        y = wp.dot(v, model.face_frame[row, 1])
+        height = wp.dot(v, model.face_corner[row, 3])
+        shape = model.face_frame[row, 2]
+        per_square = model.face_frame[row, 3]
+        # The corners are (0, 0), (length, 0) and (c_x, c_y), anticlockwise.
+        length = shape[0]
+        c_x = shape[1]
+        c_y = shape[2]
+        t = wp.clamp(x * length * per_square[0], zero, one)
+        r_x = x - t * length
+        nearest = r_x * r_x + y * y
+        b_x = x - length
+        e_x = c_x - length
+        t = wp.clamp((b_x * e_x + y * c_y) * per_square[1], zero, one)
+        r_x = b_x - t * e_x
+        r_y = y - t * c_y
+        nearest = wp.min(nearest, r_x * r_x + r_y * r_y)
+        t = wp.clamp((x * c_x + y * c_y) * per_square[2], zero, one)
+        r_x = x - t * c_x
+        r_y = y - t * c_y
+        nearest = wp.min(nearest, r_x * r_x + r_y * r_y)
+        above = y >= zero and e_x * y >= c_y * b_x and c_y * x >= c_x * y
+        return wp.sqrt(height * height + wp.where(above, zero, nearest))
+
+    @wp.func
     def inner(model: Model, foot: Foot):
         """Whether P is on the inner side of S."""
-        return wp.dot(foot.to_point, model.face_normal[foot.row, foot.feature]) < real(0.0)
+        return wp.dot(foot.to_point, model.face_normal[natural(foot.row), natural(foot.feature)]) < real(0.0)
 
     @wp.func
     def hidden(model: Model, foot: Foot):
@@ -157,4 +188,12 @@ def functions(real: type) -> SimpleNamespace:
             foot = walk(model, about(model, foot, foot_on(model, foot.row, at), at).row, at)
         return foot
 
-    return SimpleNamespace(Foot=Foot, foot_on=foot_on, inner=inner, nearer=nearer, walk=walk, follow=follow)
+    return SimpleNamespace(
+        Foot=Foot,
+        foot_on=foot_on,
+        distance_from=distance_from,
+        inner=inner,
+        nearer=nearer,
+        walk=walk,
+        follow=follow,
+    )

@@ -8,18 +8,24 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.integrate import end_of_step
 from warpcontact.kernels.memory import memory_struct
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, first_env, structs, task_count
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
 
 
 @functools.cache
-def kernel(real: type, follows: bool) -> wp.Kernel:
+def kernel(real: type, follows: bool, ends: bool = False) -> wp.Kernel:
     """Returns the kernel that takes contacts that are near into ``history``; items: blocks.
 
-    ``follows``: whether any contact stays with the face that it touched, or crossed.
+    Args:
+        real: Type of a real number.
+        follows: Whether any contact stays with the face that it touched, or crossed: it asks for the time then.
+        ends: Whether the first block of an environment ends its step before, as ``integrate.finish`` does.
     """
+    assert not (follows and ends)
     t = structs(real)
-    Model, Contacts, Near, History = t.Model, t.Contacts, t.Near, t.History
+    Model, State, Contacts, Near, History = t.Model, t.State, t.Contacts, t.Near, t.History
+    end = end_of_step(real)
 
     @wp.kernel(module="unique", enable_backward=False)
     def advance_history(
@@ -27,22 +33,31 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
         status: wp.array(dtype=wp.int32),
         time: wp.array(dtype=wp.float64),  # [env] at the end of the step [s]
         step: wp.array2d(dtype=real),  # [env, 0] [s]
+        clock_step: wp.array2d(dtype=wp.float64),  # [env, 0] the same for the clock [s]
+        bodies: wp.int32,
+        state_in: State,
+        state_out: State,
         model: Model,
         contacts: Contacts,
         near: Near,
         history: History,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            block = task % work.items
-            if status[env] != ENV_ACTIVE:
+            env = env_of(work, task)
+            block = item_of(work, task)
+            before = status[env]
+            if wp.static(ends):  # noqa: SIM102  Warp would evaluate both sides
+                # What it does to the status makes none active, whoever looks at it meanwhile.
+                if block == 0:
+                    end(status, clock_step, time, bodies, state_in, state_out, env, before)
+            if before != ENV_ACTIVE:
                 continue
-            start = model.block_start[block]
+            start = natural(model.block_start[block])
             count = near.count[env, block]
             if wp.static(follows):
                 count += near.crossed[env, block]
             for place in range(start, start + count):
-                contact = near.contact[env, place]
+                contact = natural(near.contact[env, place])
                 history.armed[env, contact] = contacts.armed[env, contact]
                 touching = contacts.status[env, contact] == CONTACT
                 near.news[env, contact] = wp.where(touching, 1, 0)
@@ -88,12 +103,12 @@ def memory_kernel(formula: type[Formula], real: type) -> wp.Kernel:
         memory: Array,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            block = task % work.items
+            env = env_of(work, task)
+            block = item_of(work, task)
             block += first_block
             if status[env] != ENV_ACTIVE:
                 continue
-            start = model.block_start[block]
+            start = natural(model.block_start[block])
             for place in range(start, start + near.count[env, block]):
                 member = near.contact[env, place] - first_contact
                 memory[env, member] = kept[env, member]

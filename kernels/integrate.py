@@ -4,6 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import frames, quarantine
+from warpcontact.kernels import wrenches as of_wrenches
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     ENV_FAILED,
@@ -13,7 +14,9 @@ from warpcontact.kernels.types import (
     FREE,
     NO_CAUSE,
     Work,
+    env_of,
     first_env,
+    item_of,
     structs,
     task_count,
 )
@@ -33,10 +36,11 @@ def _spin(real: type) -> wp.Function:
 
 
 @functools.cache
-def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
+def semi_implicit_euler(real: type, moves: bool = False, sources: tuple[bool, bool] | None = None) -> wp.Kernel:
     """Returns the semi-implicit Euler kernel; items: bodies.
 
-    With ``moves``, bodies that are not free are left to ``motions``.
+    With ``moves``, bodies that are not free are left to ``motions``. With ``sources``, the options of
+    ``wrenches.functions``, it adds the wrenches up before.
 
     Velocities first, from the wrenches at ``state_in``; positions with the new velocities. Rotation advances the
     angular momentum L, which carries the gyroscopic term without an approximation, and turns the body by the
@@ -44,7 +48,10 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
     order. One with the same inertia about all axes needs no more than its spin.
     """
     t = structs(real)
-    Model, State, Wrenches = t.Model, t.State, t.Wrenches
+    vec3, Model, State, Near, Ends, Wrenches = t.vec3, t.Model, t.State, t.Near, t.Ends, t.Wrenches
+    sums = sources is not None
+    total = of_wrenches.functions(real, *(sources or (False, False))).total
+    empty = of_wrenches.empty
     rotated = frames.functions(real).rotated
     spin = _spin(real)
     of_guard = quarantine.guard(real)
@@ -58,19 +65,36 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
         model: Model,
         guard: Guard,
         state_in: State,
+        waiting: wp.array(dtype=wp.int32),
+        near: Near,
+        ends: Ends,
         wrenches: Wrenches,
         state_out: State,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            env = env_of(work, task)
+            body = item_of(work, task)
+            if wp.static(sums):  # noqa: SIM102  Warp would evaluate both sides
+                if task == 0:
+                    empty(waiting)
             if status[env] != ENV_ACTIVE:
                 continue
+            force = vec3()
+            torque = vec3()
+            if wp.static(sums):
+                wrench = total(model, near, ends, env, body)
+                force = wrench.force
+                torque = wrench.torque
+                wrenches.force[env, body] = force
+                wrenches.torque[env, body] = torque
+            else:
+                force = wrenches.force[env, body]
+                torque = wrenches.torque[env, body]
             if wp.static(moves):  # noqa: SIM102  Warp would evaluate both sides
                 if model.body_motion[env, body].kind != FREE:
                     continue
             dt = step[env, 0]
-            acceleration = wrenches.force[env, body] / model.body_mass[env, body] + model.gravity[env, 0]
+            acceleration = force / model.body_mass[env, body] + model.gravity[env, 0]
             velocity = state_in.body_linear_velocity[env, body] + dt * acceleration
             # A step is often smaller than what a position is rounded to: nothing of it is lost.
             before = state_in.body_position[env, body]
@@ -82,14 +106,14 @@ def semi_implicit_euler(real: type, moves: bool = False) -> wp.Kernel:
             q_WB = state_in.body_orientation[env, body]
             w_W = state_in.body_angular_velocity[env, body]
             inverse_B = model.body_inverse_inertia[env, body]
-            turning = w_W + (dt * inverse_B[0, 0]) * wrenches.torque[env, body]
+            turning = w_W + (dt * inverse_B[0, 0]) * torque
             orientation = q_WB
             if model.body_round[env, body]:
                 orientation = rotated(q_WB, dt * turning)
             else:
                 inertia_B = model.body_inertia[env, body]
                 last_momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
-                momentum = last_momentum + dt * wrenches.torque[env, body]
+                momentum = last_momentum + dt * torque
                 start = spin(inverse_B, q_WB, momentum)
                 q_middle = rotated(q_WB, real(0.5) * dt * start)
                 orientation = rotated(q_WB, dt * spin(inverse_B, q_middle, momentum))
@@ -136,8 +160,8 @@ def change_step(real: type, moves: bool = False) -> wp.Kernel:
         state: State,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             if wp.static(moves):  # noqa: SIM102  Warp would evaluate both sides
@@ -157,15 +181,41 @@ def change_step(real: type, moves: bool = False) -> wp.Kernel:
 
 
 @functools.cache
-def finish(real: type) -> wp.Kernel:
-    """Returns the kernel that ends a step: clocks go on; failed and halted environments stay where they were.
+def end_of_step(real: type) -> wp.Function:
+    """Returns the device function that ends a step of an environment, with what it was of before.
 
-    Both state buffers then hold the last accepted state of such an environment, so a frozen or stopped one needs
-    no further work.
+    Clocks go on; failed and halted environments stay where they were: both state buffers then hold their last
+    accepted state, so a frozen or stopped one needs no further work.
     """
-    t = structs(real)
-    State = t.State
+    State = structs(real).State
     copy_body = frames.functions(real).copy_body
+
+    @wp.func
+    def end_of_step(
+        status: wp.array(dtype=wp.int32),
+        step: wp.array2d(dtype=wp.float64),
+        time: wp.array(dtype=wp.float64),
+        bodies: int,
+        state_in: State,
+        state_out: State,
+        env: int,
+        before: int,
+    ):
+        if before == ENV_ACTIVE:
+            time[env] = time[env] + step[env, 0]
+        if before == ENV_FAILED or before == ENV_HALTED:  # noqa: SIM109
+            for body in range(bodies):
+                copy_body(state_in, state_out, env, body)
+            status[env] = wp.where(before == ENV_FAILED, ENV_FROZEN, ENV_STOPPED)
+
+    return end_of_step
+
+
+@functools.cache
+def finish(real: type) -> wp.Kernel:
+    """Returns the kernel that ends a step in all environments."""
+    State = structs(real).State
+    end = end_of_step(real)
 
     @wp.kernel(module="unique", enable_backward=False)
     def finish_step(
@@ -179,13 +229,7 @@ def finish(real: type) -> wp.Kernel:
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = first_env(work) + task
-            before = status[env]
-            if before == ENV_ACTIVE:
-                time[env] = time[env] + step[env, 0]
-            if before == ENV_FAILED or before == ENV_HALTED:  # noqa: SIM109
-                for body in range(bodies):
-                    copy_body(state_in, state_out, env, body)
-                status[env] = wp.where(before == ENV_FAILED, ENV_FROZEN, ENV_STOPPED)
+            end(status, step, time, bodies, state_in, state_out, env, status[env])
 
     return finish_step
 
@@ -199,8 +243,8 @@ def adopt(real: type) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def adopt(work: Work, status: wp.array(dtype=wp.int32), source: State, target: State):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             copy_body(source, target, env, body)

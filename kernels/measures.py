@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, structs, task_count
 
 
 @wp.struct
@@ -71,8 +71,8 @@ def positions(real: type) -> wp.Kernel:
         work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Positions
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             measured.position[env, body] = position(state, env, body)
@@ -91,8 +91,8 @@ def energies(real: type) -> wp.Kernel:
         work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Energies
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             mass = wp.float64(model.body_mass[env, body])
@@ -117,8 +117,8 @@ def momenta(real: type) -> wp.Kernel:
         work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Momenta
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             mv_W = wp.float64(model.body_mass[env, body]) * wide(state.body_linear_velocity[env, body])
@@ -150,8 +150,8 @@ def points(real: type) -> wp.Kernel:
         measured: Points,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            contact = task % work.items
+            env = env_of(work, task)
+            contact = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             point = model.contact_point[contact]

@@ -13,14 +13,17 @@ import warp as wp
 from warpcontact.kernels import cells
 from warpcontact.kernels import closest_point as closest
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels.closest_point import ROUNDING, WHOLE
+from warpcontact.kernels.closest_point import CELL, EITHER, ROUNDING, WHOLE
+from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
     INLINED,
     LATCHED,
     Work,
-    first_env,
+    env_of,
+    item_of,
+    natural,
     structs,
     task_count,
 )
@@ -35,9 +38,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     t = structs(real)
     Model, History, Contacts, Cache = t.Model, t.History, t.Contacts, t.Cache
     contact_of = closest.functions(real, follows, part)
-    View, view_of, room_on_side = contact_of.View, contact_of.view_of, contact_of.room_on_side
+    View, view_of = contact_of.View, contact_of.view_of
     nearest_of_all, leave = contact_of.nearest_of_all, contact_of.leave
-    cell_of = cells.functions(real).cell_of
+    room_on_side, cell_at = sides_of(real), cells.functions(real).cell_at
     foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
     rounded_down = wp.constant(real(1.0 - 4.0 * t.epsilon))
@@ -52,11 +55,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         patch = view.patch
         c_W = view.apart_W + view.R_WB * model.block_center[env, block]
         c_S = view.per_scale * (wp.transpose(view.R_WS) * c_W)
-        if wp.static(part != WHOLE):
-            cell = cell_of(model, patch, c_S)
-            if cell >= 0:
-                # Where that is little, each point looks into its own.
-                return view.scale * model.cell_free[cell]
+        if wp.static(part in (CELL, EITHER)):
+            # Where that is little, each point looks into its own.
+            return view.scale * cell_at(model, patch, c_S).free
         query = wp.mesh_query_point_no_sign(
             model.patch_mesh[patch],
             wp.vec3f(wp.float32(c_S[0]), wp.float32(c_S[1]), wp.float32(c_S[2])),
@@ -77,7 +78,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     @wp.func
     def left_of(model: Model, env: int, block: int, contact: int, around: real):
         """What is left of ``around``, which is for the middle of a block, for one of its contacts [m]."""
-        arm_B = model.point_position[env, model.contact_point[contact]] - model.block_center[env, block]
+        arm_B = model.point_position[env, natural(model.contact_point[contact])] - model.block_center[env, block]
         return around - rounded_up * wp.length(arm_B) - model.contact_geometry[env, contact].radius
 
     @wp.func
@@ -147,7 +148,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     def unknown(model: Model, cache: Cache, env: int, start: int, stop: int, travelled: real):
         """Whether some contact of a block is awake and no faces near it are known."""
         for place in range(start, stop):
-            contact = model.block_contact[place]
+            contact = natural(model.block_contact[place])
             if cache.faces[env, contact] == 0 and not (travelled < cache.wake[env, contact]):
                 return True
         return False
@@ -166,6 +167,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         View=View,
         view_of=view_of,
         look=contact_of.look,
+        leave=leave,
+        left_of=left_of,
+        to_be_armed=to_be_armed,
         probe=probe,
         free_around=free_around,
         wake_of=wake_of,
@@ -208,13 +212,13 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
         near: Near,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            block = task % work.items
+            env = env_of(work, task)
+            block = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             count = wp.int32(0)
             new = wp.int32(0)
-            number = model.block_set[block]
+            number = natural(model.block_set[block])
             travel = real(0.0)
             travelled = real(0.0)
             if cached:
@@ -223,7 +227,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                 if cache.set_asleep[env, number] != 0 or travelled < cache.block_wake[env, block]:
                     near.count[env, block] = 0
                     continue
-            start = model.block_start[block]
+            start = natural(model.block_start[block])
             stop = model.block_start[block + 1]
             view = view_of(model, state, env, number)
             around = real(-1.0)
@@ -233,7 +237,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                     around = probe(model, view, env, block)
             first_wake = real(wp.inf)
             for place in range(start, stop):
-                contact = model.block_contact[place]
+                contact = natural(model.block_contact[place])
                 if cached and travelled < cache.wake[env, contact]:
                     wake = longer_wake(model, history, cache, env, block, contact, travel, around)
                     first_wake = wp.min(first_wake, wake)
@@ -264,6 +268,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                 cache.block_wake[env, block] = wp.where(new > 0, real(0.0), first_wake)
             elif new > 0:
                 cache.block_wake[env, block] = real(0.0)
+                cache.block_quiet[env, block] = 0
                 cache.set_wake[env, number] = real(0.0)
 
     return closest_point

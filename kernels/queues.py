@@ -9,15 +9,16 @@ import functools
 
 import warp as wp
 from warpcontact.kernels import near as nearness
-from warpcontact.kernels import warps
-from warpcontact.kernels.closest_point import CELLS, KNOWN, LATER, LISTED, RECALLED, SEARCH
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
+from warpcontact.kernels.closest_point import CELL, KNOWN, LATER, LISTED, RECALLED, SEARCH, TREE
+from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, env_of, first_env, item_of, structs, task_count
 
 # Queues of contacts, by what they need; that of blocks to probe comes first.
-QUEUE_OF = {KNOWN: 1, RECALLED: 1, LISTED: 2, CELLS: 3, SEARCH: 4}
+QUEUE_OF = {KNOWN: 1, RECALLED: 1, CELL: 1, LISTED: 2, SEARCH: 3, TREE: 3}
 # Registers of a search in float32, which would take 200: with so few an H200 holds all its threads at once
 # (``schedule.SEARCHING``). They wait for memory most of the time.
 SEARCH_REGISTERS = 128
+# Of a look into a cell, likewise.
+CELL_REGISTERS = 112
 
 
 @functools.cache
@@ -53,7 +54,7 @@ def pick(real: type, follows: bool) -> wp.Kernel:
         for task in range(wp.tid(), task_count(work), work.threads):
             member = task // work.items
             env = first_env(work) + member
-            block = task % work.items
+            block = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             number = model.block_set[block]
@@ -75,11 +76,14 @@ def pick(real: type, follows: bool) -> wp.Kernel:
 
 
 @functools.cache
-def probe(real: type, follows: bool) -> wp.Kernel:
-    """Returns the kernel that searches in the middle of blocks of which nothing is known; items: blocks."""
+def probe(real: type, follows: bool, celled: bool) -> wp.Kernel:
+    """Returns the kernel that looks in the middle of blocks of which nothing is known; items: blocks.
+
+    ``celled``: whether all meshes have cells, which tell; else it searches.
+    """
     t = structs(real)
     Model, State, History, Contacts, Near, Cache = t.Model, t.State, t.History, t.Contacts, t.Near, t.Cache
-    block_of = nearness.functions(real, follows, KNOWN)
+    block_of = nearness.functions(real, follows, CELL if celled else KNOWN)
     view_of, probe, wake_of, news = block_of.view_of, block_of.probe, block_of.wake_of, block_of.news
     free_around, longer_wake = block_of.free_around, block_of.longer_wake
     put = _put(real)
@@ -99,7 +103,7 @@ def probe(real: type, follows: bool) -> wp.Kernel:
             task = cache.waiting_block[i]
             member = task // work.items
             env = first_env(work) + member
-            block = task % work.items
+            block = item_of(work, task)
             number = model.block_set[block]
             travel = cache.set_travel[env, number]
             travelled = travel + cache.set_margin[env, number]
@@ -122,18 +126,15 @@ def probe(real: type, follows: bool) -> wp.Kernel:
 
 @functools.cache
 def work_off(real: type, follows: bool, part: str, next_part: str) -> wp.Kernel:
-    """Returns the kernel that looks at the contacts in the queue of ``part`` or hands them on; items: contacts.
-
-    For ``CELLS`` each takes a whole warp.
-    """
+    """Returns the kernel that looks at the contacts in the queue of ``part`` or hands them on; items: contacts."""
     t = structs(real)
     Model, State, History, Contacts, Near, Cache = t.Model, t.State, t.History, t.Contacts, t.Near, t.Cache
     block_of = nearness.functions(real, follows, part)
     view_of, look, wake_of, news = block_of.view_of, block_of.look, block_of.wake_of, block_of.news
     put = _put(real)
     queue, next_queue = QUEUE_OF[part], QUEUE_OF[next_part]
-    together = warps.LANES if part == CELLS else 1
-    registers = SEARCH_REGISTERS if part == SEARCH and real is wp.float32 else None
+    registers = {SEARCH: SEARCH_REGISTERS, TREE: SEARCH_REGISTERS, CELL: CELL_REGISTERS}.get(part)
+    registers = registers if real is wp.float32 else None
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED, cuda_max_registers=registers)
     def look_at_contacts(
@@ -146,20 +147,18 @@ def work_off(real: type, follows: bool, part: str, next_part: str) -> wp.Kernel:
         near: Near,
     ):
         thread = wp.tid()
-        if wp.static(part == SEARCH):
+        if wp.static(part in (SEARCH, TREE)):
             thread = spread(thread, work.threads)
-        first = thread // wp.static(together)
-        for i in range(first, cache.waiting[queue], work.threads // wp.static(together)):
+        for i in range(thread, cache.waiting[queue], work.threads):
             task = cache.waiting_contact[queue, i]
-            env = first_env(work) + task // work.items
-            contact = task % work.items
+            env = env_of(work, task)
+            contact = item_of(work, task)
             number = model.contact_set[contact]
             view = view_of(model, state, env, number)
             before = contacts.status[env, contact]
             free = look(model, view, history, contacts, True, cache, env, contact)
-            if wp.static(part != SEARCH) and free == real(LATER):
-                if thread % wp.static(together) == 0:
-                    put(cache, next_queue, task)
+            if wp.static(part not in (SEARCH, TREE)) and free == real(LATER):
+                put(cache, next_queue, task)
             else:
                 cache.wake[env, contact] = wake_of(cache.set_travel[env, number], free)
                 near.news[env, contact] = news(contacts, history, env, contact, before)
@@ -176,8 +175,8 @@ def gather(real: type) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def gather_contacts(work: Work, status: wp.array(dtype=wp.int32), model: Model, cache: Cache, near: Near):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            block = task % work.items
+            env = env_of(work, task)
+            block = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             number = model.block_set[block]

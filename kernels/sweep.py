@@ -16,7 +16,9 @@ from warpcontact.kernels.types import (
     LATCHED,
     SWEPT,
     Work,
+    env_of,
     first_env,
+    item_of,
     structs,
     task_count,
 )
@@ -197,8 +199,8 @@ def kernel(real: type) -> wp.Kernel:
         marked: wp.array(dtype=wp.int32),  # [0] set if there are any
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            block = task % work.items
+            env = env_of(work, task)
+            block = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             near.crossed[env, block] = 0

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames
-from warpcontact.kernels.types import ENV_ACTIVE, QUEUES, Work, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
 
 # Rounding of a position, in units of epsilon times the size of what it is computed from.
 ROUNDING = 32.0
@@ -31,12 +31,12 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def see(model: Model, state: State, env: int, number: int):
-        contact = model.set_contact[number]
-        surface = model.patch_surface[model.contact_patch[contact]]
+        contact = natural(model.set_contact[number])
+        surface = natural(model.patch_surface[natural(model.contact_patch[contact])])
         carrier = model.surface_body[surface]
         o_B = model.surface_position[env, surface]
         q_WS = orientation_to_world(state, env, carrier, model.surface_orientation[env, surface])
-        point = model.contact_point[contact]
+        point = natural(model.contact_point[contact])
         body = model.point_body[point]
         c_B = model.set_center[env, number]
         between = apart(model, state, env, point, surface)
@@ -76,11 +76,8 @@ def kernel(real: type) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def add_travel(work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, cache: Cache):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            number = task % work.items
-            if task == 0:
-                for kind in range(QUEUES):
-                    cache.waiting[kind] = 0
+            env = env_of(work, task)
+            number = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             seen = see(model, state, env, number)

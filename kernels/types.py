@@ -98,7 +98,7 @@ REMEMBERED = 16
 REMEMBERED_IN_QUEUES = 8
 
 # Queues of a GPU.
-QUEUES = 5
+QUEUES = 4
 
 # How a body may move.
 FREE = 0
@@ -139,6 +139,12 @@ class Work:
     slice: wp.array(dtype=wp.int32)  # the first environment and how many, in place of all; or nothing
 
 
+@wp.func_native("if (number < 0) __builtin_unreachable(); return number;")
+def natural(number: int) -> int:
+    """The same number, which is not negative: an index that is costs some instructions at each array."""
+    ...
+
+
 @wp.func
 def first_env(work: Work):
     """First environment of a launch."""
@@ -153,6 +159,18 @@ def task_count(work: Work):
     if work.slice.shape[0] > 0:
         return work.slice[1] * work.items
     return work.envs * work.items
+
+
+@wp.func
+def env_of(work: Work, task: int):
+    """Environment of a task."""
+    return natural(first_env(work) + natural(task) // natural(work.items))
+
+
+@wp.func
+def item_of(work: Work, task: int):
+    """Item of its environment that a task is for."""
+    return natural(natural(task) % natural(work.items))
 
 
 @wp.struct
@@ -183,6 +201,11 @@ def structs(real: type) -> SimpleNamespace:
         torsion_radius: real  # arm at which torsion acts [m]; unused with HERTZ_PATCH
         share: real  # factor on forces and couples [-]
         enabled: wp.int32  # 0 or 1
+
+    @wp.struct
+    class Cell:
+        free: real  # all its points are this far on the outer side [unit of the mesh]; <= 0: unknown
+        faces: wp.int32  # where the list of faces that may be nearest begins, and their number; −1: no list
 
     @wp.struct
     class Model:
@@ -219,15 +242,18 @@ def structs(real: type) -> SimpleNamespace:
         patch_wall_start: wp.array(dtype=wp.int32)  # [patch + 1] first row of its walls
         wall_normal: wp.array(dtype=vec3)  # [wall] unit, into the region of SIDES_ABOVE, S
         wall_offset: wp.array(dtype=real)  # [wall] of its plane along the normal
-        # Cells about a patch, for queues of a GPU: ``cells.py``
+        # Cells about a patch: ``cells.py``
         patch_cells: wp.array(dtype=wp.vec4i)  # [patch] how many along x, y and z, and its first; −1: none
         patch_cells_origin: wp.array(dtype=vec3)  # [patch] their lowest corner, S
         patch_cells_size: wp.array(dtype=real)  # [patch] of a cell, unit of the mesh
-        cell_free: wp.array(dtype=real)  # [cell] all its points are this far on the outer side; <= 0: unknown
-        cell_list: wp.array(dtype=wp.int32)  # [cell] row of its list; −1: none
-        list_reach: wp.array(dtype=real)  # [list] other faces are farther from all points of the cell
-        list_face: wp.array2d(dtype=wp.int32)  # [list, place] rows of faces; −1: no more
+        patch_cells_margin: wp.array(dtype=real)  # [patch] from their border to the mesh, at least
+        cells: wp.array(dtype=Cell)  # [cell]
+        listed_face: wp.array(dtype=wp.int32)  # rows of faces, by the cells that list them
         face_corner: wp.array2d(dtype=vec3)  # [face, 0 to 2] its corners, [face, 3] its unit normal; S
+        face_frame: wp.array2d(
+            dtype=vec3
+        )  # [face, 0 and 1] unit, along its first edge and across; [face, 2] length of that edge, and the last
+        # corner along both; [face, 3] one over the squares of its edges 0-1, 1-2, 2-0; only with cells
         face_normal: wp.array2d(dtype=vec3)  # [face, feature] unit pseudonormal, S
         face_flags: wp.array2d(dtype=wp.uint8)  # [face, feature] FEATURE_* bits
         face_neighbor: wp.array2d(dtype=wp.int32)  # [face, edge] 3 × row + edge of the other side; −1: none
@@ -329,6 +355,7 @@ def structs(real: type) -> SimpleNamespace:
         set_wake: wp.array2d(dtype=real)  # [env, set] travel up to which none of its points can touch [m]
         set_asleep: wp.array2d(dtype=wp.int32)  # [env, set] whether it has not come so far
         block_wake: wp.array2d(dtype=real)  # [env, block] likewise [m]
+        block_quiet: wp.array2d(dtype=wp.int32)  # [env, block] 1: the last step had nothing to do with it
         wake: wp.array2d(dtype=real)  # [env, contact] likewise [m]
         # On a GPU: what is still to be done, by kind, so that threads side by side do the same
         waiting: wp.array(dtype=wp.int32)  # [kind] how many
@@ -390,6 +417,7 @@ def structs(real: type) -> SimpleNamespace:
         mat33=mat33,
         epsilon=float(np.finfo(wp.dtype_to_numpy(real)).eps),
         ContactGeometry=ContactGeometry,
+        Cell=Cell,
         Model=Model,
         State=State,
         History=History,

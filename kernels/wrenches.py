@@ -1,16 +1,30 @@
 """From the blocks of contacts, the ends of couplings and from outside to the wrenches of the bodies."""
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, QUEUES, Work, env_of, item_of, natural, structs, task_count
+
+
+@wp.func
+def empty(waiting: wp.array(dtype=wp.int32)):
+    """Empties the queues of what is near, which has been looked at: those of the next step begin anew."""
+    for kind in range(QUEUES):
+        waiting[kind] = 0
 
 
 @functools.cache
-def _start(real: type, coupled: bool, pushed: bool) -> wp.Function:
-    """Returns the device function that tells the wrench of a body without its contacts."""
+def functions(real: type, coupled: bool, pushed: bool) -> SimpleNamespace:
+    """Returns the device functions that tell what acts on a body: ``start`` without contacts, ``total`` with them.
+
+    Args:
+        real: Precision.
+        coupled: Whether there are couplings.
+        pushed: Whether there are forces from outside.
+    """
     t = structs(real)
-    vec3, Model, Ends = t.vec3, t.Model, t.Ends
+    vec3, Model, Near, Ends = t.vec3, t.Model, t.Near, t.Ends
 
     @wp.struct
     class Wrench:
@@ -30,7 +44,23 @@ def _start(real: type, coupled: bool, pushed: bool) -> wp.Function:
                 wrench.torque += ends.torque[env, end]
         return wrench
 
-    return start
+    @wp.func
+    def total(model: Model, near: Near, ends: Ends, env: int, body: int):
+        """With the blocks of contacts in their order: the same bits in every run, whoever computed them."""
+        wrench = start(model, ends, env, body)
+        for place in range(model.body_block_start[body], model.body_block_start[body + 1]):
+            entry = natural(model.body_block[place])
+            block = entry // 2
+            if near.count[env, block] > 0:
+                if entry == 2 * block:
+                    wrench.force += near.force[env, block]
+                    wrench.torque += near.torque_1[env, block]
+                else:
+                    wrench.force -= near.force[env, block]
+                    wrench.torque += near.torque_2[env, block]
+        return wrench
+
+    return SimpleNamespace(start=start, total=total)
 
 
 @functools.cache
@@ -44,13 +74,22 @@ def clear(real: type, coupled: bool = False, pushed: bool = False) -> wp.Kernel:
     """
     t = structs(real)
     Model, Ends, Wrenches = t.Model, t.Ends, t.Wrenches
-    start = _start(real, coupled, pushed)
+    start = functions(real, coupled, pushed).start
 
     @wp.kernel(module="unique", enable_backward=False)
-    def clear_wrenches(work: Work, status: wp.array(dtype=wp.int32), model: Model, ends: Ends, wrenches: Wrenches):
+    def clear_wrenches(
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        waiting: wp.array(dtype=wp.int32),
+        model: Model,
+        ends: Ends,
+        wrenches: Wrenches,
+    ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            if task == 0:
+                empty(waiting)
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             wrench = start(model, ends, env, body)
@@ -64,34 +103,31 @@ def clear(real: type, coupled: bool = False, pushed: bool = False) -> wp.Kernel:
 def add_up(real: type, coupled: bool = False, pushed: bool = False) -> wp.Kernel:
     """Returns the kernel that sums what acts on each body, blocks of contacts in their order; items: bodies.
 
-    The same bits in every run, however many threads there are. Arguments are those of ``clear``.
+    Arguments are those of ``clear``.
     """
     t = structs(real)
     Model, Near, Ends, Wrenches = t.Model, t.Near, t.Ends, t.Wrenches
-    start = _start(real, coupled, pushed)
+    total = functions(real, coupled, pushed).total
 
     @wp.kernel(module="unique", enable_backward=False)
     def add_up_blocks(
-        work: Work, status: wp.array(dtype=wp.int32), model: Model, near: Near, ends: Ends, wrenches: Wrenches
+        work: Work,
+        status: wp.array(dtype=wp.int32),
+        waiting: wp.array(dtype=wp.int32),
+        model: Model,
+        near: Near,
+        ends: Ends,
+        wrenches: Wrenches,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            if task == 0:
+                empty(waiting)
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            wrench = start(model, ends, env, body)
-            force = wrench.force
-            torque = wrench.torque
-            for place in range(model.body_block_start[body], model.body_block_start[body + 1]):
-                block = model.body_block[place] // 2
-                if near.count[env, block] > 0:
-                    if model.body_block[place] == 2 * block:
-                        force += near.force[env, block]
-                        torque += near.torque_1[env, block]
-                    else:
-                        force -= near.force[env, block]
-                        torque += near.torque_2[env, block]
-            wrenches.force[env, body] = force
-            wrenches.torque[env, body] = torque
+            wrench = total(model, near, ends, env, body)
+            wrenches.force[env, body] = wrench.force
+            wrenches.torque[env, body] = wrench.torque
 
     return add_up_blocks

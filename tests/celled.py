@@ -2,10 +2,10 @@
 
 from types import SimpleNamespace
 
-from warpcontact import cells, patches
+from warpcontact import build, cells
 
 
 def cells_everywhere(monkeypatch):
     """Makes cells for models on the CPU, which does not search in them."""
     a_gpu = SimpleNamespace(is_cuda=True)
-    monkeypatch.setattr(patches, "grids_about", lambda made, _, real: cells.grids_about(made, a_gpu, real))
+    monkeypatch.setattr(build, "grids_about", lambda made, _, t: cells.grids_about(made, a_gpu, t))

@@ -1,12 +1,16 @@
 """Cells about meshes: what they say of the points in them, beside every face, and what they take."""
 
+import functools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import warp as wp
 from brute_force import Surface, nearest_on_triangles
 from celled import cells_everywhere
+from warpcontact.kernels import cells as device_cells
+from warpcontact.kernels.types import structs
 
 import warpcontact as wc
 from warpcontact import cells
@@ -50,9 +54,7 @@ def scene_of(mesh, radius, *, count=1, scale=1.0):
 
 def grids_of(scene):
     """The grids that a model of the scene has."""
-    from warpcontact import patches
-
-    return patches.grids_about(make_patches(scene.contacts), None, wp.float32)
+    return cells.grids_about(make_patches(scene.contacts), SimpleNamespace(is_cuda=True), structs(wp.float32))
 
 
 @pytest.fixture(params=[(name, precision) for name in CASES for precision in ("float32", "float64")], ids="-".join)
@@ -65,7 +67,7 @@ def celled(request, device):
     counts = own.patch_cells.numpy()[0]
     origin, size = own.patch_cells_origin.numpy()[0], own.patch_cells_size.numpy()[0]
     assert counts[3] == 0
-    assert own.cell_list.size == np.prod(counts[:3])
+    assert own.cells.size == np.prod(counts[:3])
     random = np.random.default_rng(3)
     points = origin + size * random.uniform(0.0, counts[:3], (POINTS, 3))
     # Most of them where it matters, and some in the corners of cells.
@@ -100,19 +102,28 @@ def distance_and_side(corners, points):
     return distance, np.einsum("nx,nx->n", points - foot, normal)
 
 
-def test_no_face_out_of_a_list_is_within_its_reach(celled):
+def lists_of(own, cell):
+    """The faces that are listed for cells; none where there is no list."""
+    faces = own.cells.numpy()["faces"][cell]
+    start, count = np.divmod(faces, device_cells.LISTED)
+    listed = own.listed_face.numpy()
+    return [listed[s : s + n] if f >= 0 else None for f, s, n in zip(faces, start, count, strict=True)]
+
+
+def test_the_nearest_faces_are_in_the_list_of_the_cell(celled):
+    """All that are about as near, and few others."""
     corners, own, points, cell, *_ = celled
-    row = own.cell_list.numpy()[cell]
-    listed = row >= 0
+    lists = lists_of(own, cell)
+    listed = np.array([faces is not None for faces in lists])
     assert listed.mean() > 0.2
     away = distances(corners, points[listed])
-    lists, reach = own.list_face.numpy()[row[listed]], own.list_reach.numpy()[row[listed]]
-    for number, places in enumerate(lists):
-        faces = places[places >= 0]
+    counts = []
+    for row, faces in zip(away, (one for one in lists if one is not None), strict=True):
         assert len(set(faces)) == len(faces) > 0
-        assert (np.delete(away[number], faces) > reach[number]).all()
-    # So the nearest is in nearly all lists, with room for moving on.
-    assert (away.min(axis=1) < reach).mean() > 0.95
+        assert set(np.flatnonzero(row < row.min() + 1e-7)) <= set(faces)
+        counts.append(len(faces))
+    # Of the faces that a sphere about the cell sees the others are left out.
+    assert np.mean(counts) < 8.0
 
 
 def test_every_point_that_may_touch_has_a_list(celled):
@@ -122,12 +133,12 @@ def test_every_point_that_may_touch_has_a_list(celled):
     touching = (side > 0.0) & (distance < reach)
     assert touching.sum() > 100
     # But for a few beside a rim, where the middle of a cell may be on the inner side.
-    assert (own.cell_list.numpy()[cell[touching]] >= 0).mean() > 0.995
+    assert (own.cells.numpy()["faces"][cell[touching]] >= 0).mean() > 0.995
 
 
 def test_what_is_free_is_that_far_on_the_outer_side(celled):
     corners, own, points, cell, _, closed = celled
-    free = own.cell_free.numpy()[cell]
+    free = own.cells.numpy()["free"][cell]
     known = free > 0.0
     assert known.mean() > 0.1
     distance, side = distance_and_side(corners, points[known])
@@ -141,6 +152,78 @@ def test_what_is_free_is_that_far_on_the_outer_side(celled):
         assert (side > 0.0).all()
 
 
+@functools.cache
+def asking(real):
+    """The kernel that asks what is known of points, and for the nearest of listed faces."""
+    t = structs(real)
+    of_cells, Model, vec3 = device_cells.functions(real), t.Model, t.vec3
+    cell_at, nearest_listed = of_cells.cell_at, of_cells.nearest_listed
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def ask(
+        model: Model,
+        points: wp.array(dtype=vec3),
+        free: wp.array(dtype=real),
+        row: wp.array(dtype=wp.int32),
+        distance: wp.array(dtype=real),
+    ):
+        i = wp.tid()
+        cell = cell_at(model, 0, points[i])
+        free[i] = cell.free
+        row[i] = -1
+        if cell.faces >= 0:
+            foot = nearest_listed(model, cell.faces, points[i], model.patch_slack[0])
+            row[i] = foot.row
+            distance[i] = foot.distance
+
+    return ask
+
+
+def ask(model, points):
+    own, real = model.parts[0].arrays.model, model.parts[0].types.real
+    given = wp.array(points, dtype=structs(real).vec3, device=model.devices[0])
+    free, distance = (wp.zeros(len(points), dtype=real, device=model.devices[0]) for _ in range(2))
+    row = wp.zeros(len(points), dtype=wp.int32, device=model.devices[0])
+    wp.launch(asking(real), len(points), [own, given, free, row, distance], device=model.devices[0])
+    return free.numpy(), row.numpy(), distance.numpy()
+
+
+def test_the_nearest_point_of_a_list_is_that_of_the_surface(celled):
+    corners, _, points, _, model, _ = celled
+    _, row, distance = ask(model, points)
+    listed = row >= 0
+    assert listed.mean() > 0.2
+    away = distances(corners, points[listed])
+    error = 1e-5 if points.dtype == np.float32 else 1e-12
+    np.testing.assert_allclose(distance[listed], away.min(axis=1), atol=error)
+    np.testing.assert_allclose(away[np.arange(len(away)), row[listed]], away.min(axis=1), atol=error)
+
+
+def test_outside_of_the_grid_points_are_on_the_side_of_its_border(celled):
+    corners, own, _, _, model, closed = celled
+    counts, origin = own.patch_cells.numpy()[0][:3], own.patch_cells_origin.numpy()[0]
+    extent = counts * own.patch_cells_size.numpy()[0]
+    random = np.random.default_rng(5)
+    points = random.uniform(-1.0, 2.0, (POINTS, 3))
+    # Many of them straight above.
+    points[::2] = random.uniform((0.3, 0.3, 1.01), (0.7, 0.7, 3.0), (POINTS // 2, 3))
+    points = origin + extent * points
+    inside = ((points > origin) & (points < origin + extent)).all(axis=1)
+    points = points[~inside].astype(origin.dtype)
+    free, row, _ = ask(model, points)
+    assert (row < 0).all()
+    distance, side = distance_and_side(corners, points)
+    known = free > 0.0
+    assert (distance[known] > free[known]).all()
+    if closed:
+        assert known.all()
+        # Less by no more than the margin of the corner of a box is longer than that of a side.
+        assert (distance - free < 2.0 * extent.max()).all()
+    else:
+        assert known.mean() > 0.1
+        assert (side[known] > 0.0).all()
+
+
 def test_scaled_surfaces_have_the_cells_of_what_touches_them_in_their_unit():
     mesh, radius, _ = CASES["ball"]
     (as_it_is,) = grids_of(scene_of(mesh, radius))
@@ -149,21 +232,37 @@ def test_scaled_surfaces_have_the_cells_of_what_touches_them_in_their_unit():
     assert larger.reach == pytest.approx(as_it_is.reach)
 
 
-@pytest.mark.parametrize("radius", [1.0, 30.0])
-def test_a_ball_that_sees_more_faces_than_a_list_has_gets_none(radius):
-    assert grids_of(scene_of(wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), radius)) == [None]
+@pytest.mark.parametrize("radius", [3.0, 30.0])
+def test_a_ball_that_sees_too_many_faces_gets_none(radius):
+    assert grids_of(scene_of(wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5), radius)) is None
 
 
-def test_what_takes_too_much_gets_none(monkeypatch):
+def test_all_meshes_have_cells_or_none(monkeypatch):
     mesh, radius, _ = CASES["ball"]
     (one,) = grids_of(scene_of(mesh, radius))
+    assert len(grids_of(scene_of(mesh, radius, count=4))) == 4
     monkeypatch.setattr(cells, "MOST_BYTES", 2.5 * one.bytes)
-    grids = grids_of(scene_of(mesh, radius, count=4))
-    assert [grid is not None for grid in grids] == [True, True, False, False]
+    assert len(grids_of(scene_of(mesh, radius, count=2))) == 2
+    assert grids_of(scene_of(mesh, radius, count=4)) is None
     for name in ("CELL_BYTES", "LIST_BYTES"):
         with monkeypatch.context() as here:
             here.setattr(cells, name, 1000)
-            assert grids_of(scene_of(mesh, radius)) == [None]
+            assert grids_of(scene_of(mesh, radius)) is None
+
+
+def test_swept_points_and_sheets_without_sides_have_none():
+    mesh, radius, _ = CASES["ball"]
+    scene = scene_of(mesh, radius)
+    scene.add_contact(scene.points[0], scene.surfaces[0], wc.Template(law=LAW), radius=radius, swept=True)
+    assert grids_of(scene) is None
+    # Two sheets above each other: which of them is nearest tells nothing of the side.
+    sheet = wc.meshes.grid((1.0, 0.6), (10, 7))
+    above = wc.Mesh(
+        np.concatenate([sheet.vertices, sheet.vertices + np.array([0, 0, 0.3])]),
+        np.concatenate([sheet.faces, sheet.faces + len(sheet.vertices)]),
+    )
+    assert grids_of(scene_of(sheet, radius)) is not None
+    assert grids_of(scene_of(above, radius)) is None
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
@@ -171,7 +270,7 @@ def test_the_plan_counts_them(precision, device):
     mesh, radius, _ = CASES["ball"]
     model = scene_of(mesh, radius).build(device=device, precision=precision)
     own = model.parts[0].arrays.model
-    taken = sum(array.capacity for array in (own.cell_list, own.cell_free, own.list_face, own.list_reach))
+    taken = sum(array.capacity for array in (own.cells, own.listed_face))
     without = sum(
         array.capacity
         for name, array in ((name, getattr(own, name)) for name in own._cls.vars)
@@ -216,7 +315,7 @@ def test_a_narrow_gap_within_a_body_frees_nothing(precision, device):
     for patch, middle in enumerate((0.0 * far, far)):
         *counts, first = own.patch_cells.numpy()[patch]
         origin, size = own.patch_cells_origin.numpy()[patch], own.patch_cells_size.numpy()[patch]
-        free = own.cell_free.numpy()[first : first + np.prod(counts)]
+        free = own.cells.numpy()["free"][first : first + np.prod(counts)]
         at = np.indices(counts[::-1]).reshape(3, -1)[::-1].T
         away = np.abs(origin.astype(float) + size * (at + 0.5) - surface_centre(surface, middle))
         assert (away < 0.5).all(axis=1).sum() > 100
@@ -231,15 +330,16 @@ def surface_centre(surface, middle):
 
 def test_where_lists_run_out_cells_have_none(device, monkeypatch):
     mesh, radius, _ = CASES["ball"]
-    usual = scene_of(mesh, radius).build(device=device).parts[0].arrays.model
+    usual = scene_of(mesh, radius).build(device=device).parts[0].arrays.model.cells.numpy()
     forced = cells.grid_about
 
     def with_ten(*arguments):
         grid = forced(*arguments)
-        return replace(grid, lists=10, bytes=grid.bytes - (grid.lists - 10) * (4 * cells.IN_CELL + 4))
+        return replace(grid, places=10, bytes=grid.bytes - 4 * (grid.places - 10))
 
     monkeypatch.setattr(cells, "grid_about", with_ten)
-    few = scene_of(mesh, radius).build(device=device).parts[0].arrays.model
-    row = few.cell_list.numpy()
-    assert sorted(row[row >= 0]) == list(range(10))
-    np.testing.assert_array_equal(few.cell_free.numpy(), usual.cell_free.numpy())
+    few = scene_of(mesh, radius).build(device=device).parts[0].arrays.model.cells.numpy()
+    start, count = np.divmod(few["faces"][few["faces"] >= 0], device_cells.LISTED)
+    assert 0 < len(count) < 11
+    assert (start + count <= 10).all()
+    np.testing.assert_array_equal(few["free"], usual["free"])

@@ -153,8 +153,6 @@ def with_queues(monkeypatch):
         cache = model.arrays.cache
         cache.waiting_block = wp.zeros(tasks, dtype=wp.int32, device="cpu")
         cache.waiting_contact = wp.zeros((QUEUES, contacts), dtype=wp.int32, device="cpu")
-        # A search in a cell takes a warp.
-        model.arrays.celled = False
         return Span(model, count, cached, ordered, queued=True, hard=hard, **own)
 
     monkeypatch.setattr(simulation, "Span", queued)
@@ -328,16 +326,17 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
 
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("few", [False, True], ids=["of many", "of few, and cells"])
+@pytest.mark.parametrize("celled", [False, True], ids=["", "in cells"])
+@pytest.mark.parametrize("few", [False, True], ids=["of many", "of few"])
 @pytest.mark.parametrize("name", SCENES)
-def test_queues_change_nothing(name, few, precision, monkeypatch):
+def test_queues_change_nothing(name, few, celled, precision, monkeypatch):
     """As a GPU looks at contacts, here by one thread."""
     usual, _ = run(name, precision, "cpu")
 
     with_queues(monkeypatch)
-    if few:
+    if celled:
         cells_everywhere(monkeypatch)
-    else:
+    if not few:
         monkeypatch.setattr(schedule, "FEW", 0)
     assert_same(run(name, precision, "cpu")[0], usual)
 

@@ -27,17 +27,31 @@ class Blocks:
         set_start: First block of each set of contacts, and the end, (sets + 1,).
         start: First place of each block in the list of contacts, and the end, (blocks + 1,).
         contact: Contacts by block, (contacts,).
+        body_start: First entry of each body in the next, and the end, (bodies + 1,).
+        of_bodies: The blocks of each body, each 2 × block + 0 as the points' body, 1 as the surface's.
     """
 
     set_contact: NDArray[np.int32]
     set_start: NDArray[np.int32]
     start: NDArray[np.int32]
     contact: NDArray[np.int32]
+    body_start: NDArray[np.int32]
+    of_bodies: NDArray[np.intp]
 
     @property
     def count(self) -> int:
         """Number of blocks."""
         return len(self.start) - 1
+
+    @property
+    def width(self) -> int:
+        """Contacts that a block has room for: the next power of two after the largest."""
+        return 1 << int(np.diff(self.start).max(initial=1) - 1).bit_length()
+
+    @property
+    def most_of_a_body(self) -> int:
+        """Blocks of the body that has the most of them."""
+        return int(np.diff(self.body_start).max(initial=0))
 
     @property
     def set_count(self) -> int:
@@ -55,8 +69,8 @@ class Blocks:
         return int(begin), int(end - begin)
 
 
-def make_blocks(contacts: list[Contact]) -> Blocks:
-    """Returns the blocks of contacts in the order of the device."""
+def make_blocks(contacts: list[Contact], body_count: int) -> Blocks:
+    """Returns the blocks of contacts in the order of the device, among so many bodies."""
     empty = [np.zeros(0, dtype=np.intp)]
     members, sizes, blocks_of_sets, sets = list(empty), list(empty), list(empty), list(empty)
     first = 0
@@ -74,11 +88,15 @@ def make_blocks(contacts: list[Contact]) -> Blocks:
             blocks_of_sets.append(np.array([len(own)]))
             sets.append(np.array([contact.count]))
         first += contact.count
+    of_sets = np.concatenate(blocks_of_sets)
+    body_start, of_bodies = _blocks_by_body(of_sets, contacts, body_count)
     return Blocks(
         set_contact=_starts(np.concatenate(sets)),
-        set_start=_starts(np.concatenate(blocks_of_sets)),
+        set_start=_starts(of_sets),
         start=_starts(np.concatenate(sizes)),
         contact=np.concatenate(members).astype(np.int32),
+        body_start=body_start,
+        of_bodies=of_bodies,
     )
 
 
@@ -107,7 +125,6 @@ def _neighbourhoods(positions: Array) -> list[NDArray[np.intp]]:
 def upload_blocks(
     blocks: Blocks,
     contacts: list[Contact],
-    body_count: int,
     model: Any,
     layout: Layout,
     parameters: Parameters,
@@ -119,7 +136,6 @@ def upload_blocks(
     Args:
         blocks: What ``make_blocks`` returned for ``contacts``.
         contacts: The contacts in the order of the device.
-        body_count: Number of bodies.
         model: The struct.
         layout: For what is the same in all environments.
         parameters: For the middle and extent of the sets, which follow the points.
@@ -140,9 +156,8 @@ def upload_blocks(
     send("block_set", blocks.of_set)
     send("block_start", blocks.start)
     send("block_contact", blocks.contact)
-    starts, entries = _blocks_by_body(blocks, contacts, body_count)
-    send("body_block_start", starts)
-    send("body_block", entries)
+    send("body_block_start", blocks.body_start)
+    send("body_block", blocks.of_bodies)
     empty = np.zeros(0, dtype=np.intp)
     points = [contact.points.start + np.arange(contact.count) for contact in contacts]
     by_set = np.concatenate([empty, *points])
@@ -171,9 +186,12 @@ def upload_blocks(
 
 
 def _blocks_by_body(
-    blocks: Blocks, contacts: list[Contact], body_count: int
+    of_sets: NDArray[np.intp], contacts: list[Contact], body_count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
-    """Returns where the blocks of each body start in a list (bodies + 1), and the list of 2 × block + side."""
+    """Returns where the blocks of each body start in a list (bodies + 1), and the list of 2 × block + side.
+
+    ``of_sets`` is how many blocks each set has.
+    """
     empty = np.zeros(0, dtype=np.int32)
     on_points = [
         contact.points.body_numbers[:: 1 if contact.points.spread else contact.count] for contact in contacts
@@ -183,6 +201,6 @@ def _blocks_by_body(
         for contact in contacts
     ]
     of_set = np.stack([np.concatenate([empty, *on_points]), np.concatenate([empty, *on_surface])], axis=1)
-    bodies = of_set[blocks.of_set].ravel()
+    bodies = np.repeat(of_set, of_sets, axis=0).ravel()
     entries = np.argsort(bodies, kind="stable")
     return _starts(np.bincount(bodies[bodies >= 0], minlength=body_count)), entries[(bodies < 0).sum() :]

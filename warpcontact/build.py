@@ -13,6 +13,7 @@ from warpcontact import checks
 from warpcontact import elements as limits_of
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks, make_blocks, upload_blocks
+from warpcontact.cells import grids_about
 from warpcontact.checks import Array, limits
 from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.couplings.ends import add_ends
@@ -76,7 +77,8 @@ def draw_up(scene: Scene, device: str | Sequence[str] = "auto", precision: str =
     groups = by_code(scene.contacts)
     contacts = [contact for group in groups for contact in group]
     # What is the same on all devices.
-    common = _Common(scene.snapshot(), precision, groups, contacts, make_blocks(contacts), make_patches(contacts))
+    blocks = make_blocks(contacts, sum(body.count for body in scene.bodies))
+    common = _Common(scene.snapshot(), precision, groups, contacts, blocks, make_patches(contacts))
     return Draft(tuple(_draw_up_on(where, common) for where in devices))
 
 
@@ -114,6 +116,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     smooth_count = sum(contact.count for contact in scene.smooth_contacts)
     body_count = sum(body.count for body in scene.bodies)
     bodies, each, parts = per_env(body_count), per_env(starts[-1]), per_env(blocks.count)
+    grids = grids_about(common.patches, where, t)
     records = starts[-1] > 1  # a few of many contacts are near; of one contact neighbours are those of other envs
     arrays = SimpleNamespace(
         model=t.Model(),
@@ -124,13 +127,14 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         history=layout.struct("contacts", t.History, each, records=records),
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
-        cache=_cache(t, layout, blocks.set_count, blocks.count, starts[-1], records),
+        cache=_cache(t, layout, blocks.set_count, blocks.count, starts[-1], records, celled=grids is not None),
         guard=add_guard(scene, layout, parameters, t.real),
         status=None,
         time=None,
         instant=None,
         constrained=None,
         active=None,
+        celled=grids is not None,
         **dict.fromkeys(MEASURES),  # allocated by the first reading that needs them
     )
     layout.array("state", arrays, "status", wp.int32, per_env())
@@ -144,13 +148,13 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     drives = add_motions(scene, arrays, layout, parameters)
     _add_surfaces(scene, arrays, layout, parameters, t)
     places, moving = _add_points(scene, arrays, layout, parameters, t)
-    following = upload_blocks(blocks, contacts, body_count, arrays.model, layout, parameters, t, places)
+    following = upload_blocks(blocks, contacts, arrays.model, layout, parameters, t, places)
     for parameter in moving:
         parameter.uploads.extend(following)
     contact_couplings.declare(arrays, layout, t)
     point_count = sum(points.count for points in scene.points)
     contact_couplings.upload_normals(arrays.model, point_count, parameters, t)
-    meshes = upload_patches(common.patches, arrays, layout, t)
+    meshes = upload_patches(common.patches, grids, arrays.model, layout, t)
     _add_contacts(contacts, start_of, common.patches.of_contact, contact_couplings, arrays, layout, parameters, t)
     couplings = make_sets(scene, layout, parameters, t)
     moves = any(body.motion.kind != types.FREE for body in scene.bodies)
@@ -185,10 +189,13 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     )
 
 
-def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int, records: bool) -> Any:
+def _cache(
+    t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int, records: bool, *, celled: bool
+) -> Any:
     shapes = {name: per_env(sets) for name in t.Cache.vars if name.startswith("set_")}
     queued = layout.device.is_cuda
-    faces = per_env(contacts * (types.REMEMBERED_IN_QUEUES if queued else types.REMEMBERED))
+    remembered = 0 if celled else types.REMEMBERED_IN_QUEUES if queued else types.REMEMBERED
+    faces = per_env(contacts * remembered)
     return layout.struct(
         "cache",
         t.Cache,
@@ -199,6 +206,7 @@ def _cache(t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts:
         wake=per_env(contacts),
         faces=per_env(contacts),
         block_wake=per_env(blocks),
+        block_quiet=per_env(blocks),
         waiting=fixed(types.QUEUES),
         waiting_block=(lambda envs: (envs * blocks,)) if queued else fixed(1),
         waiting_contact=(lambda envs: (types.QUEUES, envs * contacts)) if queued else fixed(types.QUEUES, 1),

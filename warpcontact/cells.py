@@ -1,4 +1,4 @@
-"""Grids about the meshes that a GPU searches: where they lie, how fine they are, and what they take."""
+"""Grids about the meshes that points touch: where they lie, how fine they are, and what they take."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,17 +10,23 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout
-from warpcontact.kernels.cells import IN_CELL
+from warpcontact.kernels.types import SIDES_NOWHERE
 
 if TYPE_CHECKING:
     from warpcontact.patches import Patch, Patches
 
 # Size of a cell, as part of a usual edge: the finest first, the coarsest last. Measured.
-FINEST, COARSEST = 0.5, 1.0
+FINEST, COARSEST = 0.25, 1.0
 # Cells beside those near the patch, where there is room for them.
 AROUND = 8.0
-# What the cells of a patch may take, its lists, and those of all patches [bytes].
-CELL_BYTES, LIST_BYTES, MOST_BYTES = 16 * 2**20, 64 * 2**20, 256 * 2**20
+# Spheres that come to touch may be so much larger later, by their parameters.
+GROWTH = 2.0
+# Room for the faces of a list on average. Where it runs out, cells have none.
+LISTED = 6
+# Faces about a point from which on there are too many to tell them apart.
+CROWD = 40
+# What the cells of a patch may take, its lists, and all that of all patches [bytes].
+CELL_BYTES, LIST_BYTES, MOST_BYTES = 96 * 2**20, 96 * 2**20, 512 * 2**20
 
 
 @dataclass(frozen=True)
@@ -31,15 +37,17 @@ class Grid:
         origin: Its lowest corner (3,).
         counts: Cells along the axes.
         size: Size of a cell.
-        lists: Room for lists of faces, which cells near the patch have.
-        reach: How far points on the outer side are that come to touch.
+        margin: From its border to the patch.
+        places: Room for the faces that its cells list.
+        reach: How far points on the outer side are that may come to touch.
         bytes: What it takes.
     """
 
     origin: NDArray[np.float64]
     counts: tuple[int, int, int]
     size: float
-    lists: int
+    margin: float
+    places: int
     reach: float
     bytes: int
 
@@ -49,97 +57,94 @@ class Grid:
         return int(np.prod(self.counts))
 
 
-def grids_about(made: "Patches", device: wp.Device, real: type) -> list[Grid | None]:
-    """Returns the grids about patches; ``None`` where there is none, as on a CPU, which waits for no search.
+def grids_about(made: "Patches", device: wp.Device, t: SimpleNamespace) -> list[Grid] | None:
+    """Returns the grids about all patches; ``None`` where not all have one, or nothing is gained.
 
-    The first have theirs where there is no room for all.
+    On a CPU a search waits for little. Points beside a surface of several sheets, and those that are swept, are
+    better remembered.
     """
-    grids: list[Grid | None] = [None] * len(made.patches)
-    if not device.is_cuda:
-        return grids
+    if not device.is_cuda or any(contact.swept for contact in made.of_contact):
+        return None
     reach = np.zeros(len(made.patches))
     for contact, first in made.of_contact.items():
         own = slice(first, first + len(contact.surface.meshes))
         reach[own] = np.maximum(reach[own], contact.radius.max() / contact.surface.scale.min())
-    left = MOST_BYTES
+    grids: list[Grid] = []
     for number, patch in enumerate(made.patches):
-        grid = grid_about(patch, float(reach[number]), real)
-        if grid is not None and (left := left - grid.bytes) >= 0:
-            grids[number] = grid
-    return grids
+        grid = grid_about(patch, float(reach[number]), t)
+        if grid is None or sum(one.bytes for one in grids) + grid.bytes > MOST_BYTES:
+            return None
+        grids.append(grid)
+    return grids or None
 
 
-def grid_about(patch: "Patch", reach: float, real: type) -> Grid | None:
+def grid_about(patch: "Patch", reach: float, t: SimpleNamespace) -> Grid | None:
     """Returns the grid about a patch; ``None`` where it would take too much, or help too little.
 
     Args:
         patch: The patch.
         reach: Radius of the largest sphere that touches it, in the unit of the mesh.
-        real: Type of a real number.
+        t: The structs of kernels.
     """
-    of_cell, of_list = _sizes(real)
+    if patch.sides.kind == SIDES_NOWHERE:
+        return None
     corner = patch.corner
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     low, high = corner.min(axis=(0, 1)), corner.max(axis=(0, 1))
+    of_cell = wp.types.type_size_in_bytes(t.Cell)
     size = FINEST * patch.edge
     while size <= COARSEST * patch.edge:
-        # Faces that come nearer to a point than the nearest and this lie in a disk about that.
-        about = size + patch.skin
-        crowd = np.pi * about * (2.0 * reach + about) / float(area.mean())
-        if crowd > IN_CELL:
+        # Faces that may be nearest before any other is held against them lie in a disk about the point.
+        crowd = np.pi * size * (2.0 * reach + size) / float(area.mean())
+        if crowd > CROWD:
             return None
         # Cells that have a list lie within this of the area, a third more about a bend or beside a rim.
-        height = reach + 2.0 * patch.skin + 3.0 * size
-        lists = int(1.35 * float(area.sum()) * height / size**3) + 1000
+        far = GROWTH * reach
+        height = far + 2.0 * patch.skin + 3.0 * size
+        places = LISTED * (int(1.35 * float(area.sum()) * height / size**3) + 1000)
         # Cells beyond those tell how far it is.
         for beyond in (AROUND, AROUND / 2.0, AROUND / 4.0, 1.0):
-            margin = reach + patch.skin + beyond * size
+            margin = far + patch.skin + beyond * size
             counts = np.ceil((high - low + 2.0 * margin) / size)
             cells = float(np.prod(counts))
-            if cells * of_cell <= CELL_BYTES and lists * of_list <= LIST_BYTES:
+            if cells * of_cell <= CELL_BYTES and places * 4 <= LIST_BYTES:
                 x, y, z = counts.astype(int).tolist()
-                lists = min(lists, int(cells))
-                return Grid(low - margin, (x, y, z), size, lists, reach, int(cells) * of_cell + lists * of_list)
+                places = min(places, LISTED * int(cells))
+                taken = int(cells) * of_cell + 4 * places
+                return Grid(low - margin, (x, y, z), size, margin, places, far, taken)
         size *= 1.1
     return None
 
 
-def _sizes(real: type) -> tuple[int, int]:
-    """Returns what a cell takes, and a list of faces [bytes]."""
-    own = wp.types.type_size_in_bytes(real)
-    return 4 + own, 4 * IN_CELL + own
-
-
-def declare_grids(grids: Sequence[Grid | None], model: Any, layout: Layout, t: SimpleNamespace) -> None:
+def declare_grids(
+    grids: Sequence[Grid] | None, patches: int, model: Any, layout: Layout, t: SimpleNamespace
+) -> None:
     """Declares the grids of the patches of ``model``, to be filled when they are made."""
-    there = [grid for grid in grids if grid is not None]
-    first_cell = np.cumsum([0] + [0 if grid is None else grid.cells for grid in grids]).tolist()
-    first_list = np.cumsum([0] + [0 if grid is None else grid.lists for grid in grids]).tolist()
-    none = Grid(np.zeros(3), (0, 0, 0), 1.0, 0, 0.0, 0)
-    rows = [grid or none for grid in grids]
+    rows = grids or [Grid(np.zeros(3), (0, 0, 0), 1.0, 0.0, 0, 0.0, 0)] * patches
+    first_cell = np.cumsum([0] + [grid.cells for grid in rows]).tolist()
+    first_place = np.cumsum([0] + [grid.places for grid in rows]).tolist()
     counts = [(*grid.counts, start if grid.cells else -1) for grid, start in zip(rows, first_cell, strict=False)]
     layout.content("surfaces", model, "patch_cells", np.array(counts).reshape(-1, 4), wp.vec4i)
     origins = np.array([grid.origin for grid in rows]).reshape(-1, 3)
     layout.content("surfaces", model, "patch_cells_origin", origins, t.vec3)
     layout.content("surfaces", model, "patch_cells_size", [grid.size for grid in rows], t.real)
-    cells, lists = first_cell[-1], first_list[-1]
+    # Rounding of the border, which is of single precision, takes none of it.
+    margins = [grid.margin * (1.0 - 1e-4) - 1e-6 * float(np.abs(grid.origin).max()) for grid in rows]
+    layout.content("surfaces", model, "patch_cells_margin", margins, t.real)
 
     def make(_: int) -> None:
         device = layout.device
-        model.cell_list = wp.empty(cells, dtype=wp.int32, device=device)
-        model.cell_free = wp.empty(cells, dtype=t.real, device=device)
-        model.list_reach = wp.empty(lists, dtype=t.real, device=device)
-        model.list_face = wp.empty((lists, IN_CELL), dtype=wp.int32, device=device)
-        if not there:
+        model.cells = wp.empty(first_cell[-1], dtype=t.Cell, device=device)
+        model.listed_face = wp.empty(first_place[-1], dtype=wp.int32, device=device)
+        if grids is None:
             return
-        # Warp parses functions as they are made: not for a CPU.
+        # Warp parses functions as they are made: only where there are any.
         from warpcontact.kernels import fill_cells
 
         used = wp.zeros(len(grids), dtype=wp.int32, device=device)
         for patch, grid in enumerate(grids):
-            if grid is not None:
-                own = used[patch : patch + 1]
-                inputs = [model, patch, grid.reach, first_list[patch], grid.lists, own]
-                wp.launch(fill_cells.kernel(t.real), grid.cells, inputs, device=device)
+            own = used[patch : patch + 1]
+            inputs = [model, patch, grid.reach, first_place[patch], grid.places, own]
+            wp.launch(fill_cells.kernel(t.real), grid.cells, inputs, device=device)
 
-    layout.other("surfaces", sum(grid.bytes for grid in there), make)
+    layout.other("surfaces", sum(grid.bytes for grid in rows), make)

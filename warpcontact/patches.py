@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout
-from warpcontact.cells import declare_grids, grids_about
+from warpcontact.cells import Grid, declare_grids
 from warpcontact.checks import Array
 from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_COUNT
 from warpcontact.meshes import Mesh
@@ -147,16 +147,16 @@ def make_patches(contacts: list[Contact]) -> Patches:
     return made
 
 
-def upload_patches(made: Patches, arrays: Any, layout: Layout, t: SimpleNamespace) -> list[wp.Mesh]:
-    """Declares the patches of ``arrays.model``, and says in ``arrays.celled`` whether any has cells.
+def upload_patches(
+    made: Patches, grids: list[Grid] | None, model: Any, layout: Layout, t: SimpleNamespace
+) -> list[wp.Mesh]:
+    """Declares the patches of ``model``, with cells if there are ``grids``.
 
     Returns:
         The meshes, a list that is filled when they are made: a kernel holds only their ids, so somebody has to
         keep them.
     """
-    patches, model = made.patches, arrays.model
-    grids = grids_about(made, layout.device, t.real)
-    arrays.celled = any(grid is not None for grid in grids)
+    patches = made.patches
     meshes: list[wp.Mesh] = []
 
     def make_meshes(_: int) -> None:
@@ -187,6 +187,8 @@ def upload_patches(made: Patches, arrays: Any, layout: Layout, t: SimpleNamespac
         # With its normal a face is in one place of the memory, which is what a search waits for.
         shapes = [np.concatenate([patch.corner, patch.normal[:, :1]], axis=1) for patch in patches]
         send("face_corner", np.concatenate(shapes), t.vec3)
+        flat = [_frames(patch) for patch in patches] if grids else [np.zeros((0, 4, 3))]
+        send("face_frame", np.concatenate(flat), t.vec3)
         send("face_normal", np.concatenate([patch.normal for patch in patches]), t.vec3)
         send("face_flags", np.concatenate([patch.flags for patch in patches]), wp.uint8)
         shifted = [
@@ -195,8 +197,19 @@ def upload_patches(made: Patches, arrays: Any, layout: Layout, t: SimpleNamespac
         ]
         send("face_neighbor", np.concatenate(shifted), wp.int32)
         # Last, as they are filled from all of this.
-        declare_grids(grids, model, layout, t)
+        declare_grids(grids, len(patches), model, layout, t)
     return meshes
+
+
+def _frames(patch: Patch) -> Array:
+    """Returns the axes of the faces in their planes, and where their corners are there: ``Model.face_frame``."""
+    a, b, c = patch.corner.swapaxes(0, 1)
+    squares = ((np.roll(patch.corner, -1, axis=1) - patch.corner) ** 2).sum(axis=2)
+    length = np.sqrt(squares[:, 0])
+    along = (b - a) / length[:, None]
+    across = np.cross(patch.normal[:, 0], along)
+    last = [np.einsum("nx,nx->n", c - a, axis) for axis in (along, across)]
+    return np.stack([along, across, np.stack([length, *last], axis=1), 1.0 / squares], axis=1)
 
 
 def _search_corners(name: str, patch: Patch, given: NDArray[np.integer[Any]]) -> NDArray[np.float32]:

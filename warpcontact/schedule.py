@@ -18,13 +18,14 @@ from warpcontact.kernels import (
     history,
     integrate,
     near,
+    near_cells,
     queues,
     sweep,
     travel,
     warps,
     wrenches,
 )
-from warpcontact.kernels.closest_point import CELLS, KNOWN, LISTED, RECALLED, SEARCH
+from warpcontact.kernels.closest_point import CELL, KNOWN, LISTED, RECALLED, SEARCH, TREE
 from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
@@ -35,8 +36,11 @@ if TYPE_CHECKING:
 # Most threads of a GPU that work off a queue, in whole warps, however long it is.
 LOOKING = 262144
 SEARCHING = 65536
-# Up to so many blocks one launch less is worth more than threads side by side that do the same.
+# Contacts that are few for a GPU, at most.
 FEW = 131072
+TOGETHER_IN_CELLS = 128
+# Blocks of contacts that who integrates a body adds up on a GPU, at most.
+MOST_ADDED_UP = 16
 # Threads of a block of these: with many registers each, small blocks fill a processor better.
 FEW_TOGETHER = 64
 
@@ -66,6 +70,22 @@ class Span:
     hard: "HardContacts | None" = None
     looked_at: Any = None
     slice: wp.array | None = None
+
+    @property
+    def sources(self) -> tuple[bool, bool]:
+        """What acts on bodies beside contacts: couplings or smooth contacts, and forces from outside."""
+        return bool(self.model.couplings or self.model.smooth), self.model.pushed
+
+    @property
+    def few(self) -> bool:
+        """Whether contacts are so few that a launch less is worth more than threads that do the same."""
+        return self.count * self.model.contact_count <= FEW
+
+    @property
+    def sums_by_body(self) -> bool:
+        """Whether who integrates a body may add up its blocks: nothing comes between, and they are few."""
+        few = self.model.device.is_cpu or self.model.blocks.most_of_a_body <= MOST_ADDED_UP
+        return few and not self.model.piles
 
     def prepare(
         self,
@@ -111,7 +131,9 @@ class StepLength:
     half_clock: wp.array
 
 
-def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
+def force_stages(
+    span: Span, state: Any, step: wp.array, status: wp.array, *, by_block: bool = False
+) -> list[wp.Launch]:
     """Returns the launches that compute contacts and wrenches of ``state``; they change nothing else.
 
     Args:
@@ -119,27 +141,30 @@ def force_stages(span: Span, state: Any, step: wp.array, status: wp.array) -> li
         state: Their state.
         step: What the forces act over [env, 0] [s]; zeros for the forces of the instant.
         status: Of the environments [env]; left out are those that are not active.
+        by_block: Whether what blocks of contacts do is left with them, to be added up by whoever comes next.
     """
     model = span.model
     a, real = model.arrays, model.types.real
+    ordered = span.ordered or by_block
     launches = [] if state is span.looked_at else near_stages(span, state, status)
     for couplings in model.couplings:
         launches += couplings.force_stages(span, state, status)
     for contacts in model.smooth:
         launches += contacts.force_stages(span, state, step, status)
-    sources = (bool(model.couplings or model.smooth), model.pushed)
-    if not span.ordered:
-        kernel = wrenches.clear(real, *sources)
-        launches += span.prepare(kernel, model.body_count, [status, a.model, a.ends, a.wrenches])
+    if not ordered:
+        kernel = wrenches.clear(real, *span.sources)
+        inputs = [status, a.cache.waiting, a.model, a.ends, a.wrenches]
+        launches += span.prepare(kernel, model.body_count, inputs)
     for group in model.groups:
         blocks = [(group.first_block, group.block_count)]
         for first_block, count in blocks if span.hard is None else span.hard.compliant_blocks(group):
             inputs = [status, a.model, state, a.history, group.memory, step, first_block]
-            inputs += [group.first, group.coefficients, a.contacts, group.kept, a.near, span.ordered, a.wrenches]
+            inputs += [group.first, group.coefficients, a.contacts, group.kept, a.near, ordered, a.wrenches]
             launches += span.prepare(group.kernel, count, inputs)
-    if span.ordered:
-        kernel = wrenches.add_up(real, *sources)
-        launches += span.prepare(kernel, model.body_count, [status, a.model, a.near, a.ends, a.wrenches])
+    if ordered and not by_block:
+        kernel = wrenches.add_up(real, *span.sources)
+        inputs = [status, a.cache.waiting, a.model, a.near, a.ends, a.wrenches]
+        launches += span.prepare(kernel, model.body_count, inputs)
     for pile in model.piles:
         launches += pile.force_stages(span, state, step, status)
     return launches
@@ -149,59 +174,66 @@ def near_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that look at what is near of points and meshes; arguments as in ``force_stages``."""
     model = span.model
     a, real = model.arrays, model.types.real
+    if span.cached and a.celled and (span.few or model.blocks.width == 1 or not span.queued):
+        return _cell_stages(span, state, status)
     launches = []
     if span.cached:
         launches += span.prepare(travel.kernel(real), model.blocks.set_count, [status, a.model, state, a.cache])
     if span.cached and span.queued:
-        return launches + queue_stages(span, state, status)
+        return launches + _queue_stages(span, state, status)
     inputs = [status, a.model, state, a.history, span.cached, a.cache, a.contacts, a.near]
     return launches + span.prepare(near.kernel(real, model.follows), model.blocks.count, inputs)
 
 
-def queue_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
+def _cell_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
+    """Returns the launches that look at all contacts in the cells of meshes, and search for the rest."""
+    model = span.model
+    a, real, follows, blocks = model.arrays, model.types.real, model.follows, model.blocks.count
+    inputs = [a.model, state, a.history, a.cache, a.contacts, a.near]
+    # On a CPU one thread looks at a whole block.
+    width = model.blocks.width if model.device.is_cuda else 0
+    whole = span.few or not span.queued
+    kernel = near_cells.kernel(real, follows, width, whole)
+    threads = _whole_warps(span.count * blocks * width)
+    launches = span.prepare(kernel, blocks, [status, *inputs], threads, TOGETHER_IN_CELLS)
+    if whole:
+        return launches
+    threads = min(SEARCHING, _whole_warps(span.count * blocks))
+    return launches + span.prepare(near_cells.rest(real, follows), blocks, inputs, threads, FEW_TOGETHER)
+
+
+def _queue_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
     """Returns the launches that look at what is near on a GPU, by what it takes."""
     model = span.model
     a, real, follows = model.arrays, model.types.real, model.follows
     blocks, contacts = model.blocks.count, model.contact_count
-
-    def some(items: int, most: int) -> int:
-        return min(most, -(-span.count * items // 32) * 32)
-
+    inputs = [a.model, state, a.history, a.cache, a.contacts, a.near]
     launches = span.prepare(queues.pick(real, follows), blocks, [contacts, status, a.model, a.cache])
     if contacts > blocks:
-        launches += span.prepare(
-            queues.probe(real, follows),
-            blocks,
-            [contacts, a.model, state, a.history, a.cache, a.contacts, a.near],
-            threads=some(blocks, SEARCHING),
-            together=FEW_TOGETHER,
-        )
-    parts = [KNOWN, LISTED] if span.count * blocks > FEW else [RECALLED]
-    parts += [CELLS, SEARCH] if a.celled else [SEARCH]
-    for part, next_part in zip(parts, [*parts[1:], SEARCH], strict=True):
-        each = warps.LANES if part == CELLS else 1
-        launches += span.prepare(
-            queues.work_off(real, follows, part, next_part),
-            contacts,
-            [a.model, state, a.history, a.cache, a.contacts, a.near],
-            threads=some(each * contacts, SEARCHING if part in (CELLS, SEARCH) else LOOKING),
-            together=FEW_TOGETHER,
-        )
+        kernel, threads = queues.probe(real, follows, a.celled), min(SEARCHING, _whole_warps(span.count * blocks))
+        launches += span.prepare(kernel, blocks, [contacts, *inputs], threads, FEW_TOGETHER)
+    parts = [CELL, TREE] if a.celled else [RECALLED, SEARCH] if span.few else [KNOWN, LISTED, SEARCH]
+    for part, next_part in zip(parts, [*parts[1:], parts[-1]], strict=True):
+        kernel = queues.work_off(real, follows, part, next_part)
+        most = SEARCHING if part in (SEARCH, TREE) else LOOKING
+        threads = min(most, _whole_warps(span.count * contacts))
+        launches += span.prepare(kernel, contacts, inputs, threads, FEW_TOGETHER)
     return launches + span.prepare(queues.gather(real), blocks, [status, a.model, a.cache, a.near])
+
+
+def _whole_warps(threads: int) -> int:
+    return -(-threads // warps.LANES) * warps.LANES
 
 
 def accept_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
     """Returns the launches that accept a proposed step in all active environments."""
     model = span.model
     a, real = model.arrays, model.types.real
-    launches = span.prepare(
-        integrate.finish(real), 1, [a.status, dt.clock, a.time, model.body_count, state_in, state_out]
-    )
-    launches += span.prepare(
-        history.kernel(real, model.follows),
-        model.blocks.count,
-        [a.status, a.time, dt.dynamic, a.model, a.contacts, a.near, a.history],
-    )
+    ends = model.blocks.count > 0 and not model.follows
+    states = [model.body_count, state_in, state_out]
+    launches = [] if ends else span.prepare(integrate.finish(real), 1, [a.status, dt.clock, a.time, *states])
+    inputs = [a.status, a.time, dt.dynamic, dt.clock, *states, a.model, a.contacts, a.near, a.history]
+    launches += span.prepare(history.kernel(real, model.follows, ends), model.blocks.count, inputs)
     for group in model.groups:
         if group.coupling_count:
             launches += span.prepare(

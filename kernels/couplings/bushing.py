@@ -11,7 +11,8 @@ from warpcontact.kernels.types import (
     COUPLING_DISABLED,
     ENV_ACTIVE,
     Work,
-    first_env,
+    env_of,
+    item_of,
     structs,
     task_count,
 )
@@ -77,8 +78,8 @@ def kernel(real: type) -> wp.Kernel:
         ends: Ends,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            bushing = task % work.items
+            env = env_of(work, task)
+            bushing = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             end_1 = 2 * (first + bushing)

@@ -23,7 +23,8 @@ from warpcontact.kernels.types import (
     LINE_SUNK,
     LINE_TAUT,
     Work,
-    first_env,
+    env_of,
+    item_of,
     structs,
     task_count,
 )
@@ -171,8 +172,8 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
         ends: Ends,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            line = task % work.items
+            env = env_of(work, task)
+            line = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             end_a = 2 * (first + line)
@@ -299,8 +300,8 @@ def remember(real: type) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def remember_lines(work: Work, status: wp.array(dtype=wp.int32), found: Held, held: Held, lines: Lines):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            line = task % work.items
+            env = env_of(work, task)
+            line = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             if lines.status[env, line] == LINE_FAILED:

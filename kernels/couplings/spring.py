@@ -20,7 +20,8 @@ from warpcontact.kernels.types import (
     COUPLING_SLACK,
     ENV_ACTIVE,
     Work,
-    first_env,
+    env_of,
+    item_of,
     structs,
     task_count,
 )
@@ -176,8 +177,8 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
         ends: Ends,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            spring = task % work.items
+            env = env_of(work, task)
+            spring = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             end_1 = 2 * (first + spring)
@@ -241,8 +242,8 @@ def remember(real: type) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def remember_springs(work: Work, status: wp.array(dtype=wp.int32), springs: Springs):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            spring = task % work.items
+            env = env_of(work, task)
+            spring = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             if springs.status[env, spring] == COUPLING_BROKEN:

@@ -14,7 +14,7 @@ from warpcontact.kernels import frames
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.base import Motion
-from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, Work, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, Work, env_of, item_of, structs, task_count
 
 # Differences in time from which a velocity and an acceleration are computed [s]: short against what moves bodies
 # that one can see, long against the rounding of float64.
@@ -121,8 +121,8 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
         state_out: State,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            item = task % work.items
+            env = env_of(work, task)
+            item = item_of(work, task)
             body = members[item]
             if status[env] != ENV_ACTIVE:
                 continue
@@ -204,8 +204,8 @@ def change_step(motion: type[Motion], real: type) -> wp.Kernel:
         state: State,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            item = task % work.items
+            env = env_of(work, task)
+            item = item_of(work, task)
             body = members[item]
             if status[env] != ENV_ACTIVE:
                 continue

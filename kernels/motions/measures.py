@@ -13,7 +13,8 @@ from warpcontact.kernels.types import (
     PLANAR,
     SLIDER,
     Work,
-    first_env,
+    env_of,
+    item_of,
     structs,
     task_count,
 )
@@ -89,8 +90,8 @@ def coordinates(real: type) -> wp.Kernel:
         work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Coordinates
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             motion = model.body_motion[env, body]

@@ -24,7 +24,8 @@ from warpcontact.kernels.types import (
     SLIDER,
     TRANSLATION,
     Work,
-    first_env,
+    env_of,
+    item_of,
     structs,
     task_count,
 )
@@ -57,8 +58,8 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
         state_out: State,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = members[task % work.items]
+            env = env_of(work, task)
+            body = members[item_of(work, task)]
             if status[env] != ENV_ACTIVE:
                 continue
             motion = model.body_motion[env, body]
@@ -139,8 +140,8 @@ def change_step(real: type) -> wp.Kernel:
         state: State,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = members[task % work.items]
+            env = env_of(work, task)
+            body = members[item_of(work, task)]
             if status[env] != ENV_ACTIVE:
                 continue
             earlier = wp.float64(0.5) * wp.float64(change[env, 0])

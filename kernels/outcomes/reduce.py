@@ -4,7 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.outcomes.source import Form, array_types, values
-from warpcontact.kernels.types import ENV_ACTIVE, ENV_FROZEN, Work, first_env, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, ENV_FROZEN, Work, env_of, first_env, item_of, task_count
 
 
 @wp.struct
@@ -77,8 +77,8 @@ def observe(update: wp.Function, length: int, forms: tuple[Form, ...], single: b
             env = first_env(work) + task
             number = wp.int32(0)
             if wp.static(not single):
-                env = first_env(work) + task // work.items
-                number = task % work.items
+                env = env_of(work, task)
+                number = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             x = seen(sight, a, b, c, d, env, number)
@@ -112,8 +112,8 @@ def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[F
         results: wp.array2d(dtype=wp.float64),  # [env, result]
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            number = task % work.items
+            env = env_of(work, task)
+            number = item_of(work, task)
             x = seen(sight, a, b, c, d, env, number)
             m = memory[env, number]
             if status[env] != ENV_FROZEN or wp.isfinite(x):

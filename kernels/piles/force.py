@@ -12,7 +12,7 @@ from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.piles import meeting
 from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, pile_structs
 from warpcontact.kernels.touch import Parts, group_structs, touch_structs
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, env_of, item_of, structs, task_count
 
 
 @functools.cache
@@ -189,8 +189,8 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
         wrenches: Wrenches,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            shape = task % work.items
+            env = env_of(work, task)
+            shape = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             if wp.static(not fixed):  # noqa: SIM102  Warp would look at both sides
@@ -338,8 +338,8 @@ def add(real: type, alone: bool) -> wp.Kernel:
         wrenches: Wrenches,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            carrier = task % work.items
+            env = env_of(work, task)
+            carrier = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             total = Sum()

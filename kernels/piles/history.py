@@ -5,7 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.piles.base import TOUCHED, TOUCHES, pile_structs
 from warpcontact.kernels.touch import Parts, group_structs
-from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, task_count
 
 
 @functools.cache
@@ -47,8 +47,8 @@ def advance(parts: Parts, real: type, hard: bool = False) -> wp.Kernel:
         memory: Memory,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            shape = task % work.items
+            env = env_of(work, task)
+            shape = item_of(work, task)
             if status[env] != ENV_ACTIVE or touches.busy[env, shape] == 0:
                 continue
             start = shapes.slot_start[shape]

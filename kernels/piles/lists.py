@@ -18,7 +18,7 @@ from warpcontact.kernels.piles import meeting
 from warpcontact.kernels.piles.base import NONE, TOUCHED, Form, owns, pile_structs
 from warpcontact.kernels.piles.history import copy_memory
 from warpcontact.kernels.touch import Parts, group_structs
-from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, structs, task_count
 from warpcontact.kernels.unilateral.records import record_structs
 
 # Of half the skin, what a shape may move before lists are stale: the rest is for rounding.
@@ -50,8 +50,8 @@ def check(form: Form, real: type) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def check_pile(work: Work, status: wp.array(dtype=wp.int32), state: State, shapes: Shapes, grid: Grid):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            shape = task % work.items
+            env = env_of(work, task)
+            shape = item_of(work, task)
             if status[env] != ENV_ACTIVE or grid.stale[env] != 0:
                 continue
             if grid.known[env] == 0:
@@ -79,9 +79,9 @@ def clear(real: type) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def clear_buckets(work: Work, status: wp.array(dtype=wp.int32), grid: Grid):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
+            env = env_of(work, task)
             if status[env] == ENV_ACTIVE and grid.stale[env] != 0:
-                grid.head[env, task % work.items] = NONE
+                grid.head[env, item_of(work, task)] = NONE
 
     return clear_buckets
 
@@ -106,8 +106,8 @@ def fill(form: Form, real: type) -> wp.Kernel:
         work: Work, status: wp.array(dtype=wp.int32), buckets: wp.int32, state: State, shapes: Shapes, grid: Grid
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            shape = task % work.items
+            env = env_of(work, task)
+            shape = item_of(work, task)
             if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
                 continue
             now = spot(shapes, state, env, shape)
@@ -179,8 +179,8 @@ def gather(form: Form, real: type) -> wp.Kernel:
         grid: Grid,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            shape = task % work.items
+            env = env_of(work, task)
+            shape = item_of(work, task)
             if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
                 continue
             own = spot(shapes, state, env, shape)
@@ -253,8 +253,8 @@ def carry(parts: Parts, real: type) -> wp.Kernel:
         memory: Memory,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            shape = task % work.items
+            env = env_of(work, task)
+            shape = item_of(work, task)
             if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
                 continue
             start = shapes.entry_start[shape]
@@ -332,8 +332,8 @@ def carry_impulses(real: type) -> wp.Kernel:
         memory: Memories,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            shape = task % work.items
+            env = env_of(work, task)
+            shape = item_of(work, task)
             if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
                 continue
             start = shapes.entry_start[shape]
@@ -394,8 +394,8 @@ def join(real: type) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def join_lists(work: Work, status: wp.array(dtype=wp.int32), shapes: Shapes, lists: Lists, grid: Grid):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            shape = task % work.items
+            env = env_of(work, task)
+            shape = item_of(work, task)
             if status[env] != ENV_ACTIVE or grid.stale[env] == 0:
                 continue
             start = shapes.entry_start[shape]

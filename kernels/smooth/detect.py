@@ -23,7 +23,8 @@ from warpcontact.kernels.types import (
     UNSOLVED,
     WRONG_SIDE,
     Work,
-    first_env,
+    env_of,
+    item_of,
     structs,
     task_count,
 )
@@ -224,8 +225,8 @@ def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, o
         smooth: Smooth,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            contact = first + task % work.items
+            env = env_of(work, task)
+            contact = first + item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             own = settings[env, contact]

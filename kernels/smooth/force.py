@@ -9,7 +9,7 @@ import warp as wp
 from warpcontact.kernels import touch
 from warpcontact.kernels.smooth.records import Members, Settings, contact_structs
 from warpcontact.kernels.touch import Parts, group_structs, touch_structs
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, INLINED, Work, env_of, item_of, structs, task_count
 
 
 def looks_at_curvature(parts: Parts) -> bool:
@@ -49,8 +49,8 @@ def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
         ends: Ends,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            contact = first + task % work.items
+            env = env_of(work, task)
+            contact = first + item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             end = first_end + 2 * contact

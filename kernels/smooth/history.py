@@ -7,7 +7,7 @@ from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.smooth.base import Seed
 from warpcontact.kernels.smooth.records import Seeds, contact_structs
-from warpcontact.kernels.types import CONTACT, DISABLED, ENV_ACTIVE, UNSOLVED, Work, first_env, task_count
+from warpcontact.kernels.types import CONTACT, DISABLED, ENV_ACTIVE, UNSOLVED, Work, env_of, item_of, task_count
 
 
 @functools.cache
@@ -18,8 +18,8 @@ def remember(real: type) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def remember_contacts(work: Work, status: wp.array(dtype=wp.int32), found: Seeds, held: Seeds, smooth: Smooth):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            contact = task % work.items
+            env = env_of(work, task)
+            contact = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             touching = smooth.status[env, contact]
@@ -47,8 +47,8 @@ def advance(formula: type[Formula], real: type) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def advance_memory(work: Work, status: wp.array(dtype=wp.int32), kept: Array, memory: Array):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            contact = task % work.items
+            env = env_of(work, task)
+            contact = item_of(work, task)
             if status[env] == ENV_ACTIVE:
                 memory[env, contact] = kept[env, contact]
 

@@ -13,7 +13,9 @@ from warpcontact.kernels.types import (
     MODE_SLIP,
     MODE_STICK,
     Work,
+    env_of,
     first_env,
+    item_of,
     structs,
     task_count,
 )
@@ -163,8 +165,8 @@ def read(real: type, Contacts: Any) -> wp.Kernel:
         shown: Shown,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            item = items[task % work.items]
+            env = env_of(work, task)
+            item = items[item_of(work, task)]
             if status[env] != ENV_ACTIVE:
                 continue
             contact = first + item

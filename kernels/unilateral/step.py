@@ -30,7 +30,8 @@ from warpcontact.kernels.types import (
     SLIDER,
     TRANSLATION,
     Work,
-    first_env,
+    env_of,
+    item_of,
     structs,
     task_count,
 )
@@ -66,8 +67,8 @@ def middle(real: type, moves: bool) -> wp.Kernel:
         restraint: Restraint,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             if body == 0:
@@ -227,8 +228,8 @@ def free(real: type, moves: bool) -> wp.Kernel:
         moving: Moving,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             dt = step[env, 0]
@@ -334,8 +335,8 @@ def advance(real: type, moves: bool) -> wp.Kernel:
         state_out: State,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task // work.items
-            body = task % work.items
+            env = env_of(work, task)
+            body = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
             dt = step[env, 0]

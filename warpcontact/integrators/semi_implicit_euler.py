@@ -43,9 +43,11 @@ class SemiImplicitEuler(Integrator):
         """Returns the launches of forces, of free bodies and of others, and those that look for crossings."""
         model = span.model
         a, real = model.arrays, model.types.real
-        launches = force_stages(span, state_in, dt.dynamic, a.status)
-        inputs = [a.status, dt.dynamic, a.model, a.guard, state_in, a.wrenches, state_out]
-        launches += span.prepare(integrate.semi_implicit_euler(real, model.moves), model.body_count, inputs)
+        by_block = span.sums_by_body
+        launches = force_stages(span, state_in, dt.dynamic, a.status, by_block=by_block)
+        kernel = integrate.semi_implicit_euler(real, model.moves, span.sources if by_block else None)
+        inputs = [a.status, dt.dynamic, a.model, a.guard, state_in, a.cache.waiting, a.near, a.ends, a.wrenches]
+        launches += span.prepare(kernel, model.body_count, [*inputs, state_out])
         if model.moves:
             inputs = [a.status, dt.dynamic, a.model, a.guard, a.constrained, state_in, a.wrenches, state_out]
             launches += span.prepare(step.semi_implicit_euler(real), model.constrained_count, inputs)
