@@ -59,9 +59,10 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
     buffers = Buffers(model, sim.integrator, sim.dt)
     buffers.allocate(envs)
     own, other = model.arrays.state, buffers.other
+    ends = sim.integrator.may_end(span)
     ways = [
-        sim.integrator.step_stages(span, sim.times.whole, *states, None)
-        + accept_stages(span, sim.times.whole, *states)
+        sim.integrator.step_stages(span, sim.times.whole, *states, None, ends=ends)
+        + accept_stages(span, sim.times.whole, *states, ended=ends)
         for states in ((own, other), (other, own))
     ]
     names: list[str] = []

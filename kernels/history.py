@@ -7,25 +7,72 @@ not enter anew.
 import functools
 
 import warp as wp
+from warpcontact.kernels import finish
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.integrate import end_of_step
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
+
+
+@functools.cache
+def advance(real: type, follows: bool) -> wp.Function:
+    """Returns the device function that takes the contacts of a block that are near into ``history``.
+
+    ``follows``: whether any contact stays with the face that it touched, or crossed; it asks for the time then.
+    """
+    t = structs(real)
+    Model, Contacts, Near, History = t.Model, t.Contacts, t.Near, t.History
+
+    @wp.func
+    def advance(
+        time: wp.array(dtype=wp.float64),
+        step: wp.array2d(dtype=real),
+        model: Model,
+        contacts: Contacts,
+        near: Near,
+        history: History,
+        env: int,
+        block: int,
+    ):
+        start = natural(model.block_start[block])
+        count = near.count[env, block]
+        if wp.static(follows):
+            count += near.crossed[env, block]
+        for place in range(start, start + count):
+            contact = natural(near.contact[env, place])
+            history.armed[env, contact] = contacts.armed[env, contact]
+            touching = contacts.status[env, contact] == CONTACT
+            near.news[env, contact] = wp.where(touching, 1, 0)
+            if touching:
+                # Not below 0, which says "not touching".
+                speed = wp.max(contacts.approach_speed[env, contact], real(0.0))
+                history.entry_speed[env, contact] = wp.max(history.entry_speed[env, contact], speed)
+            else:
+                history.entry_speed[env, contact] = real(-1.0)
+            if wp.static(follows):
+                face = wp.where(touching, contacts.face[env, contact], -1)
+                crossed = contacts.crossed_face[env, contact]
+                if crossed >= 0:
+                    face = crossed
+                    if history.crossings[env, contact] == 0:
+                        left = (real(1.0) - contacts.crossed_at[env, contact]) * step[env, 0]
+                        history.crossing_time[env, contact] = real(time[env] - wp.float64(left))
+                    history.crossings[env, contact] = history.crossings[env, contact] + 1
+                history.face[env, contact] = face
+
+    return advance
 
 
 @functools.cache
 def kernel(real: type, follows: bool, ends: bool = False) -> wp.Kernel:
     """Returns the kernel that takes contacts that are near into ``history``; items: blocks.
 
-    Args:
-        real: Type of a real number.
-        follows: Whether any contact stays with the face that it touched, or crossed: it asks for the time then.
-        ends: Whether the first block of an environment ends its step before, as ``integrate.finish`` does.
+    With ``ends`` the first block of an environment ends its step before, as ``finish.kernel`` does; not with
+    ``follows``, which asks for the time.
     """
     assert not (follows and ends)
     t = structs(real)
     Model, State, Contacts, Near, History = t.Model, t.State, t.Contacts, t.Near, t.History
-    end = end_of_step(real)
+    end, take = finish.end_of_step(real), advance(real, follows)
 
     @wp.kernel(module="unique", enable_backward=False)
     def advance_history(
@@ -50,33 +97,8 @@ def kernel(real: type, follows: bool, ends: bool = False) -> wp.Kernel:
                 # What it does to the status makes none active, whoever looks at it meanwhile.
                 if block == 0:
                     end(status, clock_step, time, bodies, state_in, state_out, env, before)
-            if before != ENV_ACTIVE:
-                continue
-            start = natural(model.block_start[block])
-            count = near.count[env, block]
-            if wp.static(follows):
-                count += near.crossed[env, block]
-            for place in range(start, start + count):
-                contact = natural(near.contact[env, place])
-                history.armed[env, contact] = contacts.armed[env, contact]
-                touching = contacts.status[env, contact] == CONTACT
-                near.news[env, contact] = wp.where(touching, 1, 0)
-                if touching:
-                    # Not below 0, which says "not touching".
-                    speed = wp.max(contacts.approach_speed[env, contact], real(0.0))
-                    history.entry_speed[env, contact] = wp.max(history.entry_speed[env, contact], speed)
-                else:
-                    history.entry_speed[env, contact] = real(-1.0)
-                if wp.static(follows):
-                    face = wp.where(touching, contacts.face[env, contact], -1)
-                    crossed = contacts.crossed_face[env, contact]
-                    if crossed >= 0:
-                        face = crossed
-                        if history.crossings[env, contact] == 0:
-                            left = (real(1.0) - contacts.crossed_at[env, contact]) * step[env, 0]
-                            history.crossing_time[env, contact] = real(time[env] - wp.float64(left))
-                        history.crossings[env, contact] = history.crossings[env, contact] + 1
-                    history.face[env, contact] = face
+            if before == ENV_ACTIVE:
+                take(time, step, model, contacts, near, history, env, block)
 
     return advance_history
 

@@ -3,20 +3,17 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels import frames, quarantine
+from warpcontact.kernels import finish, frames, history, quarantine
 from warpcontact.kernels import wrenches as of_wrenches
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     ENV_FAILED,
-    ENV_FROZEN,
-    ENV_HALTED,
-    ENV_STOPPED,
     FREE,
     NO_CAUSE,
     Work,
     env_of,
-    first_env,
     item_of,
+    natural,
     structs,
     task_count,
 )
@@ -36,11 +33,14 @@ def _spin(real: type) -> wp.Function:
 
 
 @functools.cache
-def semi_implicit_euler(real: type, moves: bool = False, sources: tuple[bool, bool] | None = None) -> wp.Kernel:
+def semi_implicit_euler(
+    real: type, moves: bool = False, sources: tuple[bool, bool] | None = None, accepts: bool = False
+) -> wp.Kernel:
     """Returns the semi-implicit Euler kernel; items: bodies.
 
     With ``moves``, bodies that are not free are left to ``motions``. With ``sources``, the options of
-    ``wrenches.functions``, it adds the wrenches up before.
+    ``wrenches.functions``, it adds the wrenches up before. With ``accepts``, for environments of one body, it
+    ends their step, and takes their contacts into the history.
 
     Velocities first, from the wrenches at ``state_in``; positions with the new velocities. Rotation advances the
     angular momentum L, which carries the gyroscopic term without an approximation, and turns the body by the
@@ -50,6 +50,8 @@ def semi_implicit_euler(real: type, moves: bool = False, sources: tuple[bool, bo
     t = structs(real)
     vec3, Model, State, Near, Ends, Wrenches = t.vec3, t.Model, t.State, t.Near, t.Ends, t.Wrenches
     sums = sources is not None
+    History, Contacts = t.History, t.Contacts
+    end, advance = finish.end_of_step(real), history.advance(real, False)
     total = of_wrenches.functions(real, *(sources or (False, False))).total
     empty = of_wrenches.empty
     rotated = frames.functions(real).rotated
@@ -69,6 +71,11 @@ def semi_implicit_euler(real: type, moves: bool = False, sources: tuple[bool, bo
         near: Near,
         ends: Ends,
         wrenches: Wrenches,
+        clock_step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]; this and what follows if it accepts
+        time: wp.array(dtype=wp.float64),  # [env] [s]
+        blocks: wp.int32,
+        contacts: Contacts,
+        history_of: History,
         state_out: State,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
@@ -133,6 +140,12 @@ def semi_implicit_euler(real: type, moves: bool = False, sources: tuple[bool, bo
                 if cause != NO_CAUSE:
                     status[env] = ENV_FAILED
                     guard.cause[env] = cause
+            if wp.static(accepts):
+                found = status[env]
+                end(status, clock_step, time, 1, state_in, state_out, env, found)
+                if found == ENV_ACTIVE:
+                    for block in range(blocks):
+                        advance(time, step, model, contacts, near, history_of, env, natural(block))
 
     return semi_implicit_euler
 
@@ -178,60 +191,6 @@ def change_step(real: type, moves: bool = False) -> wp.Kernel:
             state.body_angular_velocity[env, body] = state.body_angular_velocity[env, body] - earlier * turning
 
     return change_step
-
-
-@functools.cache
-def end_of_step(real: type) -> wp.Function:
-    """Returns the device function that ends a step of an environment, with what it was of before.
-
-    Clocks go on; failed and halted environments stay where they were: both state buffers then hold their last
-    accepted state, so a frozen or stopped one needs no further work.
-    """
-    State = structs(real).State
-    copy_body = frames.functions(real).copy_body
-
-    @wp.func
-    def end_of_step(
-        status: wp.array(dtype=wp.int32),
-        step: wp.array2d(dtype=wp.float64),
-        time: wp.array(dtype=wp.float64),
-        bodies: int,
-        state_in: State,
-        state_out: State,
-        env: int,
-        before: int,
-    ):
-        if before == ENV_ACTIVE:
-            time[env] = time[env] + step[env, 0]
-        if before == ENV_FAILED or before == ENV_HALTED:  # noqa: SIM109
-            for body in range(bodies):
-                copy_body(state_in, state_out, env, body)
-            status[env] = wp.where(before == ENV_FAILED, ENV_FROZEN, ENV_STOPPED)
-
-    return end_of_step
-
-
-@functools.cache
-def finish(real: type) -> wp.Kernel:
-    """Returns the kernel that ends a step in all environments."""
-    State = structs(real).State
-    end = end_of_step(real)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def finish_step(
-        work: Work,
-        status: wp.array(dtype=wp.int32),
-        step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
-        time: wp.array(dtype=wp.float64),  # [env] [s]
-        bodies: wp.int32,
-        state_in: State,
-        state_out: State,
-    ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = first_env(work) + task
-            end(status, step, time, bodies, state_in, state_out, env, status[env])
-
-    return finish_step
 
 
 @functools.cache

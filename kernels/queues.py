@@ -162,6 +162,10 @@ def work_off(real: type, follows: bool, part: str, next_part: str) -> wp.Kernel:
             else:
                 cache.wake[env, contact] = wake_of(cache.set_travel[env, number], free)
                 near.news[env, contact] = news(contacts, history, env, contact, before)
+                if wp.static(part in (CELL, TREE)):
+                    # Of what is near a look in the middle of its block tells nothing.
+                    size = view.scale * model.patch_cells_size[view.patch]
+                    cache.faces[env, contact] = wp.where(free < size, 1, 0)
 
     return look_at_contacts
 

@@ -119,7 +119,7 @@ def test_a_model_of_free_bodies_runs_the_same_kernels_and_has_nothing_of_motions
     assert constrained.semi_implicit_euler.cache_info().currsize == made
     span, state = Span(model, 1, cached=True, ordered=True), model.arrays.state
     kernels = [launch.kernel for launch in one.integrator.step_stages(span, one.times.whole, state, state, None)]
-    assert integrate.semi_implicit_euler(model.types.real, model.moves) in kernels
+    assert integrate.semi_implicit_euler(model.types.real, False, span.sources, False) in kernels
 
 
 def test_a_free_body_moves_to_the_bit_as_it_does_beside_one_on_a_hinge(device):

@@ -15,6 +15,7 @@ import warp as wp
 
 from warpcontact.kernels import (
     contact_coupling,
+    finish,
     history,
     integrate,
     near,
@@ -86,6 +87,14 @@ class Span:
         """Whether who integrates a body may add up its blocks: nothing comes between, and they are few."""
         few = self.model.device.is_cpu or self.model.blocks.most_of_a_body <= MOST_ADDED_UP
         return few and not self.model.piles
+
+    @property
+    def ends_by_body(self) -> bool:
+        """Whether who integrates a body may end the step of its environment: it has no other, and few contacts."""
+        model = self.model
+        few = model.device.is_cpu or model.blocks.count == 1
+        alone = model.body_count == 1 and not (model.moves or model.drives or model.follows)
+        return few and alone and model.blocks.count > 0 and self.sums_by_body
 
     def prepare(
         self,
@@ -225,15 +234,23 @@ def _whole_warps(threads: int) -> int:
     return -(-threads // warps.LANES) * warps.LANES
 
 
-def accept_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
-    """Returns the launches that accept a proposed step in all active environments."""
+def accept_stages(
+    span: Span, dt: StepLength, state_in: Any, state_out: Any, *, ended: bool = False
+) -> list[wp.Launch]:
+    """Returns the launches that accept a proposed step in all active environments.
+
+    ``ended``: whether clocks and the history of contacts have gone on already.
+    """
     model = span.model
     a, real = model.arrays, model.types.real
-    ends = model.blocks.count > 0 and not model.follows
-    states = [model.body_count, state_in, state_out]
-    launches = [] if ends else span.prepare(integrate.finish(real), 1, [a.status, dt.clock, a.time, *states])
-    inputs = [a.status, a.time, dt.dynamic, dt.clock, *states, a.model, a.contacts, a.near, a.history]
-    launches += span.prepare(history.kernel(real, model.follows, ends), model.blocks.count, inputs)
+    launches = []
+    if not ended:
+        at_once = model.blocks.count > 0 and not model.follows
+        states = [model.body_count, state_in, state_out]
+        inputs = [a.status, dt.clock, a.time, *states]
+        launches += [] if at_once else span.prepare(finish.kernel(real), 1, inputs)
+        inputs = [a.status, a.time, dt.dynamic, dt.clock, *states, a.model, a.contacts, a.near, a.history]
+        launches += span.prepare(history.kernel(real, model.follows, at_once), model.blocks.count, inputs)
     for group in model.groups:
         if group.coupling_count:
             launches += span.prepare(

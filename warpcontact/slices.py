@@ -247,10 +247,11 @@ class Stepper:
         self, span: Span, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
     ) -> list[wp.Launch]:
         """Returns the launches of a step that is accepted, and watched."""
-        launches = self._integrator.step_stages(span, dt, state_in, state_out, mark)
+        ends = self._observer is None and self._integrator.may_end(span)
+        launches = self._integrator.step_stages(span, dt, state_in, state_out, mark, ends=ends)
         if self._observer is not None:
             launches += self._observer.stages(span, dt, state_in)
-        return launches + accept_stages(span, dt, state_in, state_out)
+        return launches + accept_stages(span, dt, state_in, state_out, ended=ends)
 
     def launches(self) -> list[list[wp.Launch]]:
         """Returns everything that is prepared."""

@@ -40,11 +40,24 @@ class Integrator(ABC):
         """Declares what it takes beside the model; ``None``: contacts act by their forces alone."""
         return None
 
+    def may_end(self, span: Span) -> bool:
+        """Whether ``step_stages`` can end steps of these environments, where nobody has to see them before."""
+        return False
+
     @abstractmethod
     def step_stages(
-        self, span: Span, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
+        self,
+        span: Span,
+        dt: StepLength,
+        state_in: Any,
+        state_out: Any,
+        mark: wp.array | None,
+        *,
+        ends: bool = False,
     ) -> list[wp.Launch]:
         """Returns the launches that propose a step from ``state_in`` to ``state_out``.
+
+        With ``ends`` it is accepted at once, as far as clocks and the history of contacts go.
 
         ``mark`` [0] is set, and the status of the environment changed, where a swept point crosses a surface;
         with ``None`` such a step is taken as it is.

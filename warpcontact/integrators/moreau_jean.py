@@ -145,7 +145,14 @@ class MoreauJean(Integrator):
         return HardContacts(model, self.compliant, scratch, tolerance, recovery, layout)
 
     def step_stages(
-        self, span: Span, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
+        self,
+        span: Span,
+        dt: StepLength,
+        state_in: Any,
+        state_out: Any,
+        mark: wp.array | None,
+        *,
+        ends: bool = False,
     ) -> list[wp.Launch]:
         """Returns the launches: half a step, forces and contacts there, the contact problem, the whole step."""
         model, hard = span.model, span.hard

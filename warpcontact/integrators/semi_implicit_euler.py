@@ -37,17 +37,29 @@ class SemiImplicitEuler(Integrator):
                         "integrator MoreauJean"
                     )
 
+    def may_end(self, span: Span) -> bool:
+        """Of one body alone."""
+        return span.ends_by_body
+
     def step_stages(
-        self, span: Span, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
+        self,
+        span: Span,
+        dt: StepLength,
+        state_in: Any,
+        state_out: Any,
+        mark: wp.array | None,
+        *,
+        ends: bool = False,
     ) -> list[wp.Launch]:
         """Returns the launches of forces, of free bodies and of others, and those that look for crossings."""
         model = span.model
         a, real = model.arrays, model.types.real
         by_block = span.sums_by_body
         launches = force_stages(span, state_in, dt.dynamic, a.status, by_block=by_block)
-        kernel = integrate.semi_implicit_euler(real, model.moves, span.sources if by_block else None)
+        kernel = integrate.semi_implicit_euler(real, model.moves, span.sources if by_block else None, ends)
         inputs = [a.status, dt.dynamic, a.model, a.guard, state_in, a.cache.waiting, a.near, a.ends, a.wrenches]
-        launches += span.prepare(kernel, model.body_count, [*inputs, state_out])
+        inputs += [dt.clock, a.time, model.blocks.count, a.contacts, a.history, state_out]
+        launches += span.prepare(kernel, model.body_count, inputs)
         if model.moves:
             inputs = [a.status, dt.dynamic, a.model, a.guard, a.constrained, state_in, a.wrenches, state_out]
             launches += span.prepare(step.semi_implicit_euler(real), model.constrained_count, inputs)
