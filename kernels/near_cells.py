@@ -59,7 +59,7 @@ def kernel(real: type, follows: bool, width: int, whole: bool) -> wp.Kernel:
     view_of, probe, gather = of_block.view_of, of_block.probe, of_block.gather
     look, left_of, news, to_be_armed = of_block.look, of_block.left_of, of_block.news, of_block.to_be_armed
     View, leave = of_block.View, of_block.leave
-    registers = REGISTERS if width and real is wp.float32 else None
+    registers = REGISTERS if width and not whole and real is wp.float32 else None
 
     @wp.func
     def is_free(model: Model, history: History, env: int, block: int, contact: int, around: real):

@@ -37,13 +37,12 @@ if TYPE_CHECKING:
 # Most threads of a GPU that work off a queue, in whole warps, however long it is.
 LOOKING = 262144
 SEARCHING = 65536
-# Contacts that are few for a GPU, at most.
+# Contacts, or threads, that are few for a GPU, at most.
 FEW = 131072
-TOGETHER_IN_CELLS = 128
 # Blocks of contacts that who integrates a body adds up on a GPU, at most.
 MOST_ADDED_UP = 16
-# Threads of a block of these: with many registers each, small blocks fill a processor better.
-FEW_TOGETHER = 64
+# Threads of a block: of kernels with many registers each, small blocks fill a processor better.
+FEW_TOGETHER, TOGETHER_IN_CELLS, MANY_TOGETHER = 64, 128, 256
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,8 @@ class Span:
     def ends_by_body(self) -> bool:
         """Whether who integrates a body may end the step of its environment: it has no other, and few contacts."""
         model = self.model
-        few = model.device.is_cpu or model.blocks.count == 1
+        # Of many environments of a GPU two launches, with fewer registers each, take less.
+        few = model.device.is_cpu or (model.blocks.count == 1 and self.few)
         alone = model.body_count == 1 and not (model.moves or model.drives or model.follows)
         return few and alone and model.blocks.count > 0 and self.sums_by_body
 
@@ -102,7 +102,7 @@ class Span:
         items: int,
         inputs: list[Any],
         threads: int | None = None,
-        together: int = 256,
+        together: int | None = None,
     ) -> list[wp.Launch]:
         """Returns the launch for some items per environment, recorded once; none if there is no work.
 
@@ -111,7 +111,8 @@ class Span:
             items: Items per environment.
             inputs: Its inputs after the work.
             threads: How many, on a GPU; one for each item if not given.
-            together: How many of them share the registers of a GPU block.
+            together: How many of them share the registers of a GPU block; so many that few are spread over all
+                processors if not given.
         """
         if items == 0:
             return []
@@ -121,6 +122,7 @@ class Span:
         work.threads = (threads or self.count * items) if device.is_cuda else 1
         if self.slice is not None:
             work.slice = self.slice
+        together = together or (FEW_TOGETHER if work.threads <= FEW else MANY_TOGETHER)
         inputs = [work, *inputs]
         return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=together)]
 
@@ -203,8 +205,8 @@ def _cell_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
     width = model.blocks.width if model.device.is_cuda else 0
     whole = span.few or not span.queued
     kernel = near_cells.kernel(real, follows, width, whole)
-    threads = _whole_warps(span.count * blocks * width)
-    launches = span.prepare(kernel, blocks, [status, *inputs], threads, TOGETHER_IN_CELLS)
+    threads, together = _whole_warps(span.count * blocks * width), warps.LANES if whole else TOGETHER_IN_CELLS
+    launches = span.prepare(kernel, blocks, [status, *inputs], threads, together)
     if whole:
         return launches
     threads = min(SEARCHING, _whole_warps(span.count * blocks))
