@@ -7,6 +7,7 @@ the precision of the simulation.
 """
 
 import functools
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -46,8 +47,8 @@ POINT_ROUNDING = 4.0
 # Parts of a look.
 WHOLE, KNOWN, LISTED, RECALLED, SEARCH = "whole", "known", "listed", "recalled", "search"
 CELL, EITHER, TREE = "cell", "either", "tree"
-# Result of one that is left to the next part.
-LATER = -2.0
+# Result of one that is left to the next part: no distance.
+LATER = -math.inf
 # Contacts that stay with the part of the surface that they touched.
 FOLLOWS = LATCHED | SWEPT
 

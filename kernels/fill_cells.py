@@ -34,8 +34,9 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     vec3, Model = t.vec3, t.Model
-    of_face, nearest_of_all = feet.functions(real), search.functions(real, REMEMBERED_IN_QUEUES).nearest_of_all
-    foot_on, inner = of_face.foot_on, of_face.inner
+    of_search = search.functions(real, REMEMBERED_IN_QUEUES)
+    nearest_of_all, faces_about = of_search.nearest_of_all, of_search.faces_about
+    foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
     room_on_side = sides_of(real)
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
     Rows = wp.types.vector(length=CANDIDATES, dtype=wp.int32)
@@ -120,11 +121,7 @@ def kernel(real: type) -> wp.Kernel:
         rivals = Rivals(-1)
         distances = Distances(real(wp.inf))
         count = wp.int32(0)
-        found = wp.mesh_query_sphere(
-            model.patch_mesh[patch],
-            c_32,
-            wp.float32(largest + radius + unsure + model.patch_thin[patch]),
-        )
+        found = faces_about(model, patch, c, largest + radius + unsure)
         face = wp.int32(0)
         while wp.mesh_query_next(found, face):
             foot = foot_on(model, start + face, c)

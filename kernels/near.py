@@ -13,7 +13,7 @@ import warp as wp
 from warpcontact.kernels import cells
 from warpcontact.kernels import closest_point as closest
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels.closest_point import CELL, EITHER, ROUNDING, WHOLE
+from warpcontact.kernels.closest_point import CELL, EITHER, FOLLOWS, ROUNDING, WHOLE
 from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import (
     CONTACT,
@@ -89,6 +89,20 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         return False
 
     @wp.func
+    def may_be_left(model: Model, history: History, env: int, contact: int):
+        """Whether a contact is of no concern if it is far away on the outer side, as its surroundings are.
+
+        One that stays with the face that it touched is on the inner side of that, wherever it is; another may have
+        to be armed.
+        """
+        if wp.static(follows):
+            if (model.contact_options[contact] & FOLLOWS) != 0 and history.face[env, contact] >= 0:
+                return False
+            if to_be_armed(model, history, env, contact):
+                return False
+        return model.contact_geometry[env, contact].enabled != 0
+
+    @wp.func
     def free_around(
         model: Model,
         history: History,
@@ -105,9 +119,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         """
         if not (around > real(0.0)) or cache.faces[env, contact] != 0:
             return real(-1.0)
-        if model.contact_geometry[env, contact].enabled == 0:
-            return real(-1.0)
-        if to_be_armed(model, history, env, contact):
+        if not may_be_left(model, history, env, contact):
             return real(-1.0)
         free = left_of(model, env, block, contact, around)
         if not (free > real(FEW) * around):
@@ -169,7 +181,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         look=contact_of.look,
         leave=leave,
         left_of=left_of,
-        to_be_armed=to_be_armed,
+        may_be_left=may_be_left,
         probe=probe,
         free_around=free_around,
         wake_of=wake_of,

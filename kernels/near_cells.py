@@ -57,16 +57,14 @@ def kernel(real: type, follows: bool, width: int, whole: bool) -> wp.Kernel:
     Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
     of_block = _functions(real, follows, EITHER if whole else CELL)
     view_of, probe, gather = of_block.view_of, of_block.probe, of_block.gather
-    look, left_of, news, to_be_armed = of_block.look, of_block.left_of, of_block.news, of_block.to_be_armed
+    look, left_of, news, may_be_left = of_block.look, of_block.left_of, of_block.news, of_block.may_be_left
     View, leave = of_block.View, of_block.leave
     registers = REGISTERS if width and not whole and real is wp.float32 else None
 
     @wp.func
     def is_free(model: Model, history: History, env: int, block: int, contact: int, around: real):
         """Whether the middle of its block shows that a contact is far away on the outer side."""
-        if not (around > real(0.0)) or model.contact_geometry[env, contact].enabled == 0:
-            return False
-        if to_be_armed(model, history, env, contact):
+        if not (around > real(0.0)) or not may_be_left(model, history, env, contact):
             return False
         return left_of(model, env, block, contact, around) > real(0.0)
 
@@ -92,10 +90,12 @@ def kernel(real: type, follows: bool, width: int, whole: bool) -> wp.Kernel:
                 return result
             leave(contacts, env, contact)
             result = news(contacts, history, env, contact, before)
-        elif look(model, view, history, contacts, True, cache, env, contact) == real(LATER):
-            result = wp.static(TO_SEARCH)
         else:
+            free = look(model, view, history, contacts, True, cache, env, contact)
             result = news(contacts, history, env, contact, before)
+            if wp.static(not whole):  # noqa: SIM102  Warp would evaluate both sides
+                if free == real(LATER):
+                    result = wp.static(TO_SEARCH)
         near.news[env, contact] = result
         return result
 
@@ -193,7 +193,7 @@ def rest(real: type, follows: bool) -> wp.Kernel:
         contacts: Contacts,
         near: Near,
     ):
-        for i in range(wp.tid(), cache.waiting[0], work.threads):
+        for i in range(warps.spread(wp.tid(), work.threads), cache.waiting[0], work.threads):
             task = cache.waiting_block[i]
             env = env_of(work, task)
             block = item_of(work, task)

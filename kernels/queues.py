@@ -2,13 +2,16 @@
 
 Contacts that may touch are put into a queue; what is sure to be nearest is looked at there, and what needs more is
 handed on: to the remembered faces, then to a search, each with a queue of its own. Blocks of which nothing is
-known are probed before. In the end each block gathers which of its contacts the rest of the step has to do with.
+known are probed before. About meshes with cells, where no faces are remembered, contacts look into their cell, and
+what no cell tells of is searched for. In the end each block gathers which of its contacts the rest of the step has
+to do with.
 """
 
 import functools
 
 import warp as wp
 from warpcontact.kernels import near as nearness
+from warpcontact.kernels import warps
 from warpcontact.kernels.closest_point import CELL, KNOWN, LATER, LISTED, RECALLED, SEARCH, TREE
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, env_of, first_env, item_of, structs, task_count
 
@@ -30,13 +33,6 @@ def _put(real: type) -> wp.Function:
         cache.waiting_contact[queue, wp.atomic_add(cache.waiting, queue, 1)] = task
 
     return put
-
-
-@wp.func
-def spread(thread: int, threads: int):
-    """Numbers threads anew, so that the first are in different warps: searches go different ways."""
-    number = (threads + 31) // 32
-    return (thread % 32) * number + thread // 32
 
 
 @functools.cache
@@ -99,7 +95,7 @@ def probe(real: type, follows: bool, celled: bool) -> wp.Kernel:
         contacts: Contacts,
         near: Near,
     ):
-        for i in range(spread(wp.tid(), work.threads), cache.waiting[0], work.threads):
+        for i in range(warps.spread(wp.tid(), work.threads), cache.waiting[0], work.threads):
             task = cache.waiting_block[i]
             member = task // work.items
             env = first_env(work) + member
@@ -148,7 +144,7 @@ def work_off(real: type, follows: bool, part: str, next_part: str) -> wp.Kernel:
     ):
         thread = wp.tid()
         if wp.static(part in (SEARCH, TREE)):
-            thread = spread(thread, work.threads)
+            thread = warps.spread(thread, work.threads)
         for i in range(thread, cache.waiting[queue], work.threads):
             task = cache.waiting_contact[queue, i]
             env = env_of(work, task)

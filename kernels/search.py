@@ -271,8 +271,7 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
 
     return SimpleNamespace(
         Recalled=Recalled,
-        remember=remember,
-        list_faces=list_faces,
+        faces_about=faces_about,
         recall=recall,
         recall_nothing=recall_nothing,
         recall_sure=recall_sure,

@@ -359,7 +359,7 @@ def structs(real: type) -> SimpleNamespace:
         wake: wp.array2d(dtype=real)  # [env, contact] likewise [m]
         # On a GPU: what is still to be done, by kind, so that threads side by side do the same
         waiting: wp.array(dtype=wp.int32)  # [kind] how many
-        waiting_block: wp.array(dtype=wp.int32)  # numbers of the tasks to probe
+        waiting_block: wp.array(dtype=wp.int32)  # numbers of the blocks to probe, or in cells to search for
         waiting_contact: wp.array2d(dtype=wp.int32)  # [kind, …] and of those to look at
         # The nearest face, as long as the point is within ``sure`` of ``sure_place``; in units of the mesh
         sure: wp.array2d(dtype=real)  # [env, contact]
@@ -369,7 +369,8 @@ def structs(real: type) -> SimpleNamespace:
         # Faces nearest to a point, from where it was when they were looked for; in units of the mesh
         place: wp.array2d(dtype=vec3)  # [env, contact] S
         beyond: wp.array2d(dtype=real)  # [env, contact] all other faces are farther from there
-        faces: wp.array2d(dtype=wp.int32)  # [env, contact] how many are remembered
+        # [env, contact] how many are remembered; in cells, where none are: 1 if the point was near the surface
+        faces: wp.array2d(dtype=wp.int32)
         face: wp.array2d(dtype=wp.int32)  # [env, contact × remembered] their rows, the nearest first
         distance: wp.array2d(dtype=real)  # [env, contact × remembered] from there
         direction: wp.array2d(dtype=vec3)  # [env, contact × remembered] its slope there, unit or zero, S

@@ -1,4 +1,4 @@
-"""What the threads of a warp of a GPU tell each other; all of them have to come by."""
+"""Warps of a GPU: what their threads tell each other, where all of them have to come by, and who is in which."""
 
 import warp as wp
 
@@ -28,3 +28,10 @@ def count_of(lanes: int) -> int:
 def some(lanes: int, first: int, count: int) -> int:
     """Those among ``count`` threads from ``first`` on, as bits from 0 on."""
     ...
+
+
+@wp.func
+def spread(thread: int, threads: int):
+    """Numbers threads anew, so that the first are in different warps: searches go different ways."""
+    number = (threads + 31) // 32
+    return (thread % 32) * number + thread // 32

@@ -281,6 +281,55 @@ def test_the_plan_counts_them(precision, device):
     assert taken < planned < taken + without + 1_000_000
 
 
+def told(scene, steps, *, change=lambda model: None, **options):
+    """Status and number of contacts of a block after each 20 steps, with a change in the middle."""
+    model = scene.build(device="cpu")
+    sim = wc.Simulation(model, dt=1e-3, **options)
+    seen = []
+    for done in range(20, steps + 1, 20):
+        sim.step(20)
+        arrays = model.arrays
+        seen.append((arrays.contacts.status.numpy().tolist(), arrays.near.count.numpy().tolist()))
+        if done == steps // 2:
+            change(model)
+    return seen
+
+
+def falling_points(places, mesh, height, **options):
+    scene = wc.Scene()
+    body = scene.add_body(1.0, (1e9, 1e9, 1e9), position=(0, 0, height), linear_velocity=(0, 0, -1))
+    soft = wc.Template(law=wc.laws.Hooke(stiffness=5.0))
+    scene.add_contact(scene.add_points(body, places), scene.add_surface(mesh), soft, name="touch", **options)
+    return scene
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("forget", [False, True], ids=["", "and what is known is forgotten"])
+def test_points_that_were_pushed_through_a_plate_are_not_left_behind_it(forget, monkeypatch):
+    """The middle of their block is far away on the outer side there."""
+
+    def change(model):
+        if forget:
+            model["touch.law.stiffness"] = 5.0
+
+    corners = [(x, y, 0.0) for x in (-4e-3, 4e-3) for y in (-4e-3, 4e-3)]
+    scene = falling_points(corners, wc.meshes.box((1, 1, 0.02)), 0.03, entry="latched")
+    in_cells = told(scene, 160, change=change)
+    assert in_cells[-1] == ([[wc.Status.CONTACT] * 4], [[4]])
+    monkeypatch.undo()
+    assert told(scene, 160, change=change) == in_cells
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("beside", [1.5, 2.0, 2.1])
+def test_points_beside_a_rim_hold_up_no_others(beside):
+    """However far away they are: one is 2 m beside."""
+    plane = wc.Mesh([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
+    scene = falling_points([(0, 0, 0), (1.0 + beside, 0, 0.5)], plane, 0.05)
+    seen = told(scene, 100)
+    assert seen[-1] == ([[wc.Status.CONTACT, wc.Status.OPEN]], [[1]])
+
+
 def block_with_a_gap(gap, cells=10, half=0.25, height=0.0137):
     """A unit cube with a flat hollow of two sheets, and a rim between them."""
     block = wc.meshes.box((1, 1, 1))

@@ -144,3 +144,18 @@ def test_nobody_writes_any_more_when_a_shard_is_left(made, monkeypatch):
         staging.write("series", series(values), 0)
         raise KeyboardInterrupt
     assert len(ended) == 8
+
+
+def test_an_error_beside_another_is_told_with_it(made, monkeypatch):
+    folder, values = made
+
+    def full(piece):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(store, "_put", full)
+    other = KeyboardInterrupt()
+    with contextlib.suppress(KeyboardInterrupt), store.Ledger(folder).staging(store.Shard(0, 0, 32)) as staging:
+        staging.write("series", series(values), 0)
+        raise other
+    (note,) = other.__notes__
+    assert "No space left" in note

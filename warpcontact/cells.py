@@ -10,6 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout
+from warpcontact.kernels.cells import LISTED as LISTED_AS
 from warpcontact.kernels.types import SIDES_NOWHERE
 
 if TYPE_CHECKING:
@@ -72,9 +73,13 @@ def grids_about(made: "Patches", device: wp.Device, t: SimpleNamespace) -> list[
     grids: list[Grid] = []
     for number, patch in enumerate(made.patches):
         grid = grid_about(patch, float(reach[number]), t)
-        if grid is None or sum(one.bytes for one in grids) + grid.bytes > MOST_BYTES:
+        if grid is None:
             return None
         grids.append(grid)
+        # A list is told by a number.
+        places = sum(one.places for one in grids)
+        if sum(one.bytes for one in grids) > MOST_BYTES or places * LISTED_AS >= 2**31:
+            return None
     return grids or None
 
 

@@ -182,7 +182,10 @@ def force_stages(
 
 
 def near_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
-    """Returns the launches that look at what is near of points and meshes; arguments as in ``force_stages``."""
+    """Returns the launches that look at what is near of points and meshes; arguments as in ``force_stages``.
+
+    What adds up wrenches has to follow: it empties the queues.
+    """
     model = span.model
     a, real = model.arrays, model.types.real
     if span.cached and a.celled and (span.few or model.blocks.width == 1 or not span.queued):

@@ -423,7 +423,9 @@ class Simulation:
         start = self.time
         with bar_of_run as bar:
             before = 0
-            for done in self.advance(recorder, steps, stride, start=start, alone=True):
+            # Who gave a bar may look at the model when it moves.
+            alone = not isinstance(progress, tqdm)
+            for done in self.advance(recorder, steps, stride, start=start, alone=alone):
                 bar.update(done - before)
                 before = done
         for sentence in (*remarks.about_frozen(), *remarks.new()):

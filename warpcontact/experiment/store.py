@@ -311,8 +311,11 @@ class Staging:
     def __enter__(self) -> "Staging":
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._beside.shutdown()
+        failed = None if self._begun is None else self._begun.exception()
+        if error is not None and failed is not None:
+            error.add_note(f"what was to be written meanwhile could not be: {failed}")
 
     def write(self, group: str, data: "xr.Dataset", first_frame: int = 0) -> None:
         """Begins to write the values of a data set of the shard, once all is written that was begun before.
