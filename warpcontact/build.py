@@ -127,14 +127,10 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         history=layout.struct("contacts", t.History, each, records=records),
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
-        cache=_cache(t, layout, blocks.set_count, blocks.count, starts[-1], records, celled=grids is not None),
+        cache=_cache(t, layout, blocks, records, remembers=grids is None),
         guard=add_guard(scene, layout, parameters, t.real),
-        status=None,
-        time=None,
-        instant=None,
-        constrained=None,
-        active=None,
         celled=grids is not None,
+        **dict.fromkeys(("status", "time", "instant", "constrained", "active")),  # allocated with the model
         **dict.fromkeys(MEASURES),  # allocated by the first reading that needs them
     )
     layout.array("state", arrays, "status", wp.int32, per_env())
@@ -189,13 +185,11 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     )
 
 
-def _cache(
-    t: SimpleNamespace, layout: Layout, sets: int, blocks: int, contacts: int, records: bool, *, celled: bool
-) -> Any:
-    shapes = {name: per_env(sets) for name in t.Cache.vars if name.startswith("set_")}
-    queued = layout.device.is_cuda
-    remembered = 0 if celled else types.REMEMBERED_IN_QUEUES if queued else types.REMEMBERED
-    faces = per_env(contacts * remembered)
+def _cache(t: SimpleNamespace, layout: Layout, made: Blocks, records: bool, *, remembers: bool) -> Any:
+    blocks, contacts, queued = made.count, len(made.contact), layout.device.is_cuda
+    shapes = {name: per_env(made.set_count) for name in t.Cache.vars if name.startswith("set_")}
+    remembered = types.REMEMBERED_IN_QUEUES if queued else types.REMEMBERED
+    faces = per_env(contacts * remembered if remembers else 0)
     return layout.struct(
         "cache",
         t.Cache,

@@ -1,6 +1,11 @@
 """How many steps are taken at a time, so that somebody gets to look at progress and at Ctrl-C."""
 
+import contextlib
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 # What is taken at a time is to take so long [s], or up to twice or half that.
 SECONDS = 0.1
@@ -27,3 +32,19 @@ class Pace:
             self.steps *= 2
         elif seconds > 2.0 * SECONDS and self.steps > self._least:
             self.steps //= 2
+
+
+def bar_of(progress: Any, steps: int, what: str) -> "contextlib.AbstractContextManager[tqdm]":
+    """Returns the bar that ``steps`` steps move on: that of ``tqdm`` that is given, to stay open, or its own.
+
+    Args:
+        progress: Whether to show one, on runs of over a second; ``None``: in a terminal. Or the bar.
+        steps: How many steps come.
+        what: What is stepped.
+    """
+    from tqdm import tqdm
+
+    if isinstance(progress, tqdm):
+        return contextlib.nullcontext(progress)
+    disable = None if progress is None else not progress
+    return tqdm(total=steps, unit="step", desc=what, delay=1.0, disable=disable)

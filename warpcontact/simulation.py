@@ -1,6 +1,5 @@
 """Time stepping: takes a model forward and records what is asked for."""
 
-import contextlib
 import os
 import time
 import warnings
@@ -24,7 +23,7 @@ from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.looks import in_parts, known_needs
 from warpcontact.model import Model, State
 from warpcontact.outcomes.watch import Events, Stop, Watch
-from warpcontact.pace import Pace
+from warpcontact.pace import Pace, bar_of
 from warpcontact.parameters import rounded
 from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.remarks import Remarks
@@ -396,8 +395,6 @@ class Simulation:
             KeyError: If there is no such reading.
             MemoryError: If the recording takes more memory than there is, before anything runs.
         """
-        from tqdm import tqdm
-
         steps, stride = recorded_steps(duration, every, self.dt)
         if isinstance(record, str):
             raise TypeError(f"record must be a list of readings, got the string {record!r}")
@@ -409,22 +406,11 @@ class Simulation:
         )
         recorder.start(self.needs_of_frames(recorder.needs))
         remarks = Remarks(self.model)
-        bar_of_run = (
-            contextlib.nullcontext(progress)
-            if isinstance(progress, tqdm)
-            else tqdm(
-                total=steps,
-                unit="step",
-                desc=environments(self.model.envs),
-                delay=1.0,
-                disable=None if progress is None else not progress,
-            )
-        )
         start = self.time
-        with bar_of_run as bar:
+        with bar_of(progress, steps, environments(self.model.envs)) as bar:
             before = 0
             # Who gave a bar may look at the model when it moves.
-            alone = not isinstance(progress, tqdm)
+            alone = bar is not progress
             for done in self.advance(recorder, steps, stride, start=start, alone=alone):
                 bar.update(done - before)
                 before = done
