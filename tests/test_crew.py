@@ -26,7 +26,7 @@ class Stepper:
     def go_to(self, own):
         pass
 
-    def capture(self, count):
+    def capture(self, count, begin):
         pass
 
     def step(self, count, begin):

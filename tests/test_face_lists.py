@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 import warp as wp
-from warpcontact.kernels import cell_search, cells, search
 from warpcontact.kernels import foot as feet
+from warpcontact.kernels import search
 from warpcontact.kernels.types import REMEMBERED_IN_QUEUES, structs
-from warpcontact.kernels.warps import LANES
 
 import warpcontact as wc
 
@@ -14,10 +13,7 @@ POINTS = 2000
 
 
 def listed(real, how, points, device):
-    """Returns (number, reach, rows of faces, row of the nearest) of the list of each point over a terrain.
-
-    The last is −1 where a warp finds that the cell does not tell.
-    """
+    """Returns (number, reach, rows of faces, row of the nearest) of the list of each point over a terrain."""
     t = structs(real)
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
     of_search = search.functions(real, REMEMBERED_IN_QUEUES)
@@ -36,37 +32,19 @@ def listed(real, how, points, device):
         foot = to_list(model, 0, p, first, real(1e-6), cache, 0, contact)
         best[contact] = foot.row
 
-    threads = 1
-    if how == "by a warp":
-        threads = LANES
-        in_cell = cell_search.functions(real, REMEMBERED_IN_QUEUES).nearest_in_cell
-        list_at = cells.functions(real).list_at
-
-        @wp.kernel(module="unique", enable_backward=False)
-        def list_all(
-            model: model_type, cache: cache_type, places: wp.array(dtype=vec3), best: wp.array(dtype=wp.int32)
-        ):
-            contact = wp.tid() // LANES
-            p = places[contact]
-            row = list_at(model, 0, p)
-            best[contact] = -1
-            if row >= 0:
-                found = in_cell(model, 0, row, p, real(1e-6), real(0.1) + model.patch_skin[0], cache, 0, contact)
-                if found.known and found.foot.distance < real(0.1) + model.patch_skin[0]:
-                    best[contact] = found.foot.row
-
     scene = wc.Scene()
     ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (40, 40), 0.2, 2.5))
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
     law = wc.laws.Hooke(stiffness=1e4)
-    scene.add_contact(scene.add_points(body, points), ground, wc.Template(law=law), radius=0.1)
+    # Faces near swept points are remembered on a GPU, too.
+    scene.add_contact(scene.add_points(body, points), ground, wc.Template(law=law), radius=0.1, swept=True)
     precision = "float32" if real is wp.float32 else "float64"
     # Its meshes live as long as the model.
     model = scene.build(device=device, precision=precision)
     arrays = model.parts[0].arrays
     places = wp.array(points, dtype=vec3, device=device)
     best = wp.zeros(len(points), dtype=wp.int32, device=device)
-    wp.launch(list_all, threads * len(points), [arrays.model, arrays.cache, places, best], device=device)
+    wp.launch(list_all, len(points), [arrays.model, arrays.cache, places, best], device=device)
     cache = arrays.cache
     count, reach = cache.faces.numpy()[0], cache.beyond.numpy()[0]
     rows = []
@@ -90,20 +68,3 @@ def test_lists_in_registers_are_those_in_memory(real, device):
     np.testing.assert_array_equal(aside[1], in_memory[1])
     assert aside[2] == in_memory[2]
     np.testing.assert_array_equal(aside[3], in_memory[3])
-
-
-@pytest.mark.parametrize("real", [wp.float32, wp.float64])
-def test_lists_of_a_warp_are_those_of_threads(real, device):
-    if device == "cpu":
-        pytest.skip("a CPU has no warps")
-    points = np.random.default_rng(6).uniform([-1.9, -1.9, -0.1], [1.9, 1.9, 0.6], (POINTS, 3))
-    alone, together = (listed(real, how, points, device) for how in ("aside", "by a warp"))
-    told = np.flatnonzero(together[3] >= 0)
-    assert len(told) > 0.1 * POINTS
-    np.testing.assert_array_equal(together[3][told], alone[3][told])
-    # Where a list of a cell reaches less far, it ends that of the point.
-    assert (together[1][told] <= alone[1][told]).all()
-    same = told[together[1][told] == alone[1][told]]
-    assert len(same) > 0.8 * len(told)
-    np.testing.assert_array_equal(together[0][same], alone[0][same])
-    assert [together[2][number] for number in same] == [alone[2][number] for number in same]
