@@ -141,8 +141,11 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
 
     def footprint(envs: int) -> Footprint:
         block = block_of(size, envs, frames)
+        held = total(recording(part, own, block) for part, own in draft.shares(envs))
         writing = min(WRITTEN_AT_ONCE * CHUNK, 3 * size.on_host(envs, block) // 4)
         drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames) // 4) if frames else 0
+        # Frames are let go of before what was written of them is drawn.
+        drawing -= sum(need.size for need in held.needs if need.purpose == "recording" and need.place == HOST)
         stepping = {
             "integrator": settings.integrator.make(),
             "crossing_steps": settings.crossing_steps,
@@ -150,7 +153,7 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
         }
         return draft.memory(envs, design.names, **stepping, **watching(settings)).with_needs(
             [
-                *total(recording(part, own, block) for part, own in draft.shares(envs)).needs,
+                *held.needs,
                 Need("values", HOST, envs * design.row_bytes, design.row_bytes),
                 Need("writing", HOST, max(writing, drawing) + LEFT_BY_WRITERS),
             ]

@@ -15,8 +15,9 @@ record names. The bytes of all chunks follow from the experiment alone.
 Chunks of series are written, and brought to the disk, while steps go on; a commit waits for them.
 """
 
+import contextlib
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -89,6 +90,24 @@ def shards_of(envs: int, size: int) -> list[Shard]:
     return [Shard(k, first, min(first + size, envs)) for k, first in enumerate(range(0, envs, size))]
 
 
+@contextlib.contextmanager
+def _few_threads() -> Iterator[None]:
+    """Lets Zarr make no more threads than write at once, if it makes them now and nobody chose their number.
+
+    They stay, and so does the memory that each of them freed, with the allocator: with as many as Zarr makes by
+    itself that is more than what is written.
+    """
+    import zarr
+
+    key = "threading.max_workers"
+    if zarr.config.get(key, None) is not None:
+        yield
+        return
+    with zarr.config.set({key: min(available_threads(), WRITERS)}):
+        yield
+
+
+@_few_threads()
 def create(
     path: Path,
     templates: Mapping[str, "xr.Dataset"],
@@ -380,7 +399,8 @@ class Staging:
             target = self._root / path
             target.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(self._store / path / "zarr.json", target / "zarr.json")
-            self._arrays[path] = zarr.open_array(target, mode="r+", zarr_format=3)
+            with _few_threads():
+                self._arrays[path] = zarr.open_array(target, mode="r+", zarr_format=3)
         return self._arrays[path]
 
     def clear(self) -> None:
