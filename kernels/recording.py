@@ -3,7 +3,10 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.types import Work, first_env, task_count
+from warpcontact.kernels.types import Work, first_env, natural, task_count
+
+# Of an array that is known by its address alone: there are no more.
+LARGEST = 2**31 - 1
 
 
 @wp.struct
@@ -28,27 +31,31 @@ def take() -> wp.Kernel:
     """Returns the kernel that takes a frame of all readings, and counts it; items: one. For the CPU."""
 
     @wp.func
-    def copy(row: Row, frame: wp.uint64, env: wp.uint64):
-        size = wp.uint64(4) * wp.uint64(row.words)
-        first = row.source + env * row.of_env
-        target = frame + env * wp.uint64(row.items) * size
-        for item in range(row.items):
-            source = wp.array(ptr=first + wp.uint64(item) * row.of_item, shape=(row.words,), dtype=wp.uint32)
-            result = wp.array(ptr=target + wp.uint64(item) * size, shape=(row.words,), dtype=wp.uint32)
-            for word in range(row.words):
-                result[word] = source[word]
+    def copy(row: Row, source: wp.uint64, target: wp.uint64, envs: int):
+        read = wp.array(ptr=source, shape=(wp.static(LARGEST),), dtype=wp.uint32)
+        written = wp.array(ptr=target, shape=(wp.static(LARGEST),), dtype=wp.uint32)
+        of_env = wp.int32(row.of_env / wp.uint64(4))
+        of_item = wp.int32(row.of_item / wp.uint64(4))
+        place = wp.int32(0)
+        for env in range(envs):
+            for item in range(row.items):
+                first = env * of_env + item * of_item
+                for word in range(row.words):
+                    written[natural(place)] = read[natural(first + word)]
+                    place += 1
 
     @wp.func
-    def add_up(row: Row, frame: wp.uint64, env: wp.uint64):
-        first = row.source + env * row.of_env
-        target = frame + env * wp.uint64(8) * wp.uint64(row.words)
-        result = wp.array(ptr=target, shape=(row.words,), dtype=wp.float64)
-        for word in range(row.words):
-            total = wp.float64(0.0)
-            for item in range(row.items):
-                source = wp.array(ptr=first + wp.uint64(item) * row.of_item, shape=(row.words,), dtype=wp.float64)
-                total += source[word]
-            result[word] = total
+    def add_up(row: Row, source: wp.uint64, target: wp.uint64, envs: int):
+        read = wp.array(ptr=source, shape=(wp.static(LARGEST),), dtype=wp.float64)
+        written = wp.array(ptr=target, shape=(wp.static(LARGEST),), dtype=wp.float64)
+        of_env = wp.int32(row.of_env / wp.uint64(8))
+        of_item = wp.int32(row.of_item / wp.uint64(8))
+        for env in range(envs):
+            for word in range(row.words):
+                total = wp.float64(0.0)
+                for item in range(row.items):
+                    total += read[natural(env * of_env + item * of_item + word)]
+                written[natural(env * row.words + word)] = total
 
     @wp.kernel(module="unique", enable_backward=False)
     def take_frame(
@@ -56,15 +63,15 @@ def take() -> wp.Kernel:
         place: wp.array(dtype=wp.int32),  # number of the frame, and of rows
         rows: wp.array(dtype=Row),
     ):
+        first = wp.uint64(first_env(work))
         for number in range(place[1]):
             row = rows[number]
+            source = row.source + first * row.of_env
             frame = row.result + wp.uint64(place[0]) * row.of_frame
-            for task in range(wp.tid(), task_count(work), work.threads):
-                env = wp.uint64(first_env(work) + task)
-                if row.total != 0:
-                    add_up(row, frame, env)
-                else:
-                    copy(row, frame, env)
+            if row.total != 0:
+                add_up(row, source, frame + first * wp.uint64(8) * wp.uint64(row.words), task_count(work))
+            else:
+                copy(row, source, frame + first * wp.uint64(4) * wp.uint64(row.items * row.words), task_count(work))
         place[0] = place[0] + 1
 
     return take_frame
