@@ -85,7 +85,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     cell_at, nearest_listed = cells.functions(real).cell_at, cells.functions(real).nearest_listed
     room_on_side = sides_of(real)
     frame = frames.functions(real)
-    apart, turned = frame.apart, frame.turned
+    apart, turned, matrix = frame.apart, frame.turned, frame.matrix
     orientation_to_world, rotation_to_world = frame.orientation_to_world, frame.rotation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
     point_epsilon = wp.constant(real(t.epsilon * POINT_ROUNDING))
@@ -142,7 +142,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         o_W = turned(state, env, carrier, model.surface_position[env, surface])
         view.apart_W = apart(model, state, env, point, surface) - o_W
         q_BS = model.surface_orientation[env, surface]
-        view.R_WS = wp.quat_to_matrix(orientation_to_world(state, env, carrier, q_BS))
+        view.R_WS = matrix(orientation_to_world(state, env, carrier, q_BS))
         view.scale = model.surface_scale[env, surface]
         view.per_scale = real(1.0) / view.scale
         view.patch = natural(base + model.surface_mesh[env, surface])

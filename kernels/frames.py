@@ -1,6 +1,7 @@
 """Poses and velocities of what is fixed to a body or to the world, rotation vectors, and vectors in float64."""
 
 import functools
+import math
 from types import SimpleNamespace
 
 import warp as wp
@@ -12,7 +13,41 @@ def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
-    one, two = wp.constant(real(1.0)), wp.constant(real(2.0))
+    one, two, half = wp.constant(real(1.0)), wp.constant(real(2.0)), wp.constant(real(0.5))
+    # Of (sin √x)/√x and cos √x, to the fourth power of x.
+    s_1, s_2, s_3, s_4 = (wp.constant(real((-1) ** k / math.factorial(2 * k + 1))) for k in range(1, 5))
+    c_1, c_2, c_3, c_4 = (wp.constant(real((-1) ** k / math.factorial(2 * k))) for k in range(1, 5))
+    # Of a quaternion this near to unit length what Newton's step leaves, 3/8 of the square, is no rounding.
+    nearly = wp.constant(real(t.epsilon**0.5 / 4.0))
+
+    @wp.func
+    def matrix(q: quat):
+        """The rotation by a unit quaternion; that of Warp rotates three vectors, with their zeros."""
+        x = two * q[0]
+        y = two * q[1]
+        z = two * q[2]
+        xx = x * q[0]
+        xy = x * q[1]
+        xz = x * q[2]
+        xw = x * q[3]
+        yy = y * q[1]
+        yz = y * q[2]
+        yw = y * q[3]
+        zz = z * q[2]
+        zw = z * q[3]
+        return mat33(
+            one - (yy + zz), xy - zw, xz + yw,
+            xy + zw, one - (xx + zz), yz - xw,
+            xz - yw, yz + xw, one - (xx + yy),
+        )  # fmt: skip
+
+    @wp.func
+    def unit(q: quat):
+        """A quaternion of about unit length with unit length, to a rounding."""
+        excess = wp.dot(q, q) - one
+        if wp.abs(excess) < nearly:
+            return (one - half * excess) * q
+        return wp.normalize(q)
 
     @wp.func
     def apart(model: Model, state: State, env: int, point: int, surface: int):
@@ -59,7 +94,7 @@ def functions(real: type) -> SimpleNamespace:
         """Rotation B → W of ``body`` (WORLD: none), for many points."""
         if body < 0:
             return wp.identity(n=3, dtype=real)
-        return wp.quat_to_matrix(state.body_orientation[env, body])
+        return matrix(state.body_orientation[env, body])
 
     @wp.func
     def velocity_at(state: State, env: int, body: int, arm_W: vec3):
@@ -81,22 +116,18 @@ def functions(real: type) -> SimpleNamespace:
     def rotated(q: quat, angle_W: vec3):
         """Turns orientation ``q`` by the rotation vector ``angle_W`` given in W: exp(angle/2) q, unit length."""
         squared = real(0.25) * wp.dot(angle_W, angle_W)
-        sinc = real(1.0)
-        cosine = real(1.0)
+        sinc = one
+        cosine = one
         if squared < real(0.01):
-            # Their series, to a rounding: a step turns a body by little.
-            sinc = one - squared / real(6.0) * (
-                one - squared / real(20.0) * (one - squared / real(42.0) * (one - squared / real(72.0)))
-            )
-            cosine = one - squared / real(2.0) * (
-                one - squared / real(12.0) * (one - squared / real(30.0) * (one - squared / real(56.0)))
-            )
+            # A step turns a body by little: to a rounding.
+            sinc = one + squared * (s_1 + squared * (s_2 + squared * (s_3 + squared * s_4)))
+            cosine = one + squared * (c_1 + squared * (c_2 + squared * (c_3 + squared * c_4)))
         else:
-            half = wp.sqrt(squared)
-            sinc = wp.sin(half) / half
-            cosine = wp.cos(half)
-        axis = real(0.5) * sinc * angle_W
-        return wp.normalize(quat(axis[0], axis[1], axis[2], cosine) * q)
+            angle = wp.sqrt(squared)
+            sinc = wp.sin(angle) / angle
+            cosine = wp.cos(angle)
+        axis = (half * sinc) * angle_W
+        return unit(quat(axis[0], axis[1], axis[2], cosine) * q)
 
     @wp.func
     def rotation_vector(q: quat):
@@ -123,6 +154,7 @@ def functions(real: type) -> SimpleNamespace:
         return vec3(real(v[0]), real(v[1]), real(v[2]))
 
     return SimpleNamespace(
+        matrix=matrix,
         apart=apart,
         turned=turned,
         facing=facing,

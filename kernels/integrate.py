@@ -101,7 +101,7 @@ def semi_implicit_euler(
                 if model.body_motion[env, body].kind != FREE:
                     continue
             dt = step[env, 0]
-            acceleration = force / model.body_mass[env, body] + model.gravity[env, 0]
+            acceleration = (real(1.0) / model.body_mass[env, body]) * force + model.gravity[env, 0]
             velocity = state_in.body_linear_velocity[env, body] + dt * acceleration
             # A step is often smaller than what a position is rounded to: nothing of it is lost.
             before = state_in.body_position[env, body]

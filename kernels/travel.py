@@ -26,8 +26,13 @@ def functions(real: type) -> SimpleNamespace:
         """Where a set of points is, seen from its surface."""
 
         position: vec3  # its middle, S [m]
-        orientation: quat  # B → S
+        orientation: quat  # B → S, if it has an extent
         margin: real  # rounding of a position [m]
+
+    @wp.func
+    def size(v: vec3):
+        """The length of a vector, or up to √3 times that."""
+        return wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])
 
     @wp.func
     def see(model: Model, state: State, env: int, number: int):
@@ -41,23 +46,27 @@ def functions(real: type) -> SimpleNamespace:
         c_B = model.set_center[env, number]
         between = apart(model, state, env, point, surface)
         c_W = between + turned(state, env, body, c_B) - turned(state, env, carrier, o_B)
-        size = wp.length(between) + wp.length(c_B) + wp.length(o_B) + model.set_extent[env, number]
         seen = Seen()
         seen.position = wp.quat_rotate_inv(q_WS, c_W)
-        seen.orientation = wp.quat_inverse(q_WS) * orientation_to_world(
-            state, env, body, wp.quat_identity(dtype=real)
-        )
-        seen.margin = rounding * size
+        extent = model.set_extent[env, number]
+        # A single point is where it is however it turns.
+        if extent > real(0.0):
+            seen.orientation = wp.quat_inverse(q_WS)
+            if body >= 0:
+                seen.orientation = seen.orientation * state.body_orientation[env, body]
+        seen.margin = rounding * (size(between) + size(c_B) + size(o_B) + extent)
         return seen
 
     @wp.func
     def moved(model: Model, cache: Cache, env: int, number: int, seen: Seen):
         """How far, at most, any point of the set is from where it was when its travel was last added up [m]."""
-        # Two rotations, as unit quaternions, move a point at distance 1 from each other by 2 |q − q'| at most.
-        last = cache.set_orientation[env, number]
-        turn = wp.min(wp.length(seen.orientation - last), wp.length(seen.orientation + last))
         way = wp.length(seen.position - cache.set_position[env, number])
-        return (way + real(2.0) * model.set_extent[env, number] * turn) * (real(1.0) + real(8.0) * epsilon)
+        extent = model.set_extent[env, number]
+        if extent > real(0.0):
+            # Two rotations, as unit quaternions, move a point at distance 1 from each other by 2 |q − q'| at most.
+            last = cache.set_orientation[env, number]
+            way += real(2.0) * extent * wp.min(wp.length(seen.orientation - last), wp.length(seen.orientation + last))
+        return way * (real(1.0) + real(8.0) * epsilon)
 
     return SimpleNamespace(see=see, moved=moved)
 
