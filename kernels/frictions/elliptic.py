@@ -5,6 +5,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.frictions.saturation import saturated
 
 
 class Elliptic(Friction):
@@ -40,5 +41,5 @@ class Elliptic(Friction):
         # tanh(r/r₀)/r → 1/r₀ at rest.
         gain = one / scale
         if r > type(s.speed)(1.0e-3) * scale:
-            gain = wp.tanh(r / scale) / r
+            gain = saturated(r / scale) / r
         return (-s.normal_force * gain) * (p.mu_1 * drag_1 * axis_1 + p.mu_2 * drag_2 * axis_2)

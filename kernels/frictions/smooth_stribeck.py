@@ -5,6 +5,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.frictions.saturation import saturated
 
 
 class SmoothStribeck(Friction):
@@ -33,5 +34,5 @@ class SmoothStribeck(Friction):
         level = type(s.speed)(10.0) / p.breakaway_speed
         y = s.speed * level
         if y > type(s.speed)(1.0e-3):
-            level = wp.tanh(y) / s.speed
+            level = saturated(y) / s.speed
         return (-s.normal_force * (bell + p.mu_dynamic * level)) * s.velocity

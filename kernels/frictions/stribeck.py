@@ -5,6 +5,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.frictions.saturation import saturated
 
 
 class Stribeck(Friction):
@@ -32,5 +33,5 @@ class Stribeck(Friction):
         gain = type(s.speed)(1.0) / p.velocity_scale
         x = s.speed * gain
         if x > type(s.speed)(1.0e-3):
-            gain = wp.tanh(x) / s.speed
+            gain = saturated(x) / s.speed
         return (-(s.normal_force * mu * gain + p.viscosity)) * s.velocity

@@ -5,6 +5,7 @@ from typing import Any
 import warp as wp
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.frictions.saturation import saturated
 
 
 class Tanh(Friction):
@@ -27,5 +28,5 @@ class Tanh(Friction):
         gain = type(s.speed)(1.0) / p.velocity_scale
         x = s.speed * gain
         if x > type(s.speed)(1.0e-3):
-            gain = wp.tanh(x) / s.speed
+            gain = saturated(x) / s.speed
         return (-p.mu * s.normal_force * gain) * s.velocity
