@@ -12,7 +12,7 @@ from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.piles import meeting
 from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, pile_structs
 from warpcontact.kernels.touch import Parts, group_structs, touch_structs
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, env_of, item_of, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, env_of, item_of, natural, structs, task_count
 
 
 @functools.cache
@@ -91,11 +91,11 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
         """Where two shapes touch."""
         n_W = vec3(real(0.0), real(0.0), real(1.0))
         if distance > real(0.0):
-            n_W = pair.apart / distance
+            n_W = (real(1.0) / distance) * pair.apart
         gap = distance - radius_1 - radius_2
         place = Place()
-        place.body_1 = shapes.body[first]
-        place.body_2 = shapes.body[second]
+        place.body_1 = natural(shapes.body[first])
+        place.body_2 = natural(shapes.body[second])
         # S on the second, D on the first; K between them.
         place.arm_1 = (-(radius_1 + (real(1.0) - settings.kappa) * gap)) * n_W
         place.arm_2 = (radius_2 + settings.kappa * gap) * n_W
@@ -162,8 +162,8 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
         torque_1 = wp.cross(place.arm_1, force) + torque
         torque_2 = wp.cross(place.arm_2, force) + torque
         if wp.static(alone):
-            one = place.body_1
-            other = place.body_2
+            one = natural(place.body_1)
+            other = natural(place.body_2)
             wrenches.force[env, one] = wrenches.force[env, one] + force
             wrenches.torque[env, one] = wrenches.torque[env, one] + torque_1
             wrenches.force[env, other] = wrenches.force[env, other] - force
@@ -203,8 +203,8 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
             own = spot(shapes, state, env, shape)
             radius = shapes.radius[env, shape]
             settings = shapes.settings[env, 0]
-            entry = shapes.entry_start[shape]
-            slot = shapes.slot_start[shape]
+            entry = natural(shapes.entry_start[shape])
+            slot = natural(shapes.slot_start[shape])
             stop = entry + owned
             busy = touches.busy[env, shape]
             now = wp.int32(0)
@@ -222,7 +222,7 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
                 pair = Pair()
                 distance = real(0.0)
                 while entry < stop and not looked_at:
-                    partner = lists.partner[env, entry]
+                    partner = natural(lists.partner[env, natural(entry)])
                     radius_2 = shapes.radius[env, partner]
                     reach = radius + radius_2
                     spot_2 = spot(shapes, state, env, partner)
@@ -240,19 +240,20 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
                             touching = reach - distance <= settings.max_depth and settings.enabled != 0
                             touching = touching and distance < reach
                     if busy != 0:
-                        bits = touches.bits[env, slot] & TOUCHED
+                        bits = touches.bits[env, natural(slot)] & TOUCHED
                         now = now | bits
                         if not touching:
-                            touches.bits[env, slot] = bits
+                            touches.bits[env, natural(slot)] = bits
                     looked_at = touching
                     if wp.static(hard):
                         looked_at = touching or bits != 0
                     entry += 1
                     slot += 1
                 if looked_at:
+                    record = natural(slot - 1)
                     if touching:
                         now = now | TOUCHES
-                        touches.bits[env, slot - 1] = bits | TOUCHES
+                        touches.bits[env, record] = bits | TOUCHES
                     if wp.static(hard):
                         # One that has come apart may have been passed over.
                         pair = nearest(spot_1, spot_2)
@@ -272,16 +273,16 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
                         radius_2,
                     )  # fmt: skip
                     if wp.static(hard):
-                        note(place, touches, env, slot - 1)
+                        note(place, touches, env, record)
                         # For a law that is to act later it began at rest.
-                        touches.approach_speed[env, slot - 1] = real(0.0)
+                        touches.approach_speed[env, record] = real(0.0)
                         if wp.static(remembers):  # noqa: SIM102
                             if bits == 0:
-                                start_memory(remembered, env, slot - 1, step[env, 0])
+                                start_memory(remembered, env, record, step[env, 0])
                     else:
                         touch_of(
                             model, state, place, settings, touches, coefficients, remembered, kept, step[env, 0],
-                            env, slot - 1, bits, wrenches,
+                            env, record, bits, wrenches,
                         )  # fmt: skip
             if now != busy:
                 touches.busy[env, shape] = now

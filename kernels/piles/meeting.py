@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.piles.base import Form, pile_structs
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import natural, structs
 
 # Segments at a smaller angle than the root of this are parallel.
 PARALLEL = 1.0e-10
@@ -88,7 +88,7 @@ def functions(form: Form, real: type) -> SimpleNamespace:
     @wp.func
     def spot(shapes: Shapes, state: State, env: int, shape: int):
         found = Spot()
-        body = shapes.body[shape]
+        body = natural(shapes.body[shape])
         found.base = state.body_position[env, body]
         found.rest = state.body_position_remainder[env, body]
         if wp.static(placed):
