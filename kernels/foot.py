@@ -50,7 +50,7 @@ def functions(real: type) -> SimpleNamespace:
         foot.row = row
         foot.feature = hit.feature
         foot.distance = wp.length(hit.point)
-        foot.span = wp.max(wp.length(a), wp.length(b))
+        foot.span = wp.sqrt(wp.max(wp.length_sq(a), wp.length_sq(b)))
         return foot
 
     @wp.func

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels.types import structs
+from warpcontact.kernels.types import natural, structs
 
 # Rounding of a distance, in units of epsilon times the size of the differences; wider than a tie of two feet.
 ROUNDING = 32.0
@@ -109,11 +109,12 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
             return answer
         first = cache.nearest[env, contact]
         best = foot_on(model, first, p)
-        slot = contact * room
+        slot = natural(contact * room)
         gone = p - cache.place[env, contact]
         moved = wp.length(gone)
         slack = rounding * (best.span + best.distance + real(16.0) * moved)
-        for i in range(slot, slot + count):
+        for k in range(count):
+            i = natural(slot + k)
             least = cache.distance[env, i] + wp.dot(cache.direction[env, i], gone) - slack
             face = cache.face[env, i]
             if least <= best.distance and face != first:
@@ -129,7 +130,8 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
             second = real(0.5) * (beyond - best.distance)
             sure = second
             rival = wp.int32(-1)
-            for i in range(slot, slot + count):
+            for k in range(count):
+                i = natural(slot + k)
                 direction = cache.direction[env, i]
                 least = cache.distance[env, i] + wp.dot(direction, gone) - slack
                 face = cache.face[env, i]
@@ -203,7 +205,7 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
         beyond = first.distance + model.patch_skin[patch]
         found = faces_about(model, patch, p, beyond + margin)
         face = wp.int32(0)
-        slot = contact * room
+        slot = natural(contact * room)
         count = wp.int32(0)
         while wp.mesh_query_next(found, face):
             other = foot_on(model, start + face, p)
@@ -213,13 +215,15 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
                 if count == room:
                     # The farthest makes room, and ends the reach of the list.
                     beyond = other.distance
-                    for i in range(slot, slot + room):
+                    for k in range(room):
+                        i = natural(slot + k)
                         if cache.distance[env, i] > beyond:
                             beyond = cache.distance[env, i]
                             place = i
                 else:
                     count += 1
                 if place < slot + room:
+                    place = natural(place)
                     cache.face[env, place] = start + face
                     remember(cache, env, place, other, vec3())
         best.distance = wp.length(best.to_point)
