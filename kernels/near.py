@@ -82,6 +82,14 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         return around - rounded_up * wp.length(arm_B) - model.contact_geometry[env, contact].radius
 
     @wp.func
+    def way_to_use(model: Model, env: int, start: int, stop: int, block: int, around: real):
+        """How far the points of a block have to come until their middle, with ``around``, may tell of any [m]."""
+        most = real(-wp.inf)
+        for place in range(start, stop):
+            most = wp.max(most, left_of(model, env, block, natural(model.block_contact[place]), around))
+        return wp.max(-most, real(0.0))
+
+    @wp.func
     def to_be_armed(model: Model, history: History, env: int, contact: int):
         """Whether a latched contact is not armed yet: a look has to tell when it comes into sight."""
         if wp.static(follows):
@@ -183,6 +191,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         left_of=left_of,
         may_be_left=may_be_left,
         probe=probe,
+        way_to_use=way_to_use,
         free_around=free_around,
         wake_of=wake_of,
         longer_wake=longer_wake,
@@ -208,6 +217,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
     Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
     block_of = functions(real, follows, WHOLE)
     view_of, look, probe, unknown = block_of.view_of, block_of.look, block_of.probe, block_of.unknown
+    way_to_use = block_of.way_to_use
     free_around, wake_of = block_of.free_around, block_of.wake_of
     longer_wake, news = block_of.longer_wake, block_of.news
 
@@ -243,10 +253,12 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
             stop = model.block_start[block + 1]
             view = view_of(model, state, env, number)
             around = real(-1.0)
-            if cached and stop - start > 1:  # noqa: SIM102 - Warp computes both sides of an ``and``
-                # One search in the middle may do for all that are far from where they last touched.
+            if cached and stop - start > 1 and travel >= cache.block_probe[env, block]:  # noqa: SIM102
+                # One search in the middle may do for all that are far from where they last touched. (Nested, as
+                # Warp computes both sides of an ``and``.)
                 if unknown(model, cache, env, start, stop, travelled):
                     around = probe(model, view, env, block)
+            of_use = wp.bool(False)
             first_wake = real(wp.inf)
             for place in range(start, stop):
                 contact = natural(model.block_contact[place])
@@ -258,7 +270,9 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                     free = real(-1.0)
                     if cached:
                         free = free_around(model, history, contacts, cache, env, block, contact, around)
-                    if free < real(0.0):
+                    if free >= real(0.0):
+                        of_use = True
+                    else:
                         free = look(model, view, history, contacts, cached, cache, env, contact)
                     if cached:
                         wake = wake_of(travel, free)
@@ -275,6 +289,8 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                     near.contact[env, start + count] = contact
                     count += 1
             near.count[env, block] = count
+            if around >= real(0.0) and not of_use:
+                cache.block_probe[env, block] = travel + way_to_use(model, env, start, stop, block, around)
             if cached:
                 # What is new is told until history has it; a step may be taken again.
                 cache.block_wake[env, block] = wp.where(new > 0, real(0.0), first_wake)

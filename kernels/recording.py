@@ -71,7 +71,9 @@ def take() -> wp.Kernel:
             if row.total != 0:
                 add_up(row, source, frame + first * wp.uint64(8) * wp.uint64(row.words), task_count(work))
             else:
-                copy(row, source, frame + first * wp.uint64(4) * wp.uint64(row.items * row.words), task_count(work))
+                copy(
+                    row, source, frame + first * wp.uint64(4) * wp.uint64(row.items * row.words), task_count(work)
+                )
         place[0] = place[0] + 1
 
     return take_frame

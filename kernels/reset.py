@@ -51,6 +51,7 @@ def environments(real: type) -> wp.Kernel:
             near.news[env, contact] = 0
         for block in range(blocks):
             cache.block_wake[env, block] = real(0.0)
+            cache.block_probe[env, block] = real(0.0)
             cache.block_quiet[env, block] = 0
         for number in range(sets):
             cache.set_wake[env, number] = real(0.0)

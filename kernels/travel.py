@@ -65,7 +65,9 @@ def functions(real: type) -> SimpleNamespace:
         if extent > real(0.0):
             # Two rotations, as unit quaternions, move a point at distance 1 from each other by 2 |q − q'| at most.
             last = cache.set_orientation[env, number]
-            way += real(2.0) * extent * wp.min(wp.length(seen.orientation - last), wp.length(seen.orientation + last))
+            way += (
+                real(2.0) * extent * wp.min(wp.length(seen.orientation - last), wp.length(seen.orientation + last))
+            )
         return way * (real(1.0) + real(8.0) * epsilon)
 
     return SimpleNamespace(see=see, moved=moved)

@@ -355,6 +355,7 @@ def structs(real: type) -> SimpleNamespace:
         set_wake: wp.array2d(dtype=real)  # [env, set] travel up to which none of its points can touch [m]
         set_asleep: wp.array2d(dtype=wp.int32)  # [env, set] whether it has not come so far
         block_wake: wp.array2d(dtype=real)  # [env, block] likewise [m]
+        block_probe: wp.array2d(dtype=real)  # [env, block] travel up to which a look from its middle is no use [m]
         block_quiet: wp.array2d(dtype=wp.int32)  # [env, block] 1: the last step had nothing to do with it
         wake: wp.array2d(dtype=real)  # [env, contact] likewise [m]
         # On a GPU: what is still to be done, by kind, so that threads side by side do the same

@@ -200,6 +200,7 @@ def _cache(t: SimpleNamespace, layout: Layout, made: Blocks, records: bool, *, r
         wake=per_env(contacts),
         faces=per_env(contacts),
         block_wake=per_env(blocks),
+        block_probe=per_env(blocks),
         block_quiet=per_env(blocks),
         waiting=fixed(types.QUEUES),
         waiting_block=(lambda envs: (envs * blocks,)) if queued else fixed(1),
