@@ -138,9 +138,12 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
             motion = model.body_motion[env, body]
             if motion.kind != FREE:
                 return mobility_of_motion(model, state, env, body, motion, arm_W, n_W)
-        q_WB = state.body_orientation[env, body]
-        lever_B = wp.quat_rotate_inv(q_WB, wp.cross(arm_W, n_W))
-        turning = wp.dot(lever_B, model.body_inverse_inertia[env, body] * lever_B)
+        lever_W = wp.cross(arm_W, n_W)
+        inverse_B = model.body_inverse_inertia[env, body]
+        turning = inverse_B[0, 0] * wp.length_sq(lever_W)
+        if not model.body_round[env, body]:
+            lever_B = wp.quat_rotate_inv(state.body_orientation[env, body], lever_W)
+            turning = wp.dot(lever_B, inverse_B * lever_B)
         return real(1.0) / model.body_mass[env, body] + turning
 
     @wp.func
