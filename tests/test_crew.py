@@ -1,6 +1,7 @@
 """Crews of several devices: GPUs do not wait for each other, and begin before the CPU."""
 
 import threading
+import time
 
 from warpcontact import crew
 
@@ -65,3 +66,34 @@ def test_graphs_are_given_to_gpus_in_turn_before_the_cpu_begins():
     assert log[:2] == [("cuda:0", True), ("cuda:1", True)]
     assert [name for name, _ in log[2:]] == ["cpu", "cpu"]
     assert not any(alone for _, alone in log[2:])
+
+
+def test_few_slices_are_stepped_in_turns_by_one_thread_at_a_time(monkeypatch):
+    """A thread that is slow leaves the next turn of its slice to others."""
+    begun, taken, lock = {}, {}, threading.Lock()
+
+    class OnSlices(Stepper):
+        def go_to(self, own):
+            self.own = own.start
+
+        def step(self, count, begin):
+            with lock:
+                assert not begun.get(self.own), "somebody else is at it"
+                begun[self.own] = True
+            time.sleep(0.001)
+            with lock:
+                begun[self.own] = False
+                taken.setdefault(self.own, []).append(count)
+
+    made = crew.Crew(
+        [crew.Share([slice(k, k + 1) for k in range(3)], [OnSlices("cpu", True, []) for _ in range(2)])]
+    )
+    monkeypatch.setattr(crew, "ALONE", 0)
+    assert list(made.step(8))[-1] == 8
+    taken.clear()
+    made._pace.steps = 1000
+    assert list(made.step(1000)) == [1000]
+    assert {own: sum(counts) for own, counts in taken.items()} == {0: 1000, 1: 1000, 2: 1000}
+    for counts in taken.values():
+        assert len(counts) == -(-crew._TURNS * 2 // 3)
+        assert all(count >= crew._SHORTEST_TURN and count % crew._FEWEST == 0 for count in counts)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import warp as wp
-
 from warpcontact.kernels.frictions.saturation import saturated
 
 

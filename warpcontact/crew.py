@@ -1,12 +1,12 @@
 """Who steps which slices of the environments: on the CPU the thread that is free, on GPUs their graphs."""
 
 import contextlib
-import functools
 import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +20,10 @@ from warpcontact.slices import Begin, Frames, Stepper
 # a GPU has graphs. Threads wait for each other then.
 _FEWEST = 8
 _FEWEST_QUEUED = 32
+# Turns that each of several threads takes until they wait for each other, about: the last may take one alone. And
+# steps of a turn at least, for which a slice is fetched into the cache of a core.
+_TURNS = 16
+_SHORTEST_TURN = 32
 # Environment-steps below which starting threads takes longer than what they would save.
 ALONE = 4096
 
@@ -47,6 +51,21 @@ class Share:
         return self.steppers[0].device
 
 
+@dataclass(frozen=True)
+class _Turn:
+    """What is done to a slice at a time.
+
+    Attributes:
+        done: Steps before it.
+        ways: Its steps, up to each frame or the end.
+        known: Whether a frame was looked at before, as frames are.
+    """
+
+    done: int
+    ways: Sequence[int]
+    known: bool
+
+
 class Crew:
     """Steps the environments of one simulation.
 
@@ -67,7 +86,10 @@ class Crew:
         # Kernels in Warp's debug mode share a pointer to the storage of tiles, which they look at when they end.
         members = 1 if wp.config.mode == "debug" else max((len(share.steppers) for share in on_cpu), default=0)
         # The other slices, and how many threads share them.
-        self._teams = [(_pieces(own), 1) for own in launched.values()] + [(_pieces(on_cpu), members)]
+        pieces = _pieces(on_cpu)
+        self._teams = [(_pieces(own), 1) for own in launched.values()] + [(pieces, members)]
+        # Of few slices each thread has few: in turns they end at about the same time.
+        self._turns = -(-_TURNS * members // len(pieces)) if members > 1 else 1
         self._threads = sum(members for _, members in self._teams)
         self._pool: ThreadPoolExecutor | None = None
         self._envs = sum(own.stop - own.start for share in shares for own in share.slices)
@@ -83,38 +105,52 @@ class Crew:
         known = frames is not None and frames.follows
         while done < count:
             some = min(count - done, self._pace.steps)
-            ways = [some]
             if frames is not None:
                 some = frames.whole(done, some, count)
-                ways = frames.cut(done, some)
+            turns = self._cut(done, some, frames, known)
             for stepper in self._steppers:
                 if frames is not None:
                     stepper.ready_look(frames)
-                stepper.capture(ways[0], stepper.after_look if known else Begin.STEP)
-                for way in set(ways[1:]):
-                    stepper.capture(way, stepper.after_frame)
+                for turn in turns:
+                    stepper.capture(turn.ways[0], stepper.after_look if turn.known else Begin.STEP)
+                    for way in set(turn.ways[1:]):
+                        stepper.capture(way, stepper.after_frame)
             start = time.perf_counter()
             with _uninterrupted():
-                work = functools.partial(_step, done=done, ways=ways, frames=frames, known=known)
-                self._step_all(some, work)
+                self._step_all(some, turns, frames)
                 took = time.perf_counter() - start
                 done += some
                 known = frames is not None and done % frames.every == 0
                 yield done
             self._pace.took(some, took)
 
-    def _step_all(self, count: int, work: Callable[[Stepper], None]) -> None:
-        _step_each(0, iter(self._queued), work)
+    def _cut(self, done: int, some: int, frames: Frames | None, known: bool) -> list[_Turn]:
+        """Returns the turns of ``some`` steps after the first ``done``; ``known`` is that of the first."""
+        length = max(_SHORTEST_TURN, -(-some // self._turns))
+        length = -(-length // _FEWEST) * _FEWEST
+        ways = [min(length, some - first) for first in range(0, some, length)]
+        if frames is not None:
+            ways = frames.cut(done, some)
+        turns, own = [], []
+        for number, way in enumerate(ways, start=1):
+            own.append(way)
+            if sum(own) >= length or number == len(ways):
+                turns.append(_Turn(done, own, known))
+                done, own, known = done + sum(own), [], frames is not None
+        return turns
+
+    def _step_all(self, count: int, turns: Sequence[_Turn], frames: Frames | None) -> None:
+        _step_each(0, _waiting(self._queued), turns, frames)
         if self._threads < 2 or count * self._envs < ALONE:
             for pieces, _ in self._teams:
-                _step_each(0, iter(pieces), work)
+                _step_each(0, _waiting(pieces), turns, frames)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="warpcontact")
         futures = []
         for pieces, members in self._teams:
-            waiting = iter(pieces)
-            futures += [self._pool.submit(_step_each, member, waiting, work) for member in range(members)]
+            waiting = _waiting(pieces)
+            futures += [self._pool.submit(_step_each, member, waiting, turns, frames) for member in range(members)]
         wait(futures)
         for future in futures:
             future.result()
@@ -125,23 +161,35 @@ def _pieces(shares: Iterable[Share]) -> list[tuple[Share, slice]]:
     return [(share, own) for share in shares for own in share.slices]
 
 
-def _step_each(member: int, waiting: Iterator[tuple[Share, slice]], work: Callable[[Stepper], None]) -> None:
-    """Does the work, as a member of a team, on each slice that nobody else has taken."""
-    for share, own in waiting:
+def _waiting(pieces: Iterable[tuple[Share, slice]]) -> deque[tuple[Share, slice, int]]:
+    """Returns the slices that somebody may take, those that are behind first, each with its next turn."""
+    return deque((share, own, 0) for share, own in pieces)
+
+
+def _step_each(
+    member: int, waiting: deque[tuple[Share, slice, int]], turns: Sequence[_Turn], frames: Frames | None
+) -> None:
+    """Takes turns, as a member of a team, in each slice that nobody else has taken."""
+    while True:
+        try:
+            # At once with others.
+            share, own, number = waiting.popleft()
+        except IndexError:
+            return
         stepper = share.steppers[member]
         stepper.go_to(own)
-        work(stepper)
+        _step(stepper, turns[number], frames)
+        if number + 1 < len(turns):
+            waiting.append((share, own, number + 1))
 
 
-def _step(stepper: Stepper, *, done: int, ways: list[int], frames: Frames | None, known: bool) -> None:
-    """Takes steps in a slice, ``done`` being those before, and looks at it wherever a frame is due.
-
-    ``known``: whether it was looked at before, as frames are.
-    """
-    begin = stepper.after_look if known else Begin.STEP
+def _step(stepper: Stepper, turn: _Turn, frames: Frames | None) -> None:
+    """Takes a turn in a slice, and looks at it wherever a frame is due."""
+    done = turn.done
+    begin = stepper.after_look if turn.known else Begin.STEP
     if frames is not None:
         stepper.go_to_frame(frames.first + done // frames.every)
-    for ahead, way in zip(range(len(ways) - 1, -1, -1), ways, strict=True):
+    for ahead, way in zip(range(len(turn.ways) - 1, -1, -1), turn.ways, strict=True):
         stepper.step(way, begin)
         done += way
         begin = Begin.STEP
