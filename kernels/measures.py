@@ -84,7 +84,7 @@ def positions(real: type) -> wp.Kernel:
 def energies(real: type) -> wp.Kernel:
     """Returns the kernel that measures energies of each body of the active environments; items: bodies."""
     t, f = structs(real), _functions(real)
-    Model, State, wide, position, spin = t.Model, t.State, f.wide, f.position, f.spin
+    Model, State, wide, position = t.Model, t.State, f.wide, f.position
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_energies(
@@ -97,7 +97,8 @@ def energies(real: type) -> wp.Kernel:
                 continue
             mass = wp.float64(model.body_mass[env, body])
             v_W = wide(state.body_linear_velocity[env, body])
-            turning = wp.dot(wide(state.body_angular_velocity[env, body]), wide(spin(model, state, env, body)))
+            w_B = wp.quat_rotate_inv(state.body_orientation[env, body], state.body_angular_velocity[env, body])
+            turning = wp.dot(wide(w_B), wide(model.body_inertia[env, body] * w_B))
             measured.kinetic_energy[env, body] = wp.float64(0.5) * (mass * wp.dot(v_W, v_W) + turning)
             measured.potential_energy[env, body] = -mass * wp.dot(
                 wide(model.gravity[env, 0]), position(state, env, body)
