@@ -17,12 +17,15 @@ def functions(real: type) -> SimpleNamespace:
     # Of (sin √x)/√x and cos √x, to the fourth power of x.
     s_1, s_2, s_3, s_4 = (wp.constant(real((-1) ** k / math.factorial(2 * k + 1))) for k in range(1, 5))
     c_1, c_2, c_3, c_4 = (wp.constant(real((-1) ** k / math.factorial(2 * k))) for k in range(1, 5))
-    # Of a quaternion this near to unit length what Newton's step leaves, 3/8 of the square, is no rounding.
+    # Newton's step to unit length leaves 3/8 of the square of the excess: below a rounding, this near.
     nearly = wp.constant(real(t.epsilon**0.5 / 4.0))
 
     @wp.func
     def matrix(q: quat):
-        """The rotation by a unit quaternion; that of Warp rotates three vectors, with their zeros."""
+        """The rotation that ``wp.quat_rotate`` does, of any length of ``q``, for many vectors.
+
+        That of Warp rotates three vectors, with their zeros.
+        """
         x = two * q[0]
         y = two * q[1]
         z = two * q[2]
@@ -35,10 +38,11 @@ def functions(real: type) -> SimpleNamespace:
         yw = y * q[3]
         zz = z * q[2]
         zw = z * q[3]
+        ww = two * q[3] * q[3] - one
         return mat33(
-            one - (yy + zz), xy - zw, xz + yw,
-            xy + zw, one - (xx + zz), yz - xw,
-            xz - yw, yz + xw, one - (xx + yy),
+            ww + xx, xy - zw, xz + yw,
+            xy + zw, ww + yy, yz - xw,
+            xz - yw, yz + xw, ww + zz,
         )  # fmt: skip
 
     @wp.func

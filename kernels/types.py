@@ -348,14 +348,14 @@ def structs(real: type) -> SimpleNamespace:
         """
 
         set_position: wp.array2d(dtype=vec3)  # [env, set] its middle when last seen, from the surface, S [m]
-        set_orientation: wp.array2d(dtype=quat)  # [env, set] B → S then
+        set_orientation: wp.array2d(dtype=quat)  # [env, set] B → S then, of a set with an extent
         set_travel: wp.array2d(dtype=real)  # [env, set] no point of it moved farther, over the surface [m]
         set_step: wp.array2d(dtype=real)  # [env, set] how much of that in the last step [m]
         set_margin: wp.array2d(dtype=real)  # [env, set] rounding of a position [m]
         set_wake: wp.array2d(dtype=real)  # [env, set] travel up to which none of its points can touch [m]
         set_asleep: wp.array2d(dtype=wp.int32)  # [env, set] whether it has not come so far
         block_wake: wp.array2d(dtype=real)  # [env, block] likewise [m]
-        block_probe: wp.array2d(dtype=real)  # [env, block] travel up to which a look from its middle is no use [m]
+        block_probe: wp.array2d(dtype=real)  # [env, block] travel up to which its middle tells nothing [m]; CPU
         block_quiet: wp.array2d(dtype=wp.int32)  # [env, block] 1: the last step had nothing to do with it
         wake: wp.array2d(dtype=real)  # [env, contact] likewise [m]
         # On a GPU: what is still to be done, by kind, so that threads side by side do the same

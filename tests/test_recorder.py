@@ -226,6 +226,37 @@ def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
     np.testing.assert_allclose(recorder.series().time, 3e-3 * np.arange(58))
 
 
+@pytest.mark.parametrize("readings", [[], ["touch.normal_force"], WATCHED], ids=["poses", "forces", "far as well"])
+def test_frames_of_turns_are_what_one_reads_by_stopping(readings, device, in_slices, monkeypatch):
+    """Few slices take turns of some frames, and know at the begin of each what the last frame told."""
+    taken = []
+    step = crew._step
+
+    def seen(stepper, turn, frames):
+        taken.append(turn)
+        step(stepper, turn, frames)
+
+    monkeypatch.setattr(crew, "_step", seen)
+    sim = falling(device)
+    recorder = Recorder(sim.model, [*readings, WATCHED[0]], 60, poses=False)
+    recorder.start()
+    recorder.take(0.0)
+    sim._record(recorder, 3, 3, 0.0, 0, follows=False)
+    sim._prepared[1]._pace.steps = 1000
+    taken.clear()
+    sim._record(recorder, 54, 3, 0.0, 9, follows=True)
+    if sim.model.device.is_cpu:
+        # 162 steps of three slices, in turns of 32 and more, of 3 each.
+        assert sorted((turn.done, len(turn.ways)) for turn in taken[::3]) == [
+            *((33 * k, 11) for k in range(4)),
+            (132, 10),
+        ]
+    assert all(turn.known for turn in taken)
+    expected = dict(zip(WATCHED, read_by_stopping(device, 58, 3), strict=True))
+    for name, values in recorder.frames().items():
+        np.testing.assert_array_equal(values, expected[name], err_msg=name)
+
+
 def test_totals_are_of_the_first_item_to_the_last(device):
     """Of so many that NumPy would add them up in another order, and never −0."""
     scene = wc.Scene(gravity=(0, 0, 0))

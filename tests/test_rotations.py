@@ -1,8 +1,12 @@
-"""Rotations on the host."""
+"""Rotations on the host, and in kernels."""
 
 import numpy as np
 import pytest
+import warp as wp
+from scenes import square
+from warpcontact.kernels import frames
 
+import warpcontact as wc
 from warpcontact.frames import placed, shortest_rotations
 
 
@@ -27,3 +31,49 @@ def test_shortest_rotations_reach_every_direction_and_turn_about_no_other_axis(s
 def test_one_direction_has_one_rotation():
     np.testing.assert_array_equal(shortest_rotations((1.0, 0.0, 0.0), np.array([-1.0, 0.0, 0.0])), [0, 1, 0, 0])
     np.testing.assert_array_equal(shortest_rotations((1.0, 0.0, 0.0), np.array([1.0, 0.0, 0.0])), [0, 0, 0, 1])
+
+
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_a_matrix_does_what_its_quaternion_does_however_long_that_is(real, device):
+    """To rounding: what is placed by one is where the other sees it."""
+    kind = wp.dtype_from_numpy(real)
+    quat, vec3 = (wp.quatf, wp.vec3f) if real is np.float32 else (wp.quatd, wp.vec3d)
+    matrix = frames.functions(kind).matrix
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def rotate(q: wp.array(dtype=quat), v: wp.array(dtype=vec3), by: wp.array2d(dtype=vec3)):
+        i = wp.tid()
+        by[0, i] = wp.quat_rotate(q[i], v[i])
+        by[1, i] = matrix(q[i]) * v[i]
+
+    rng = np.random.default_rng(6)
+    q, v = rng.normal(size=(1000, 4)), rng.normal(size=(1000, 3))
+    q *= rng.uniform(0.5, 1.5, (1000, 1)) / np.linalg.norm(q, axis=1, keepdims=True)
+    by = wp.zeros((2, 1000), dtype=vec3, device=device)
+    wp.launch(
+        rotate, 1000, [wp.array(q, quat, device=device), wp.array(v, vec3, device=device), by], device=device
+    )
+    # Terms of up to 2 |q|² |v| ≈ 20 are rounded a few times.
+    left, right = by.numpy()
+    np.testing.assert_allclose(left, right, rtol=0, atol=100.0 * np.finfo(real).eps)
+
+
+@pytest.mark.parametrize("cached", [True, False], ids=["cached", "not"])
+@pytest.mark.parametrize("excess", [1e-4, -1e-3])
+def test_a_body_turned_by_a_quaternion_of_another_length_touches_where_it_is(excess, cached, device):
+    """A point 0.5 m beside a body that is turned by 180° about z comes to x = 0 at 1 m/s, after 0.1 m."""
+    scene = wc.Scene(gravity=(0, 0, 0))
+    wall = scene.add_surface(square(half=5.0), orientation=(0, np.sqrt(0.5), 0, np.sqrt(0.5)), name="wall")
+    body = scene.add_body(
+        mass=1.0, inertia=(1, 1, 1), position=(0.6, 0, 0.3), linear_velocity=(-1, 0, 0), name="body"
+    )
+    points = scene.add_point(body, (0.5, 0, 0), name="point")
+    scene.add_contact(points, wall, wc.Template(law=wc.laws.Hooke(stiffness=1e3)), name="touch")
+    model = scene.build(device=device)
+    sim = wc.Simulation(model, dt=1e-4, distance_cache=cached)
+    model.state.body_orientation.assign(np.array([[[0.0, 0.0, 1.0 + excess, 0.0]]], np.float32))
+    sim.step(998)
+    assert model.reading("touch.normal_force")[0] == 0.0
+    sim.step(6)
+    # A position after so many steps is rounded to less than a step's way, of 0.1 mm.
+    assert model.reading("touch.normal_force")[0] > 0.0

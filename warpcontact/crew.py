@@ -89,7 +89,7 @@ class Crew:
         pieces = _pieces(on_cpu)
         self._teams = [(_pieces(own), 1) for own in launched.values()] + [(pieces, members)]
         # Of few slices each thread has few: in turns they end at about the same time.
-        self._turns = -(-_TURNS * members // len(pieces)) if members > 1 else 1
+        self._turns = -(-_TURNS * members // len(pieces)) if 1 < members < len(pieces) else 1
         self._threads = sum(members for _, members in self._teams)
         self._pool: ThreadPoolExecutor | None = None
         self._envs = sum(own.stop - own.start for share in shares for own in share.slices)
@@ -124,24 +124,31 @@ class Crew:
                 yield done
             self._pace.took(some, took)
 
+    def _alone(self, count: int) -> bool:
+        """Whether one thread takes ``count`` steps sooner than several are told of them."""
+        return self._threads < 2 or count * self._envs < ALONE
+
     def _cut(self, done: int, some: int, frames: Frames | None, known: bool) -> list[_Turn]:
         """Returns the turns of ``some`` steps after the first ``done``; ``known`` is that of the first."""
-        length = max(_SHORTEST_TURN, -(-some // self._turns))
-        length = -(-length // _FEWEST) * _FEWEST
-        ways = [min(length, some - first) for first in range(0, some, length)]
-        if frames is not None:
-            ways = frames.cut(done, some)
-        turns, own = [], []
+        length = max(_SHORTEST_TURN, -(-some // (1 if self._alone(some) else self._turns)))
+        grain = _FEWEST_QUEUED if self._queued else _FEWEST
+        length = -(-length // grain) * grain
+        if frames is None:
+            return [_Turn(done + first, [min(length, some - first)], known) for first in range(0, some, length)]
+        turns: list[_Turn] = []
+        own: list[int] = []
+        size, ways = 0, frames.cut(done, some)
         for number, way in enumerate(ways, start=1):
             own.append(way)
-            if sum(own) >= length or number == len(ways):
+            size += way
+            if size >= length or number == len(ways):
                 turns.append(_Turn(done, own, known))
-                done, own, known = done + sum(own), [], frames is not None
+                done, own, size, known = done + size, [], 0, True
         return turns
 
     def _step_all(self, count: int, turns: Sequence[_Turn], frames: Frames | None) -> None:
         _step_each(0, _waiting(self._queued), turns, frames)
-        if self._threads < 2 or count * self._envs < ALONE:
+        if self._alone(count):
             for pieces, _ in self._teams:
                 _step_each(0, _waiting(pieces), turns, frames)
             return

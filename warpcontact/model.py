@@ -398,7 +398,8 @@ class Model(Environments, OfScene):
         self._look_for_bounces()
         # What was known of distances may not hold for other radii, poses or meshes.
         cache = self.arrays.cache
-        for known in ("set_wake", "block_wake", "block_probe", "block_quiet", "wake", "faces"):
-            getattr(cache, known).zero_()
+        blocks = (cache.block_wake, cache.block_probe, cache.block_quiet)
+        for known in (cache.set_wake, *blocks, cache.wake, cache.faces):
+            known.zero_()
         for pile in self.piles:
             pile.forget_lists()

@@ -357,7 +357,7 @@ class Simulation:
         ]
 
     def _stepper(self, model: Model, buffers: Buffers) -> Stepper:
-        # On the CPU a slice is stepped by one thread, so the order is the same in any case.
+        # On the CPU a slice is stepped by one thread at a time, so the order is the same in any case.
         queued = model.device.is_cuda
         ordered = self.deterministic or not queued
         own = None if queued else wp.array([0, model.envs], dtype=wp.int32, device=model.device)

@@ -145,7 +145,8 @@ def make_plan(draft: Draft, size: RecordingSize, settings: Settings, design: Des
         writing = min(WRITTEN_AT_ONCE * CHUNK, 3 * size.on_host(envs, block) // 4)
         drawing = min(DRAWN_AT_ONCE * CHUNK, size.on_host(settings.envs, frames) // 4) if frames else 0
         # Frames are let go of before what was written of them is drawn.
-        drawing -= sum(need.size for need in held.needs if need.purpose == "recording" and need.place == HOST)
+        recorded = sum(need.size for need in held.needs if need.purpose == "recording" and need.place == HOST)
+        drawing = max(0, drawing - recorded)
         stepping = {
             "integrator": settings.integrator.make(),
             "crossing_steps": settings.crossing_steps,

@@ -108,6 +108,14 @@ def _few_threads() -> Iterator[None]:
 
 
 @_few_threads()
+def _begin_zarr(store: Path) -> None:
+    """Lets Zarr make its threads, by the thread of the caller: its settings are those of the process."""
+    import zarr
+
+    zarr.open_group(store, mode="r")
+
+
+@_few_threads()
 def create(
     path: Path,
     templates: Mapping[str, "xr.Dataset"],
@@ -324,6 +332,7 @@ class Staging:
         self._store = folder / DATA
         self.written: Files = {}
         self._arrays: dict[str, Any] = {}
+        _begin_zarr(self._store)
         self._beside = ThreadPoolExecutor(1)
         self._begun: Future[None] | None = None
 
@@ -399,8 +408,7 @@ class Staging:
             target = self._root / path
             target.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(self._store / path / "zarr.json", target / "zarr.json")
-            with _few_threads():
-                self._arrays[path] = zarr.open_array(target, mode="r+", zarr_format=3)
+            self._arrays[path] = zarr.open_array(target, mode="r+", zarr_format=3)
         return self._arrays[path]
 
     def clear(self) -> None:

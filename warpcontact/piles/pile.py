@@ -115,7 +115,7 @@ class Pile:
             force=per_env(count),
         )
         moves = self._parts.law.needs_mass and any(body.motion.kind != FREE for body in scene.bodies)
-        # Of the CPU, where a slice of the environments has one thread.
+        # Of the CPU, where a slice of the environments has one thread at a time.
         self._alone = layout.device.is_cpu
         self._kernel = force.kernel(self._parts, self._form, self.real, moves, self._alone)
 
