@@ -74,11 +74,7 @@ def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> l
     a = span.model.arrays
     launches = []
     if shows(needs):
-        # Only reactions are of wrenches, and what hard contacts add to them. On a GPU queues are emptied as well.
-        by_block = (
-            span.model.device.is_cpu and span.sums_by_body and span.hard is None and "reactions" not in needs
-        )
-        launches += force_stages(span, a.state, no_step, all_active, by_block=by_block)
+        launches += force_stages(span, a.state, no_step, all_active)
     return launches + measure_stages(span, needs, a.state, all_active)
 
 
