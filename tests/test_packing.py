@@ -52,13 +52,16 @@ def test_many_spheres_settle_to_the_density_of_random_packings(device):
 
 @pytest.mark.slow
 def test_hopper_flows_as_beverloo_says(device, capsys):
-    result = load("examples", "hopper").main(
-        ["--spheres", "1500", "--orifice", "4.5", "--part", "0.25", "--device", device]
-    )
-    assert "flow rate" in capsys.readouterr().out
-    assert result["health"].good
+    """In the mean of four fillings: of 400 spheres that leave one, the rate scatters by 6 % (nine fillings)."""
+    found = []
+    for spheres in (1500, 1510, 1520, 1530):
+        options = ["--spheres", str(spheres), "--orifice", "4.5", "--part", "0.25", "--device", device]
+        result = load("examples", "hopper").main(options)
+        assert "flow rate" in capsys.readouterr().out
+        assert result["health"].good
+        found.append(result["C"])
     # Beverloo's C of spheres is 0.55 to 0.65; an orifice this narrow and a filling this low leave more room.
-    assert 0.5 < result["C"] < 0.7
+    assert 0.5 < np.mean(found) < 0.7
 
 
 def test_a_hopper_refuses_too_few_spheres(capsys):
