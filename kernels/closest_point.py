@@ -150,16 +150,48 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         view.stop = model.patch_face_start[view.patch + 1]
         return view
 
+    @wp.struct
+    class Found:
+        """What a look at a contact finds."""
+
+        free: real  # how far its point can move and not touch [m]; < 0: not at all; LATER: nothing was found
+        status: wp.int32  # OPEN, CONTACT, …
+        armed: wp.int32  # the latch that this leads to
+        penetration: real  # 0 unless status is CONTACT [m]
+        told: wp.bool  # whether what follows is told: not of what is far away, as far as steps look at it
+        gap: real  # < 0 in overlap [m]
+        face: wp.int32  # row of the face; −1: none
+        normal: vec3  # out of the surface, W
+        arm: vec3  # to K, where the force acts, from where points are given, W [m]
+
     @wp.func
-    def lost(contacts: Contacts, env: int, contact: int, gap: real, status: int, armed: int, arm_W: vec3):
-        """Fills ``contacts`` for one that has no nearest point."""
-        contacts.gap[env, contact] = gap
-        contacts.status[env, contact] = status
-        contacts.armed[env, contact] = armed
-        contacts.arm[env, contact] = arm_W
-        contacts.penetration[env, contact] = real(0.0)
-        contacts.normal[env, contact] = vec3()
-        contacts.face[env, contact] = -1
+    def lost(free: real, gap: real, status: int, armed: int, arm_W: vec3):
+        """What is found of one that has no nearest point."""
+        found = Found()
+        found.free = free
+        found.status = status
+        found.armed = armed
+        found.told = True
+        found.gap = gap
+        found.face = -1
+        found.arm = arm_W
+        return found
+
+    @wp.func
+    def away(free: real):
+        """What is found of one that is far away on the outer side."""
+        found = Found()
+        found.free = free
+        found.status = OPEN
+        found.armed = 1
+        return found
+
+    @wp.func
+    def later():
+        """What is found by a part that leaves it to the next."""
+        found = Found()
+        found.free = real(LATER)
+        return found
 
     @wp.func
     def leave(contacts: Contacts, env: int, contact: int):
@@ -169,26 +201,14 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         contacts.armed[env, contact] = 1
 
     @wp.func
-    def look(
-        model: Model,
-        view: View,
-        history: History,
-        contacts: Contacts,
-        cached: bool,
-        cache: Cache,
-        env: int,
-        contact: int,
-    ):
-        """Fills ``contacts`` for one; returns how far its point can move and not touch [m], < 0: not at all."""
+    def find(model: Model, view: View, history: History, cached: bool, cache: Cache, env: int, contact: int):
+        """Looks at a contact."""
         geometry = model.contact_geometry[env, contact]
         radius = geometry.radius
         armed = history.armed[env, contact]
         arm_W = view.R_WB * model.point_position[env, natural(model.contact_point[contact])]
-        if wp.static(follows):
-            contacts.crossed_face[env, contact] = -1
         if geometry.enabled == 0:
-            lost(contacts, env, contact, real(wp.nan), DISABLED, armed, arm_W)
-            return real(wp.inf)
+            return lost(real(wp.inf), real(wp.nan), DISABLED, armed, arm_W)
         out_of_sight = wp.max(geometry.search_radius - radius, real(0.0))
 
         # Into the mesh's own frame and unit, where float32 is as good as the mesh.
@@ -228,15 +248,14 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 cell = cell_at(model, patch, p_S)
                 # A latch that is not armed waits until the surface is in sight.
                 if cell.free > reach and (armed != 0 or (option & LATCHED) == 0):
-                    leave(contacts, env, contact)
-                    return scale * (cell.free - reach)
+                    return away(scale * (cell.free - reach))
                 known = cell.faces >= 0
                 if known:
                     margin = model.patch_slack[patch] + query_epsilon * (extent + reach)
                     foot = nearest_listed(model, cell.faces, p_S, margin)
             if wp.static(part in (KNOWN, LISTED, RECALLED, CELL)):
                 if not known:
-                    return real(LATER)
+                    return later()
             elif not known:
                 # With a cache it looks farther, to know how long it need not look again. It never looks beyond the
                 # face that was nearest last: whichever that was, what is found is the same.
@@ -262,8 +281,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     if query.result:
                         foot = foot_on(model, view.start + query.face, p_S)
                     elif not hinted:
-                        lost(contacts, env, contact, out_of_sight, FAR, armed, arm_W)
-                        return scale * (ahead - seen)
+                        return lost(scale * (ahead - seen), out_of_sight, FAR, armed, arm_W)
                 # Wherever rounding matters, the choice is looked at again.
                 unsure = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
                 inside = inner(model, foot)
@@ -287,8 +305,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     if cached or cache.faces[env, contact] == 0:
                         cache.nearest[env, contact] = foot.row
             if foot.distance >= seen:
-                lost(contacts, env, contact, out_of_sight, FAR, armed, arm_W)
-                return scale * (foot.distance - unsure - seen)
+                return lost(scale * (foot.distance - unsure - seen), out_of_sight, FAR, armed, arm_W)
         row = natural(foot.row)
         feature = natural(foot.feature)
         n_S = model.face_normal[row, feature]
@@ -362,19 +379,54 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         to_contact = to_surface + geometry.kappa * (to_deepest - to_surface)
         if (option & AT_POINT) != 0:
             to_contact = vec3()
-        contacts.gap[env, contact] = gap
-        contacts.status[env, contact] = touching
-        contacts.armed[env, contact] = armed
-        contacts.penetration[env, contact] = penetration
-        contacts.face[env, contact] = foot.row
-        contacts.normal[env, contact] = view.R_WS * n_S
-        contacts.arm[env, contact] = arm_W + view.R_WS * to_contact
-        return free
+        found = Found()
+        found.free = free
+        found.status = touching
+        found.armed = armed
+        found.penetration = penetration
+        found.told = True
+        found.gap = gap
+        found.face = foot.row
+        found.normal = view.R_WS * n_S
+        found.arm = arm_W + view.R_WS * to_contact
+        return found
+
+    @wp.func
+    def look(
+        model: Model,
+        view: View,
+        history: History,
+        contacts: Contacts,
+        cached: bool,
+        cache: Cache,
+        env: int,
+        contact: int,
+    ):
+        """Fills ``contacts`` for one; returns how far its point can move and not touch [m], < 0: not at all."""
+        found = find(model, view, history, cached, cache, env, contact)
+        if wp.static(part in (KNOWN, LISTED, RECALLED, CELL)):  # noqa: SIM102  Warp would evaluate both sides
+            if found.free == real(LATER):
+                return found.free
+        if wp.static(follows):
+            contacts.crossed_face[env, contact] = -1
+        if not found.told:
+            leave(contacts, env, contact)
+            return found.free
+        contacts.gap[env, contact] = found.gap
+        contacts.status[env, contact] = found.status
+        contacts.armed[env, contact] = found.armed
+        contacts.penetration[env, contact] = found.penetration
+        contacts.face[env, contact] = found.face
+        contacts.normal[env, contact] = found.normal
+        contacts.arm[env, contact] = found.arm
+        return found.free
 
     return SimpleNamespace(
         View=View,
         view_of=view_of,
         nearest_of_all=nearest_of_all,
+        Found=Found,
+        find=find,
         leave=leave,
         look=look,
     )

@@ -5,6 +5,7 @@ coefficients are data. A pure function of model, state and history: nothing here
 """
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import frames, touch
@@ -24,6 +25,93 @@ from warpcontact.kernels.types import (
 
 
 @functools.cache
+def functions(parts: Parts, real: type, moves: bool, projected: bool) -> SimpleNamespace:
+    """Returns the struct ``Push`` and the device functions of a contact that touches; arguments: ``kernel``."""
+    t = structs(real)
+    vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
+    Coefficients, Memory = group_structs(parts, real)
+    Place = touch_structs(real).Place
+    act, forget = touch.functions(parts, real, moves)
+    twists, needs_curvature = parts.twists, parts.law.needs_curvature
+    facing = frames.functions(real).facing
+
+    @wp.struct
+    class Push:
+        """What one contact does, and what that adds to both bodies about their centres of mass."""
+
+        approach_speed: real  # dδ/dt at K [m/s]
+        slip_speed: real  # tangential, at K [m/s]
+        normal_force: real  # [N]
+        friction_force: vec3  # on the point's body, W [N]
+        torque: vec3  # couple of rolling and torsion on it, W [N·m]
+        force: vec3  # on it; on the surface's the opposite
+        torque_1: vec3  # on the point's body
+        torque_2: vec3  # on the surface's
+
+    @wp.func
+    def push_of(
+        model: Model,
+        state: State,
+        remembered: Memory,
+        dt: real,
+        coefficients: Coefficients,
+        kept: Memory,
+        env: int,
+        contact: int,
+        member: int,
+        body_1: int,
+        body_2: int,
+        apart_W: vec3,
+        q_WS: quat,
+        R_W1: mat33,
+        arm: vec3,
+        normal: vec3,
+        penetration: real,
+        entry_speed: real,
+    ):
+        """What a contact that touches does: with the arm to K from the point's body, from the surface outwards."""
+        geometry = model.contact_geometry[env, contact]
+        place = Place()
+        place.body_1 = body_1
+        place.body_2 = body_2
+        # To K, from the centre of mass of either body.
+        place.arm_1 = arm
+        place.arm_2 = apart_W + arm
+        place.normal = normal
+        place.penetration = penetration
+        place.radius = geometry.radius
+        if wp.static(needs_curvature):
+            # The facets are flat, whatever the mesh stands for.
+            place.curvature_1 = real(1.0) / geometry.radius
+            place.curvature_2 = place.curvature_1
+        torsion_radius = real(-1.0)
+        if wp.static(twists):
+            of_overlap = (model.contact_options[contact] & HERTZ_PATCH) != 0
+            torsion_radius = wp.where(of_overlap, real(-1.0), geometry.torsion_radius)
+        acts = act(
+            model, state, env, place, entry_speed, dt, coefficients, remembered, kept, member, torsion_radius, q_WS
+        )
+
+        # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
+        share = geometry.share
+        if wp.static(projected):
+            share *= facing(model, env, model.contact_point[contact], R_W1, normal)
+        push = Push()
+        push.approach_speed = acts.approach_speed
+        push.slip_speed = acts.slip_speed
+        push.normal_force = share * acts.normal_force
+        push.friction_force = share * acts.friction_force
+        push.torque = share * acts.torque
+        # The same force at the same point K, and the same couple, on both bodies: nothing is left in total.
+        push.force = push.normal_force * normal + push.friction_force
+        push.torque_1 = wp.cross(place.arm_1, push.force) + push.torque
+        push.torque_2 = -(wp.cross(place.arm_2, push.force) + push.torque)
+        return push
+
+    return SimpleNamespace(Push=Push, push_of=push_of, forget=forget)
+
+
+@functools.cache
 def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = False) -> wp.Kernel:
     """Returns the kernel for the classes of ``parts``; items: blocks of the group.
 
@@ -37,13 +125,12 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
     vec3, quat, mat33, Model, State, History = t.vec3, t.quat, t.mat33, t.Model, t.State, t.History
     Contacts, Near, Wrenches = t.Contacts, t.Near, t.Wrenches
     Coefficients, Memory = group_structs(parts, real)
-    Place = touch_structs(real).Place
-    act, forget = touch.functions(parts, real, moves)
-    twists, needs_curvature = parts.twists, parts.law.needs_curvature
+    of_contact = functions(parts, real, moves, projected)
+    Push, push_of, forget = of_contact.Push, of_contact.push_of, of_contact.forget
     oriented = parts.oriented
     frame = frames.functions(real)
     orientation_to_world, apart = frame.orientation_to_world, frame.apart
-    facing, rotation_to_world = frame.facing, frame.rotation_to_world
+    rotation_to_world = frame.rotation_to_world
 
     @wp.func
     def add_wrench(wrenches: Wrenches, env: int, body: int, force_W: vec3, torque_W: vec3):
@@ -51,86 +138,13 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
             wp.atomic_add(wrenches.force, env, body, force_W)
             wp.atomic_add(wrenches.torque, env, body, torque_W)
 
-    @wp.struct
-    class Pair:
-        """Wrenches on the point's body and on the surface's, about their centres of mass; forces are opposite."""
-
-        force: vec3
-        torque_1: vec3
-        torque_2: vec3
-
     @wp.func
-    def touch_of(
-        model: Model,
-        state: State,
-        history: History,
-        remembered: Memory,
-        dt: real,
-        coefficients: Coefficients,
-        contacts: Contacts,
-        kept: Memory,
-        env: int,
-        contact: int,
-        member: int,
-        body_1: int,
-        body_2: int,
-        apart_W: vec3,
-        q_WS: quat,
-        R_W1: mat33,
-    ):
-        """Forces of one contact: into ``contacts``, and as what they add to both bodies."""
-        pair = Pair()
-        if contacts.status[env, contact] != CONTACT:
-            contacts.approach_speed[env, contact] = real(0.0)
-            contacts.normal_force[env, contact] = real(0.0)
-            contacts.friction_force[env, contact] = vec3()
-            contacts.slip_speed[env, contact] = real(0.0)
-            contacts.torque[env, contact] = vec3()
-            forget(kept, env, member, dt)
-            return pair
-
-        geometry = model.contact_geometry[env, contact]
-        place = Place()
-        place.body_1 = body_1
-        place.body_2 = body_2
-        # To K, from the centre of mass of either body.
-        place.arm_1 = contacts.arm[env, contact]
-        place.arm_2 = apart_W + place.arm_1
-        place.normal = contacts.normal[env, contact]
-        place.penetration = contacts.penetration[env, contact]
-        place.radius = geometry.radius
-        if wp.static(needs_curvature):
-            # The facets are flat, whatever the mesh stands for.
-            place.curvature_1 = real(1.0) / geometry.radius
-            place.curvature_2 = place.curvature_1
-        torsion_radius = real(-1.0)
-        if wp.static(twists):
-            of_overlap = (model.contact_options[contact] & HERTZ_PATCH) != 0
-            torsion_radius = wp.where(of_overlap, real(-1.0), geometry.torsion_radius)
-        acts = act(
-            model, state, env, place, history.entry_speed[env, contact], dt, coefficients, remembered, kept,
-            member, torsion_radius, q_WS,
-        )  # fmt: skip
-
-        # After the formulas: what is springy or viscous in them is shared like what is in proportion to N.
-        share = geometry.share
-        if wp.static(projected):
-            share *= facing(model, env, model.contact_point[contact], R_W1, place.normal)
-        normal_force = share * acts.normal_force
-        friction_W = share * acts.friction_force
-        torque_W = share * acts.torque
-
-        contacts.approach_speed[env, contact] = acts.approach_speed
-        contacts.slip_speed[env, contact] = acts.slip_speed
-        contacts.normal_force[env, contact] = normal_force
-        contacts.friction_force[env, contact] = friction_W
-        contacts.torque[env, contact] = torque_W
-
-        # The same force at the same point K, and the same couple, on both bodies: nothing is left in total.
-        pair.force = normal_force * place.normal + friction_W
-        pair.torque_1 = wp.cross(place.arm_1, pair.force) + torque_W
-        pair.torque_2 = -(wp.cross(place.arm_2, pair.force) + torque_W)
-        return pair
+    def tell(contacts: Contacts, env: int, contact: int, push: Push):
+        contacts.approach_speed[env, contact] = push.approach_speed
+        contacts.slip_speed[env, contact] = push.slip_speed
+        contacts.normal_force[env, contact] = push.normal_force
+        contacts.friction_force[env, contact] = push.friction_force
+        contacts.torque[env, contact] = push.torque
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def contact_force(
@@ -169,16 +183,24 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
             R_W1 = mat33()
             if wp.static(projected):
                 R_W1 = rotation_to_world(state, env, body_1)
-            total = Pair()
+            dt = step[env, 0]
+            total = Push()
             for place in range(start, start + near.count[env, block]):
                 contact = natural(near.contact[env, place])
-                pair = touch_of(
-                    model, state, history, remembered, step[env, 0], coefficients, contacts, kept,
-                    env, contact, contact - first_contact, body_1, body_2, apart_W, q_WS, R_W1,
-                )  # fmt: skip
-                total.force += pair.force
-                total.torque_1 += pair.torque_1
-                total.torque_2 += pair.torque_2
+                member = contact - first_contact
+                push = Push()
+                if contacts.status[env, contact] != CONTACT:
+                    forget(kept, env, member, dt)
+                else:
+                    push = push_of(
+                        model, state, remembered, dt, coefficients, kept, env, contact, member, body_1, body_2,
+                        apart_W, q_WS, R_W1, contacts.arm[env, contact], contacts.normal[env, contact],
+                        contacts.penetration[env, contact], history.entry_speed[env, contact],
+                    )  # fmt: skip
+                tell(contacts, env, contact, push)
+                total.force += push.force
+                total.torque_1 += push.torque_1
+                total.torque_2 += push.torque_2
             if ordered:
                 near.force[env, block] = total.force
                 near.torque_1[env, block] = total.torque_1

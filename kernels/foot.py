@@ -4,7 +4,7 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels import triangle
+from warpcontact.kernels import rows, triangle
 from warpcontact.kernels.types import FEATURE_ACTIVE, natural, structs
 
 # Rounding, in units of epsilon times the size of the differences: two distances this near are equal. Not wider:
@@ -24,6 +24,7 @@ def functions(real: type) -> SimpleNamespace:
     """Returns the struct ``Foot`` and the device functions for ``real``."""
     t = structs(real)
     vec3, Model = t.vec3, t.Model
+    row_of = rows.row_of(real)
     closest_to_origin = triangle.functions(real).closest_to_origin
     tie_epsilon = wp.constant(real(t.epsilon * TIE))
     zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
@@ -40,11 +41,11 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def foot_on(model: Model, row: int, p: vec3):
-        face = natural(row)
-        a = model.face_corner[face, 0] - p
-        b = model.face_corner[face, 1] - p
-        c = model.face_corner[face, 2] - p
-        hit = closest_to_origin(a, b, c, model.face_corner[face, 3])
+        corners = row_of(model.face_corner, row)
+        a = corners[0] - p
+        b = corners[1] - p
+        c = corners[2] - p
+        hit = closest_to_origin(a, b, c, corners[3])
         foot = Foot()
         foot.to_point = -hit.point
         foot.row = row
@@ -56,12 +57,14 @@ def functions(real: type) -> SimpleNamespace:
     @wp.func
     def distance_from(model: Model, row: int, p: vec3):
         """Distance of a face, to rounding and without branches: in its plane, in its own axes."""
-        v = p - model.face_corner[row, 0]
-        x = wp.dot(v, model.face_frame[row, 0])
-        y = wp.dot(v, model.face_frame[row, 1])
-        height = wp.dot(v, model.face_corner[row, 3])
-        shape = model.face_frame[row, 2]
-        per_square = model.face_frame[row, 3]
+        corners = row_of(model.face_corner, row)
+        axes = row_of(model.face_frame, row)
+        v = p - corners[0]
+        x = wp.dot(v, axes[0])
+        y = wp.dot(v, axes[1])
+        height = wp.dot(v, corners[3])
+        shape = axes[2]
+        per_square = axes[3]
         # The corners are (0, 0), (length, 0) and (c_x, c_y), anticlockwise.
         length = shape[0]
         c_x = shape[1]

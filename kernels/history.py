@@ -14,13 +14,47 @@ from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, env_of, item_of
 
 
 @functools.cache
+def entering(real: type) -> wp.Function:
+    """Returns the device function that takes whether a contact touches, and how fast, into ``history``."""
+    t = structs(real)
+    Model, History, Cache = t.Model, t.History, t.Cache
+
+    @wp.func
+    def enter(
+        model: Model,
+        cache: Cache,
+        history: History,
+        env: int,
+        block: int,
+        contact: int,
+        touching: bool,
+        approach_speed: real,
+    ):
+        before = history.entry_speed[env, contact]
+        speed = real(-1.0)
+        if touching:
+            # Not below 0, which says "not touching".
+            speed = wp.max(before, wp.max(approach_speed, real(0.0)))
+            if before < real(0.0):
+                # Whoever found it: what others know of distances must not leave it out when it ends.
+                cache.wake[env, contact] = real(0.0)
+                cache.block_wake[env, block] = real(0.0)
+                cache.block_quiet[env, block] = 0
+                cache.set_wake[env, natural(model.block_set[block])] = real(0.0)
+        history.entry_speed[env, contact] = speed
+
+    return enter
+
+
+@functools.cache
 def advance(real: type, follows: bool) -> wp.Function:
     """Returns the device function that takes the contacts of a block that are near into ``history``.
 
     ``follows``: whether any contact stays with the face that it touched, or crossed; it asks for the time then.
     """
     t = structs(real)
-    Model, Contacts, Near, History = t.Model, t.Contacts, t.Near, t.History
+    Model, Contacts, Near, History, Cache = t.Model, t.Contacts, t.Near, t.History, t.Cache
+    enter = entering(real)
 
     @wp.func
     def advance(
@@ -30,6 +64,7 @@ def advance(real: type, follows: bool) -> wp.Function:
         contacts: Contacts,
         near: Near,
         history: History,
+        cache: Cache,
         env: int,
         block: int,
     ):
@@ -42,12 +77,7 @@ def advance(real: type, follows: bool) -> wp.Function:
             history.armed[env, contact] = contacts.armed[env, contact]
             touching = contacts.status[env, contact] == CONTACT
             near.news[env, contact] = wp.where(touching, 1, 0)
-            if touching:
-                # Not below 0, which says "not touching".
-                speed = wp.max(contacts.approach_speed[env, contact], real(0.0))
-                history.entry_speed[env, contact] = wp.max(history.entry_speed[env, contact], speed)
-            else:
-                history.entry_speed[env, contact] = real(-1.0)
+            enter(model, cache, history, env, block, contact, touching, contacts.approach_speed[env, contact])
             if wp.static(follows):
                 face = wp.where(touching, contacts.face[env, contact], -1)
                 crossed = contacts.crossed_face[env, contact]
@@ -71,7 +101,9 @@ def kernel(real: type, follows: bool, ends: bool = False) -> wp.Kernel:
     """
     assert not (follows and ends)
     t = structs(real)
-    Model, State, Contacts, Near, History = t.Model, t.State, t.Contacts, t.Near, t.History
+    Model, State, Contacts, Near, History, Cache = (
+        t.Model, t.State, t.Contacts, t.Near, t.History, t.Cache,
+    )  # fmt: skip
     end, take = finish.end_of_step(real), advance(real, follows)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -88,6 +120,7 @@ def kernel(real: type, follows: bool, ends: bool = False) -> wp.Kernel:
         contacts: Contacts,
         near: Near,
         history: History,
+        cache: Cache,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)
@@ -98,7 +131,7 @@ def kernel(real: type, follows: bool, ends: bool = False) -> wp.Kernel:
                 if block == 0:
                     end(status, clock_step, time, bodies, state_in, state_out, env, before)
             if before == ENV_ACTIVE:
-                take(time, step, model, contacts, near, history, env, block)
+                take(time, step, model, contacts, near, history, cache, env, block)
 
     return advance_history
 

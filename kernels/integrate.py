@@ -1,6 +1,7 @@
 """Time integration of rigid bodies: one kernel per scheme, from ``state_in`` to ``state_out``."""
 
 import functools
+from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels import finish, frames, history, quarantine
@@ -33,6 +34,88 @@ def _spin(real: type) -> wp.Function:
 
 
 @functools.cache
+def euler(real: type) -> SimpleNamespace:
+    """Returns the struct ``Moved`` and the device functions of a semi-implicit Euler step of a free body.
+
+    Velocities first, from the wrenches at ``state_in``; positions with the new velocities. Rotation advances the
+    angular momentum L, which carries the gyroscopic term without an approximation, and turns the body by the
+    exponential of the angular velocity at mid-step: a free body keeps L to rounding and its energy to second
+    order. One with the same inertia about all axes needs no more than its spin.
+    """
+    t = structs(real)
+    vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
+    rotated = frames.functions(real).rotated
+    spin = _spin(real)
+    of_guard = quarantine.guard(real)
+    Guard, cause_of = of_guard.Guard, of_guard.cause_of
+
+    @wp.struct
+    class Moved:
+        """State of a body after a step."""
+
+        position: vec3
+        remainder: vec3
+        orientation: quat
+        velocity: vec3
+        spin: vec3
+
+    @wp.func
+    def moved_by(model: Model, state: State, env: int, body: int, force: vec3, torque: vec3, dt: real):
+        """The state that a wrench, beside gravity, leads to."""
+        acceleration = (real(1.0) / model.body_mass[env, body]) * force + model.gravity[env, 0]
+        velocity = state.body_linear_velocity[env, body] + dt * acceleration
+        # A step is often smaller than what a position is rounded to: nothing of it is lost.
+        before = state.body_position[env, body]
+        way = dt * velocity + state.body_position_remainder[env, body]
+        position = before + way
+        gone = position - before
+
+        q_WB = state.body_orientation[env, body]
+        w_W = state.body_angular_velocity[env, body]
+        inverse_B = model.body_inverse_inertia[env, body]
+        turning = w_W + (dt * inverse_B[0, 0]) * torque
+        orientation = q_WB
+        if model.body_round[env, body]:
+            orientation = rotated(q_WB, dt * turning)
+        else:
+            inertia_B = model.body_inertia[env, body]
+            last_momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
+            momentum = last_momentum + dt * torque
+            start = spin(inverse_B, q_WB, momentum)
+            q_middle = rotated(q_WB, real(0.5) * dt * start)
+            orientation = rotated(q_WB, dt * spin(inverse_B, q_middle, momentum))
+            # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and
+            # scales what it rotates, which in a difference from step to step cancels instead of adding up.
+            turning = w_W + (spin(inverse_B, orientation, momentum) - spin(inverse_B, q_WB, last_momentum))
+        moved = Moved()
+        moved.position = position
+        moved.remainder = (before - (position - gone)) + (way - gone)
+        moved.orientation = orientation
+        moved.velocity = velocity
+        moved.spin = turning
+        return moved
+
+    @wp.func
+    def put(state: State, env: int, body: int, moved: Moved):
+        state.body_position[env, body] = moved.position
+        state.body_position_remainder[env, body] = moved.remainder
+        state.body_orientation[env, body] = moved.orientation
+        state.body_linear_velocity[env, body] = moved.velocity
+        state.body_angular_velocity[env, body] = moved.spin
+
+    @wp.func
+    def failure_of(guard: Guard, env: int, moved: Moved):
+        """Why a step may not be taken, or NO_CAUSE."""
+        # One sum is finite only if every term is: squares have no opposite signs.
+        sizes = wp.length_sq(moved.position) + wp.length_sq(moved.velocity) + wp.length_sq(moved.spin)
+        if sizes < guard.suspect[env, 0]:
+            return NO_CAUSE
+        return cause_of(moved.position, moved.velocity, moved.spin, guard.limits[env, 0])
+
+    return SimpleNamespace(Guard=Guard, moved_by=moved_by, put=put, failure_of=failure_of)
+
+
+@functools.cache
 def semi_implicit_euler(
     real: type, moves: bool = False, sources: tuple[bool, bool] | None = None, accepts: bool = False
 ) -> wp.Kernel:
@@ -41,23 +124,16 @@ def semi_implicit_euler(
     With ``moves``, bodies that are not free are left to ``motions``. With ``sources``, the options of
     ``wrenches.functions``, it adds the wrenches up before. With ``accepts``, for environments of one body, it
     ends their step, and takes their contacts into the history.
-
-    Velocities first, from the wrenches at ``state_in``; positions with the new velocities. Rotation advances the
-    angular momentum L, which carries the gyroscopic term without an approximation, and turns the body by the
-    exponential of the angular velocity at mid-step: a free body keeps L to rounding and its energy to second
-    order. One with the same inertia about all axes needs no more than its spin.
     """
     t = structs(real)
     vec3, Model, State, Near, Ends, Wrenches = t.vec3, t.Model, t.State, t.Near, t.Ends, t.Wrenches
     sums = sources is not None
-    History, Contacts = t.History, t.Contacts
+    History, Contacts, Cache = t.History, t.Contacts, t.Cache
     end, advance = finish.end_of_step(real), history.advance(real, False)
     total = of_wrenches.functions(real, *(sources or (False, False))).total
     empty = of_wrenches.empty
-    rotated = frames.functions(real).rotated
-    spin = _spin(real)
-    of_guard = quarantine.guard(real)
-    Guard, cause_of = of_guard.Guard, of_guard.cause_of
+    of_body = euler(real)
+    Guard, moved_by, put, failure_of = of_body.Guard, of_body.moved_by, of_body.put, of_body.failure_of
 
     @wp.kernel(module="unique", enable_backward=False)
     def semi_implicit_euler(
@@ -76,6 +152,7 @@ def semi_implicit_euler(
         blocks: wp.int32,
         contacts: Contacts,
         history_of: History,
+        cache: Cache,
         state_out: State,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
@@ -100,52 +177,18 @@ def semi_implicit_euler(
             if wp.static(moves):  # noqa: SIM102  Warp would evaluate both sides
                 if model.body_motion[env, body].kind != FREE:
                     continue
-            dt = step[env, 0]
-            acceleration = (real(1.0) / model.body_mass[env, body]) * force + model.gravity[env, 0]
-            velocity = state_in.body_linear_velocity[env, body] + dt * acceleration
-            # A step is often smaller than what a position is rounded to: nothing of it is lost.
-            before = state_in.body_position[env, body]
-            way = dt * velocity + state_in.body_position_remainder[env, body]
-            position = before + way
-            gone = position - before
-            remainder = (before - (position - gone)) + (way - gone)
-
-            q_WB = state_in.body_orientation[env, body]
-            w_W = state_in.body_angular_velocity[env, body]
-            inverse_B = model.body_inverse_inertia[env, body]
-            turning = w_W + (dt * inverse_B[0, 0]) * torque
-            orientation = q_WB
-            if model.body_round[env, body]:
-                orientation = rotated(q_WB, dt * turning)
-            else:
-                inertia_B = model.body_inertia[env, body]
-                last_momentum = wp.quat_rotate(q_WB, inertia_B * wp.quat_rotate_inv(q_WB, w_W))
-                momentum = last_momentum + dt * torque
-                start = spin(inverse_B, q_WB, momentum)
-                q_middle = rotated(q_WB, real(0.5) * dt * start)
-                orientation = rotated(q_WB, dt * spin(inverse_B, q_middle, momentum))
-                # The change of spin, not the spin itself: a quaternion is a little longer or shorter than one and
-                # scales what it rotates, which in a difference from step to step cancels instead of adding up.
-                turning = w_W + (spin(inverse_B, orientation, momentum) - spin(inverse_B, q_WB, last_momentum))
-
-            state_out.body_position[env, body] = position
-            state_out.body_position_remainder[env, body] = remainder
-            state_out.body_orientation[env, body] = orientation
-            state_out.body_linear_velocity[env, body] = velocity
-            state_out.body_angular_velocity[env, body] = turning
-            # One sum is finite only if every term is: squares have no opposite signs.
-            sizes = wp.length_sq(position) + wp.length_sq(velocity) + wp.length_sq(turning)
-            if not sizes < guard.suspect[env, 0]:
-                cause = cause_of(position, velocity, turning, guard.limits[env, 0])
-                if cause != NO_CAUSE:
-                    status[env] = ENV_FAILED
-                    guard.cause[env] = cause
+            moved = moved_by(model, state_in, env, body, force, torque, step[env, 0])
+            put(state_out, env, body, moved)
+            cause = failure_of(guard, env, moved)
+            if cause != NO_CAUSE:
+                status[env] = ENV_FAILED
+                guard.cause[env] = cause
             if wp.static(accepts):
                 found = status[env]
                 end(status, clock_step, time, 1, state_in, state_out, env, found)
                 if found == ENV_ACTIVE:
                     for block in range(blocks):
-                        advance(time, step, model, contacts, near, history_of, env, natural(block))
+                        advance(time, step, model, contacts, near, history_of, cache, env, natural(block))
 
     return semi_implicit_euler
 

@@ -186,6 +186,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     return SimpleNamespace(
         View=View,
         view_of=view_of,
+        find=contact_of.find,
         look=contact_of.look,
         leave=leave,
         left_of=left_of,

@@ -70,7 +70,34 @@ def functions(real: type) -> SimpleNamespace:
             )
         return way * (real(1.0) + real(8.0) * epsilon)
 
-    return SimpleNamespace(see=see, moved=moved)
+    @wp.func
+    def add(model: Model, state: State, cache: Cache, env: int, number: int):
+        """Adds up the travel of a set; returns it with the rounding of positions, as it is held against wakes."""
+        seen = see(model, state, env, number)
+        way = moved(model, cache, env, number, seen)
+        before = cache.set_travel[env, number]
+        travel = before + way + epsilon * before
+        cache.set_position[env, number] = seen.position
+        cache.set_orientation[env, number] = seen.orientation
+        cache.set_travel[env, number] = travel
+        cache.set_step[env, number] = way
+        cache.set_margin[env, number] = seen.margin
+        return travel + seen.margin
+
+    @wp.func
+    def sleeps(model: Model, cache: Cache, env: int, number: int, travelled: real):
+        """Whether no point of a set can touch yet."""
+        wake = cache.set_wake[env, number]
+        if travelled < wake:
+            return True
+        # Its blocks may have learned more since.
+        wake = real(wp.inf)
+        for block in range(model.set_block_start[number], model.set_block_start[number + 1]):
+            wake = wp.min(wake, cache.block_wake[env, block])
+        cache.set_wake[env, number] = wake
+        return travelled < wake
+
+    return SimpleNamespace(see=see, moved=moved, add=add, sleeps=sleeps)
 
 
 @functools.cache
@@ -81,8 +108,7 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     Model, State, Cache = t.Model, t.State, t.Cache
-    see, moved = functions(real).see, functions(real).moved
-    epsilon = wp.constant(real(t.epsilon))
+    add, sleeps = functions(real).add, functions(real).sleeps
 
     @wp.kernel(module="unique", enable_backward=False)
     def add_travel(work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, cache: Cache):
@@ -91,25 +117,8 @@ def kernel(real: type) -> wp.Kernel:
             number = item_of(work, task)
             if status[env] != ENV_ACTIVE:
                 continue
-            seen = see(model, state, env, number)
-            way = moved(model, cache, env, number, seen)
-            before = cache.set_travel[env, number]
-            travel = before + way + epsilon * before
-            cache.set_position[env, number] = seen.position
-            cache.set_orientation[env, number] = seen.orientation
-            cache.set_travel[env, number] = travel
-            cache.set_step[env, number] = way
-            cache.set_margin[env, number] = seen.margin
-
-            wake = cache.set_wake[env, number]
-            asleep = travel + seen.margin < wake
-            if not asleep:
-                # Its blocks may have learned more since.
-                wake = real(wp.inf)
-                for block in range(model.set_block_start[number], model.set_block_start[number + 1]):
-                    wake = wp.min(wake, cache.block_wake[env, block])
-                cache.set_wake[env, number] = wake
-                asleep = travel + seen.margin < wake
+            travelled = add(model, state, cache, env, number)
+            asleep = sleeps(model, cache, env, number, travelled)
             cache.set_asleep[env, number] = wp.where(asleep, 1, 0)
 
     return add_travel

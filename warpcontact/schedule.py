@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from warpcontact.kernels import (
+    alone,
     contact_coupling,
     finish,
     history,
@@ -43,6 +44,8 @@ FEW = 131072
 MOST_ADDED_UP = 16
 # Threads of a block: of kernels with many registers each, small blocks fill a processor better.
 FEW_TOGETHER, TOGETHER_IN_CELLS, MANY_TOGETHER = 64, 128, 256
+# Warps that fill the processors of a GPU.
+WARPS = 2048
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,15 @@ class Span:
         few = model.device.is_cpu or (model.blocks.count == 1 and self.few)
         alone = model.body_count == 1 and not (model.moves or model.drives or model.follows)
         return few and alone and model.blocks.count > 0 and self.sums_by_body
+
+    @property
+    def alone(self) -> bool:
+        """Whether one launch takes a step: of bodies alone in their environments with one set of contacts."""
+        model, blocks = self.model, self.model.blocks
+        looks = self.queued and self.cached and model.arrays.celled and blocks.set_count == 1
+        free = model.body_count == 1 and not (model.moves or model.drives or model.follows)
+        coupled = model.couplings or model.smooth or model.piles or any(one.coupling_count for one in model.groups)
+        return looks and free and not coupled and blocks.count <= MOST_ADDED_UP
 
     def prepare(
         self,
@@ -254,7 +266,8 @@ def accept_stages(
         states = [model.body_count, state_in, state_out]
         inputs = [a.status, dt.clock, a.time, *states]
         launches += [] if at_once else span.prepare(finish.kernel(real), 1, inputs)
-        inputs = [a.status, a.time, dt.dynamic, dt.clock, *states, a.model, a.contacts, a.near, a.history]
+        inputs = [a.status, a.time, dt.dynamic, dt.clock, *states]
+        inputs += [a.model, a.contacts, a.near, a.history, a.cache]
         launches += span.prepare(history.kernel(real, model.follows, at_once), model.blocks.count, inputs)
     for group in model.groups:
         if group.coupling_count:
@@ -289,6 +302,23 @@ def accept_stages(
     if span.hard is not None:
         launches += span.hard.accept_stages(span, dt.dynamic)
     return launches
+
+
+def alone_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> list[wp.Launch]:
+    """Returns the launch that takes an accepted semi-implicit Euler step of a span that is ``alone``."""
+    model, blocks = span.model, span.model.blocks
+    a, real, (group,) = model.arrays, model.types.real, model.groups
+    lanes = warps.LANES if model.device.is_cuda else 1
+    codes = group.parts, real, group.projected, model.pushed
+    kernel = alone.kernel(*codes, blocks.width, blocks.count, lanes)
+    # Of many environments each thread has one; of few so many that all processors have warps.
+    own = min(lanes, max(1, span.count // WARPS))
+    if model.contact_count == 1:
+        own = lanes
+    inputs = [own, a.status, dt.dynamic, dt.clock, a.time, a.model, a.guard, state_in, a.history, group.memory]
+    inputs += [group.coefficients, group.kept, a.contacts, a.near, a.cache, a.ends, state_out]
+    together = FEW_TOGETHER if span.few else MANY_TOGETHER
+    return span.prepare(kernel, 1, inputs, -(-span.count // own) * lanes, together)
 
 
 def adopt_stage(span: Span, source: Any, target: Any) -> list[wp.Launch]:

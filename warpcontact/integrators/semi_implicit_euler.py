@@ -8,7 +8,7 @@ import warp as wp
 from warpcontact.integrators.base import Integrator, formulas_of
 from warpcontact.kernels import integrate, sweep
 from warpcontact.kernels.motions import driven, step
-from warpcontact.schedule import Span, StepLength, force_stages
+from warpcontact.schedule import Span, StepLength, alone_stages, force_stages
 
 if TYPE_CHECKING:
     from warpcontact.scene import Scene
@@ -39,7 +39,7 @@ class SemiImplicitEuler(Integrator):
 
     def may_end(self, span: Span) -> bool:
         """Of one body alone."""
-        return span.ends_by_body
+        return span.alone or span.ends_by_body
 
     def step_stages(
         self,
@@ -52,13 +52,15 @@ class SemiImplicitEuler(Integrator):
         ends: bool = False,
     ) -> list[wp.Launch]:
         """Returns the launches of forces, of free bodies and of others, and those that look for crossings."""
+        if ends and span.alone:
+            return alone_stages(span, dt, state_in, state_out)
         model = span.model
         a, real = model.arrays, model.types.real
         by_block = span.sums_by_body
         launches = force_stages(span, state_in, dt.dynamic, a.status, by_block=by_block)
         kernel = integrate.semi_implicit_euler(real, model.moves, span.sources if by_block else None, ends)
         inputs = [a.status, dt.dynamic, a.model, a.guard, state_in, a.cache.waiting, a.near, a.ends, a.wrenches]
-        inputs += [dt.clock, a.time, model.blocks.count, a.contacts, a.history, state_out]
+        inputs += [dt.clock, a.time, model.blocks.count, a.contacts, a.history, a.cache, state_out]
         launches += span.prepare(kernel, model.body_count, inputs)
         if model.moves:
             inputs = [a.status, dt.dynamic, a.model, a.guard, a.constrained, state_in, a.wrenches, state_out]

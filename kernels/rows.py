@@ -1,0 +1,35 @@
+"""Rows of four vectors, as the tables of faces have them, read as a whole: on a GPU it is loads that cost."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.types import structs
+
+
+@functools.cache
+def row_of(real: type) -> wp.Function:
+    """Returns the device function that reads a row of a table of four vectors in each."""
+    Table = wp.array2d(dtype=structs(real).vec3)
+    Row = wp.types.matrix(shape=(4, 3), dtype=real)
+    scalar = {wp.float32: "wp::float32", wp.float64: "wp::float64"}[real]
+
+    # A row is some times 16 bytes long, and begins at a multiple of that.
+    @wp.func_native(
+        f"""
+        wp::mat_t<4, 3, {scalar}> read;
+        const char* from = reinterpret_cast<const char*>(table.data) + size_t(row) * table.strides[0];
+        #if defined(__CUDA_ARCH__)
+        #pragma unroll
+        for (unsigned at = 0; at < sizeof(read); at += 16) {{
+            const float4 some = *reinterpret_cast<const float4*>(from + at);
+            memcpy(reinterpret_cast<char*>(&read) + at, &some, 16);
+        }}
+        #else
+        memcpy(&read, from, sizeof(read));
+        #endif
+        return read;
+        """
+    )
+    def row_of(table: Table, row: int) -> Row: ...
+
+    return row_of
