@@ -130,10 +130,14 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
         cache: Cache,
         env: int,
         contact: int,
-        pair: Pair,
+        there: bool,
     ):
-        """Looks at a contact, and computes its force if it touches."""
+        """Looks at a contact, and computes its force if it touches; nothing if there is none."""
         met = Met()
+        # Returned early: of both sides of a branch Warp copies what they change.
+        if not there:
+            return met
+        pair = pair_of(model, state, env)
         entry_speed = history.entry_speed[env, contact]
         found = find(model, pair.view, history, True, cache, env, contact)
         if found.status == CONTACT:
@@ -216,9 +220,6 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
 
     return SimpleNamespace(
         Guard=Guard,
-        Pair=Pair,
-        Met=Met,
-        pair_of=pair_of,
         awake_of=awake_of,
         wake_of_block=wake_of_block,
         meet=meet,
@@ -248,8 +249,7 @@ def kernel(
     )  # fmt: skip
     Coefficients, Memory = group_structs(parts, real)
     of_set = _functions(parts, real, projected, width)
-    Guard, Met, pair_of = of_set.Guard, of_set.Met, of_set.pair_of
-    awake_of, wake_of_block = of_set.awake_of, of_set.wake_of_block
+    Guard, awake_of, wake_of_block = of_set.Guard, of_set.awake_of, of_set.wake_of_block
     meet, move, take = of_set.meet, of_set.move, of_set.take
     of_travel = travel.functions(real)
     add_travel, sleeps = of_travel.add, of_travel.sleeps
@@ -316,17 +316,15 @@ def kernel(
             armed = Bits()
             speed = real(0.0)
             if wp.static(single):
-                if there:
-                    met = meet(
-                        model, state_in, history, memory, step[env, 0], coefficients, kept, cache, env, 0,
-                        pair_of(model, state_in, env),
-                    )  # fmt: skip
-                    force += met.force
-                    torque += met.torque
-                    touching[0] = wp.where(met.kind == TOUCHES, 1, 0)
-                    ended[0] = wp.where(met.kind == ENDED, 1, 0)
-                    armed[0] = met.armed
-                    speed = met.approach_speed
+                met = meet(
+                    model, state_in, history, memory, step[env, 0], coefficients, kept, cache, env, 0, there
+                )
+                force += met.force
+                torque += met.torque
+                touching[0] = wp.where(met.kind == TOUCHES, 1, 0)
+                ended[0] = wp.where(met.kind == ENDED, 1, 0)
+                armed[0] = met.armed
+                speed = met.approach_speed
             else:
                 travelled = real(0.0)
                 awake = wp.bool(False)
@@ -336,56 +334,78 @@ def kernel(
                     awake = not sleeps(model, cache, env, 0, travelled)
                 # What a thread wrote of its environment is there for the others.
                 warps.meet()
-                for block in range(model.block_set.shape[0]):
-                    slot = slot_of(block)
-                    those = wp.int32(0)
-                    if awake:  # noqa: SIM102  Warp would evaluate both sides
+                awakes = Bits()
+                count = wp.int32(0)
+                if awake:
+                    for block in range(model.block_set.shape[0]):
                         if not (travelled < cache.block_wake[env, block]):
                             those = awake_of(model, cache, env, block, travelled)
+                            awakes[slot_of(block)] = those
+                            count += warps.count_of(those)
                             looked_at = looked_at | (1 << block)
-                    up_to = warps.sum_up_to(warps.count_of(those))
-                    start = up_to - warps.count_of(those)
-                    total = number_told_by(up_to, wp.static(lanes - 1))
-                    # Of the contacts of all environments of the warp, the next of this one; and which those are.
-                    at = start
-                    left = those
-                    sum_force = vec3()
-                    sum_torque = vec3()
-                    for base in range(0, total, wp.static(lanes)):
-                        owner = warps.owner_of(start, base + lane)
-                        number = base + lane - number_told_by(start, owner)
-                        place = warps.one_of(number_told_by(those, owner), number)
-                        met = Met()
-                        if base + lane < total:
-                            whose = first + natural(owner)
-                            contact = natural(model.block_contact[natural(model.block_start[block]) + place])
-                            met = meet(
-                                model, state_in, history, memory, step[whose, 0], coefficients, kept, cache, whose,
-                                contact, pair_of(model, state_in, whose),
-                            )  # fmt: skip
-                            cache.wake[whose, contact] = wake_of(cache.set_travel[whose, 0], met.free)
-                            if met.kind == TOUCHES:
-                                contacts.approach_speed[whose, contact] = met.approach_speed
-                        touch_there = warps.lanes_with(met.kind == TOUCHES)
-                        ended_there = warps.lanes_with(met.kind == ENDED)
-                        armed_there = warps.lanes_with(met.armed != 0)
+                # Of the contacts of all environments of the warp, the next of this one: its block and those left.
+                up_to = warps.sum_up_to(count)
+                at = up_to - count
+                start = at
+                total = number_told_by(up_to, wp.static(lanes - 1))
+                mine = wp.int32(0)
+                left = awakes[0]
+                sum_force = vec3()
+                sum_torque = vec3()
+                for base in range(0, total, wp.static(lanes)):
+                    owner = warps.owner_of(start, base + lane)
+                    number = base + lane - number_told_by(start, owner)
+                    block = wp.int32(0)
+                    those = number_told_by(awakes[0], owner)
+                    for other in range(1, model.block_set.shape[0]):
+                        one = number_told_by(awakes[slot_of(other)], owner)
+                        if block == other - 1 and number >= warps.count_of(those):
+                            number -= warps.count_of(those)
+                            those = one
+                            block = other
+                    whose = first
+                    contact = wp.int32(0)
+                    found = base + lane < total
+                    if found:
+                        whose = first + natural(owner)
+                        place = natural(model.block_start[block]) + warps.one_of(those, number)
+                        contact = natural(model.block_contact[place])
+                    met = meet(
+                        model, state_in, history, memory, step[whose, 0], coefficients, kept, cache, whose,
+                        contact, found,
+                    )  # fmt: skip
+                    if found:
+                        cache.wake[whose, contact] = wake_of(cache.set_travel[whose, 0], met.free)
+                        if met.kind == TOUCHES:
+                            contacts.approach_speed[whose, contact] = met.approach_speed
+                    touch_there = warps.lanes_with(met.kind == TOUCHES)
+                    ended_there = warps.lanes_with(met.kind == ENDED)
+                    armed_there = warps.lanes_with(met.armed != 0)
+                    waits = at < wp.min(up_to, base + wp.static(lanes))
+                    while warps.lanes_with(waits) != 0:
+                        lane_of_it = wp.where(waits, at - base, lane)
+                        one_force = told_vector(met.force, lane_of_it)
+                        one_torque = told_vector(met.torque, lane_of_it)
+                        if waits:
+                            while left == 0:
+                                force += sum_force
+                                torque += sum_torque
+                                sum_force = vec3()
+                                sum_torque = vec3()
+                                mine += 1
+                                left = awakes[slot_of(mine)]
+                            sum_force += one_force
+                            sum_torque += one_torque
+                            bit = left & -left
+                            left = left - bit
+                            slot = slot_of(mine)
+                            touching[slot] = touching[slot] | (bit * warps.some(touch_there, lane_of_it, 1))
+                            ended[slot] = ended[slot] | (bit * warps.some(ended_there, lane_of_it, 1))
+                            armed[slot] = armed[slot] | (bit * warps.some(armed_there, lane_of_it, 1))
+                            at += 1
                         waits = at < wp.min(up_to, base + wp.static(lanes))
-                        while warps.lanes_with(waits) != 0:
-                            other = wp.where(waits, at - base, lane)
-                            one_force = told_vector(met.force, other)
-                            one_torque = told_vector(met.torque, other)
-                            if waits:
-                                sum_force += one_force
-                                sum_torque += one_torque
-                                one = left & -left
-                                left = left - one
-                                touching[slot] = touching[slot] | (one * warps.some(touch_there, other, 1))
-                                ended[slot] = ended[slot] | (one * warps.some(ended_there, other, 1))
-                                armed[slot] = armed[slot] | (one * warps.some(armed_there, other, 1))
-                                at += 1
-                            waits = at < wp.min(up_to, base + wp.static(lanes))
-                    force += sum_force
-                    torque += sum_torque
+                force += sum_force
+                torque += sum_torque
                 # And what others wrote of its contacts.
                 warps.meet()
                 for block in range(model.block_set.shape[0]):

@@ -26,7 +26,7 @@ from warpcontact.kernels.types import (
 
 @functools.cache
 def functions(parts: Parts, real: type, moves: bool, projected: bool) -> SimpleNamespace:
-    """Returns the struct ``Push`` and the device functions of a contact that touches; arguments: ``kernel``."""
+    """Returns the device functions of a contact that touches; arguments: ``kernel``."""
     t = structs(real)
     vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
     Coefficients, Memory = group_structs(parts, real)
@@ -108,7 +108,7 @@ def functions(parts: Parts, real: type, moves: bool, projected: bool) -> SimpleN
         push.torque_2 = -(wp.cross(place.arm_2, push.force) + push.torque)
         return push
 
-    return SimpleNamespace(Push=Push, push_of=push_of, forget=forget)
+    return SimpleNamespace(push_of=push_of, forget=forget)
 
 
 @functools.cache
@@ -126,7 +126,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
     Contacts, Near, Wrenches = t.Contacts, t.Near, t.Wrenches
     Coefficients, Memory = group_structs(parts, real)
     of_contact = functions(parts, real, moves, projected)
-    Push, push_of, forget = of_contact.Push, of_contact.push_of, of_contact.forget
+    push_of, forget = of_contact.push_of, of_contact.forget
     oriented = parts.oriented
     frame = frames.functions(real)
     orientation_to_world, apart = frame.orientation_to_world, frame.apart
@@ -138,13 +138,58 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
             wp.atomic_add(wrenches.force, env, body, force_W)
             wp.atomic_add(wrenches.torque, env, body, torque_W)
 
+    @wp.struct
+    class Pair:
+        """Wrenches on the point's body and on the surface's, about their centres of mass; forces are opposite."""
+
+        force: vec3
+        torque_1: vec3
+        torque_2: vec3
+
     @wp.func
-    def tell(contacts: Contacts, env: int, contact: int, push: Push):
+    def touch_of(
+        model: Model,
+        state: State,
+        history: History,
+        remembered: Memory,
+        dt: real,
+        coefficients: Coefficients,
+        contacts: Contacts,
+        kept: Memory,
+        env: int,
+        contact: int,
+        member: int,
+        body_1: int,
+        body_2: int,
+        apart_W: vec3,
+        q_WS: quat,
+        R_W1: mat33,
+    ):
+        """Forces of one contact: into ``contacts``, and as what they add to both bodies."""
+        pair = Pair()
+        # Returned early: of both sides of a branch Warp copies what they change.
+        if contacts.status[env, contact] != CONTACT:
+            contacts.approach_speed[env, contact] = real(0.0)
+            contacts.normal_force[env, contact] = real(0.0)
+            contacts.friction_force[env, contact] = vec3()
+            contacts.slip_speed[env, contact] = real(0.0)
+            contacts.torque[env, contact] = vec3()
+            forget(kept, env, member, dt)
+            return pair
+        push = push_of(
+            model, state, remembered, dt, coefficients, kept, env, contact, member, body_1, body_2, apart_W, q_WS,
+            R_W1, contacts.arm[env, contact], contacts.normal[env, contact], contacts.penetration[env, contact],
+            history.entry_speed[env, contact],
+        )  # fmt: skip
         contacts.approach_speed[env, contact] = push.approach_speed
         contacts.slip_speed[env, contact] = push.slip_speed
         contacts.normal_force[env, contact] = push.normal_force
         contacts.friction_force[env, contact] = push.friction_force
         contacts.torque[env, contact] = push.torque
+        pair.force = push.force
+        pair.torque_1 = push.torque_1
+        pair.torque_2 = push.torque_2
+        return pair
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def contact_force(
@@ -184,23 +229,17 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
             if wp.static(projected):
                 R_W1 = rotation_to_world(state, env, body_1)
             dt = step[env, 0]
-            total = Push()
+            total = Pair()
             for place in range(start, start + near.count[env, block]):
                 contact = natural(near.contact[env, place])
                 member = contact - first_contact
-                push = Push()
-                if contacts.status[env, contact] != CONTACT:
-                    forget(kept, env, member, dt)
-                else:
-                    push = push_of(
-                        model, state, remembered, dt, coefficients, kept, env, contact, member, body_1, body_2,
-                        apart_W, q_WS, R_W1, contacts.arm[env, contact], contacts.normal[env, contact],
-                        contacts.penetration[env, contact], history.entry_speed[env, contact],
-                    )  # fmt: skip
-                tell(contacts, env, contact, push)
-                total.force += push.force
-                total.torque_1 += push.torque_1
-                total.torque_2 += push.torque_2
+                pair = touch_of(
+                    model, state, history, remembered, dt, coefficients, contacts, kept, env, contact, member,
+                    body_1, body_2, apart_W, q_WS, R_W1,
+                )  # fmt: skip
+                total.force += pair.force
+                total.torque_1 += pair.torque_1
+                total.torque_2 += pair.torque_2
             if ordered:
                 near.force[env, block] = total.force
                 near.torque_1[env, block] = total.torque_1

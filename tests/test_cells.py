@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from brute_force import Surface, nearest_on_triangles
-from celled import cells_everywhere
+from like_a_gpu import cells_everywhere
 from warpcontact.kernels import cells as device_cells
 from warpcontact.kernels.types import structs
 

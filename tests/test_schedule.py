@@ -8,12 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import warp as wp
-from celled import cells_everywhere
-from warpcontact.kernels.types import QUEUES
+from like_a_gpu import cells_everywhere, with_queues
 
 import warpcontact as wc
-from warpcontact import crew, schedule, simulation, stepping
-from warpcontact.schedule import Span
+from warpcontact import crew, schedule, stepping
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 PRECISIONS = pytest.mark.parametrize("precision", ["float32", "float64"])
@@ -143,25 +141,6 @@ def assert_same(left, right):
     for now, (some, others) in enumerate(zip(left, right, strict=True)):
         for value, other in zip(some, others, strict=True):
             np.testing.assert_array_equal(value, other, err_msg=f"after part {now}")
-
-
-def with_queues(monkeypatch):
-    """Has one thread look at contacts as a GPU does."""
-
-    def queued(model, count, cached, ordered, _queued, hard, **own):
-        tasks, contacts = model.envs * model.blocks.count, model.envs * model.contact_count
-        cache = model.arrays.cache
-        cache.waiting_block = wp.zeros(tasks, dtype=wp.int32, device="cpu")
-        cache.waiting_contact = wp.zeros((QUEUES, contacts), dtype=wp.int32, device="cpu")
-        return Span(model, count, cached, ordered, queued=True, hard=hard, **own)
-
-    monkeypatch.setattr(simulation, "Span", queued)
-    # A GPU looks at frames with nothing remembered: its lists are shorter than those of a CPU.
-    monkeypatch.setattr(
-        "warpcontact.model.Span",
-        lambda model, count, _cached, **options: Span(model, count, cached=False, **options),
-    )
-    monkeypatch.setattr(simulation, "slice_sizes", lambda shares, _: [envs for _, envs in shares])
 
 
 @PRECISIONS

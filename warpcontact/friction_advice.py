@@ -51,7 +51,7 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     sentences = []
     for part, kind in parts.items():
         dashpot, spring = steepness_under(model, contact, part, load, patch)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             mass = 1.0 / mobility[part]
             limit = np.minimum(2.0 * mass / dashpot, 2.0 * np.sqrt(mass / np.maximum(spring, 0.0)))
         shortest = limit.min(axis=1)

@@ -258,6 +258,9 @@ def accept_stages(
 
     ``ended``: whether clocks and the history of contacts have gone on already.
     """
+    if ended and span.alone:
+        # What formulas remember has as well.
+        return []
     model = span.model
     a, real = model.arrays, model.types.real
     launches = []

@@ -1,0 +1,34 @@
+"""Has a CPU go the ways of a GPU, with one thread."""
+
+from types import SimpleNamespace
+
+import warp as wp
+from warpcontact.kernels.types import QUEUES
+
+from warpcontact import build, cells, simulation
+from warpcontact.schedule import Span
+
+
+def cells_everywhere(monkeypatch):
+    """Makes cells for models on the CPU, which does not search in them."""
+    a_gpu = SimpleNamespace(is_cuda=True)
+    monkeypatch.setattr(build, "grids_about", lambda made, _, t: cells.grids_about(made, a_gpu, t))
+
+
+def with_queues(monkeypatch):
+    """Has contacts looked at as on a GPU."""
+
+    def queued(model, count, cached, ordered, _queued, hard, **own):
+        tasks, contacts = model.envs * model.blocks.count, model.envs * model.contact_count
+        cache = model.arrays.cache
+        cache.waiting_block = wp.zeros(tasks, dtype=wp.int32, device="cpu")
+        cache.waiting_contact = wp.zeros((QUEUES, contacts), dtype=wp.int32, device="cpu")
+        return Span(model, count, cached, ordered, queued=True, hard=hard, **own)
+
+    monkeypatch.setattr(simulation, "Span", queued)
+    # A GPU looks at frames with nothing remembered: its lists are shorter than those of a CPU.
+    monkeypatch.setattr(
+        "warpcontact.model.Span",
+        lambda model, count, _cached, **options: Span(model, count, cached=False, **options),
+    )
+    monkeypatch.setattr(simulation, "slice_sizes", lambda shares, _: [envs for _, envs in shares])

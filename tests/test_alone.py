@@ -1,0 +1,198 @@
+"""Bodies alone in their environment are stepped in one launch on a GPU: here by warps of one thread."""
+
+import numpy as np
+import pytest
+import warp as wp
+from like_a_gpu import cells_everywhere, with_queues
+
+import warpcontact as wc
+from warpcontact.integrators import SemiImplicitEuler
+
+STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
+TEMPLATE = wc.Template(
+    law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0), friction=wc.frictions.Tanh(mu=0.5, velocity_scale=0.01)
+)
+STUCK = wc.Template(
+    law=wc.laws.HuntCrossley(stiffness=2e4, restitution=0.5),
+    friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.4, stiffness=1e3, damping=1.0),
+    rolling=wc.frictions.Tanh(mu=0.05, velocity_scale=0.01),
+    torsion=wc.frictions.CundallStrack(mu_static=0.2, mu_dynamic=0.1, stiffness=1e2, damping=0.1),
+)
+HILLS = wc.meshes.sinusoidal_terrain((4, 4), (30, 30), amplitude=0.15, wavelength=1.3)
+ENVS = 24
+
+
+def box(count, template=TEMPLATE, radius=0.01, **body):
+    """A box of points on hills."""
+
+    def make(scene):
+        ground = scene.add_surface(HILLS, name="ground")
+        body_ = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.5), name="body", **body)
+        points = np.random.default_rng(3).uniform(-0.1, 0.1, (count, 3))
+        points[np.arange(count), np.arange(count) % 3] = np.where(np.arange(count) % 2, 0.1, -0.1)
+        scene.add_contact(scene.add_points(body_, points), ground, template, radius=radius, name="touch")
+
+    return make
+
+
+def weighed(scene):
+    """A box whose contacts have the part of the area that faces the ground."""
+    ground = scene.add_surface(HILLS, name="ground")
+    body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.5), name="body")
+    shell = scene.add_surface(wc.meshes.box((0.2, 0.2, 0.2)), body, name="shell")
+    law = wc.laws.ElasticFoundation(stiffness=4e4, damping=200.0)
+    scene.add_surface_contact(shell, ground, wc.Template(law=law), samples=30, name="touch")
+
+
+def carries_the_surface(scene):
+    """A ball of triangles among points that are fixed to the world."""
+    body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.6), name="body")
+    shell = scene.add_surface(wc.meshes.icosphere(0.3, 3), body, name="shell")
+    line = np.linspace(-0.6, 0.6, 6)
+    x, y = (grid.ravel() for grid in np.meshgrid(line, line))
+    points = scene.add_points(None, np.stack([x, y, 0.2 * (x**2 + y**2)], axis=1))
+    scene.add_contact(points, shell, STUCK, radius=0.02, name="touch")
+
+
+ALONE = {
+    "a sphere": box(1, radius=0.09),
+    "a few points": box(6),
+    "points in blocks": box(60),
+    "with memory": box(20, STUCK),
+    "a sphere with memory": box(1, STUCK, radius=0.09),
+    "a pushed box": box(12, external_force=(1.0, 0.0, 0.5), external_torque=(0.0, 0.02, 0.0)),
+    "a box with areas": weighed,
+    "a body that carries the surface": carries_the_surface,
+}
+
+
+def built(make, precision="float32"):
+    scene = wc.Scene()
+    make(scene)
+    model = scene.build(envs=ENVS, precision=precision, device="cpu")
+    rng = np.random.default_rng(1)
+    position = model["body.position"]
+    position += rng.uniform((-0.5, -0.5, 0.0), (0.5, 0.5, 0.3), (ENVS, 3))
+    model["body.position"] = position
+    model["body.linear_velocity"] = rng.normal(0, 0.7, (ENVS, 3))
+    model["body.angular_velocity"] = rng.normal(0, 2.0, (ENVS, 3))
+    return model
+
+
+def states(model):
+    return [model.reading(f"body.{key}") for key in STATE]
+
+
+def assert_same(left, right):
+    for value, other in zip(left, right, strict=True):
+        np.testing.assert_array_equal(value, other)
+
+
+@pytest.fixture
+def one_launch(monkeypatch):
+    """Has the CPU take steps as a GPU does; holds the kernels of the steps that were prepared."""
+    kernels = []
+    prepare = SemiImplicitEuler.step_stages
+
+    def told(*args, **options):
+        launches = prepare(*args, **options)
+        if all(isinstance(launch, wp.Launch) for launch in launches):
+            kernels.append([launch.kernel.key.split("__")[-1] for launch in launches])
+        return launches
+
+    cells_everywhere(monkeypatch)
+    with_queues(monkeypatch)
+    monkeypatch.setattr(SemiImplicitEuler, "step_stages", told)
+    return kernels
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("name", ALONE)
+def test_one_launch_computes_what_many_do(name, precision, one_launch):
+    model = built(ALONE[name], precision)
+    sim = wc.Simulation(model, dt=1e-3)
+    afresh = wc.Simulation(other := built(ALONE[name], precision), dt=1e-3, distance_cache=False)
+    touched = np.zeros(ENVS, dtype=bool)
+    for _ in range(6):
+        sim.step(100)
+        afresh.step(100)
+        assert_same(states(model), states(other))
+        touched |= (model.reading("touch.normal_force") > 0).any(axis=1)
+        np.testing.assert_array_equal(model.reading("touch.gap"), other.reading("touch.gap"))
+        np.testing.assert_array_equal(model.reading("touch.friction_force"), other.reading("touch.friction_force"))
+    assert touched.sum() >= 8
+    assert ["step_alone"] in one_launch
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+def test_steps_that_are_watched_and_others_go_on_from_each_other(one_launch):
+    """What each knows of distances and contacts is right for the other."""
+    model = built(ALONE["with memory"])
+    alone = wc.Simulation(model, dt=1e-3)
+    watched = wc.Simulation(model, dt=1e-3, outcomes={"most": wc.outcomes.Max("touch.normal_force")})
+    afresh = wc.Simulation(other := built(ALONE["with memory"]), dt=1e-3, distance_cache=False)
+    rng = np.random.default_rng(2)
+    for _ in range(40):
+        (alone if rng.uniform() < 0.5 else watched).step(count := int(rng.integers(1, 30)))
+        afresh.step(count)
+        assert_same(states(model), states(other))
+    assert {len(kernels) > 1 for kernels in one_launch} == {True, False}
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+def test_a_step_that_fails_is_not_taken(one_launch):
+    model = built(ALONE["with memory"])
+    sim = wc.Simulation(model, dt=1e-3)
+    afresh = wc.Simulation(other := built(ALONE["with memory"]), dt=1e-3, distance_cache=False)
+    for one in (sim, afresh):
+        one.step(400)
+        touching = int((one.model.reading("touch.normal_force") > 0).any(axis=1).argmax())
+        force = np.zeros((ENVS, 3))
+        force[touching] = 1e30
+        one.model["body.external_force"] = force
+        one.step(5)
+        assert one.model.health().frozen.tolist() == [touching]
+    assert_same(states(model), states(other))
+    for name in ("entry_speed", "armed"):
+        ours, theirs = (getattr(one.arrays.history, name).numpy()[touching] for one in (model, other))
+        np.testing.assert_array_equal(ours, theirs)
+    np.testing.assert_array_equal(model.reading("touch.normal_force"), other.reading("touch.normal_force"))
+
+
+def two_bodies(scene):
+    ALONE["a few points"](scene)
+    scene.add_body(1.0, (1e-3, 1e-3, 1e-3), name="other")
+
+
+def on_a_hinge(scene):
+    box(6, motion=wc.motions.Hinge(axis=(0, 1, 0), anchor=(0.3, 0, 0.5)))(scene)
+
+
+def on_a_spring(scene):
+    ALONE["a few points"](scene)
+    body = scene.bodies[0]
+    ends = (scene.add_point(body, (0, 0, 0)), scene.add_point(None, (0, 0, 2)))
+    scene.add_spring_damper(*ends, stiffness=10.0, damping=1.0, rest_length=1.0, name="spring")
+
+
+def on_two_surfaces(scene):
+    ALONE["a few points"](scene)
+    wall = scene.add_surface(wc.meshes.grid((4, 4), (3, 3)), position=(0, 0, -1), name="wall")
+    scene.add_contact(scene.points[0], wall, TEMPLATE, name="second")
+
+
+def with_a_latch(scene):
+    ground = scene.add_surface(HILLS, name="ground")
+    body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.5), name="body")
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, TEMPLATE, entry="latched", name="touch")
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("make", [two_bodies, on_a_hinge, on_a_spring, on_two_surfaces, with_a_latch])
+def test_others_are_stepped_in_several(make, one_launch):
+    scene = wc.Scene()
+    make(scene)
+    wc.Simulation(scene.build(envs=2, device="cpu"), dt=1e-3).step(2)
+    assert one_launch
+    assert all("step_alone" not in kernels for kernels in one_launch)
