@@ -195,6 +195,7 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
 
     @wp.func
     def move(
+        work: Work,
         status: wp.array(dtype=wp.int32),
         clock_step: wp.array2d(dtype=wp.float64),
         time: wp.array(dtype=wp.float64),
@@ -208,7 +209,7 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
         dt: real,
     ):
         """Moves the body of an environment, and ends its step; returns whether it is accepted."""
-        moved = moved_by(model, state_in, env, 0, force, torque, dt)
+        moved = moved_by(work, model, state_in, env, 0, force, torque, dt)
         put(state_out, env, 0, moved)
         found = wp.int32(ENV_ACTIVE)
         cause = failure_of(guard, env, moved)
@@ -416,8 +417,9 @@ def kernel(
                         )
             if there:  # noqa: SIM102  Warp would evaluate both sides
                 if move(
-                    status, clock_step, time, model, guard, state_in, state_out, env, force, torque, step[env, 0]
-                ):
+                    work, status, clock_step, time, model, guard, state_in, state_out, env, force, torque,
+                    step[env, 0],
+                ):  # fmt: skip
                     for block in range(model.block_set.shape[0]):
                         slot = slot_of(block)
                         left = touching[slot] | ended[slot]
