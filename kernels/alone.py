@@ -1,8 +1,8 @@
 """The whole step of bodies that are alone in their environment, with one set of contacts: in one launch on a GPU.
 
 What a contact finds goes from its look to its force and on to the motion without a way through memory. Nothing
-else is computed than in the launches of ``schedule``, and to the same bits. It tells readings nothing: they look
-for themselves.
+else is computed than in the launches of ``schedule``, by the same functions. Readings are told nothing: they look
+for themselves; and who watches steps has them taken in launches, from contacts that tell nothing.
 
 A thread of a GPU sees to an environment: which of its contacts may touch. What these do is found by all threads of
 its warp, a contact each, of whichever environment it is; and each thread takes the forces of its own contacts, in
@@ -183,6 +183,7 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
         near.news[env, contact] = wp.where(touching, 1, 0)
         enter(model, cache, history, env, block, contact, touching, approach_speed)
         if wp.static(remembers):
+            # Of others nobody asks for it, without latches.
             history.armed[env, contact] = armed
         if wp.static(bool(parts.law.memories)):
             memory.law[env, contact] = kept.law[env, contact]
@@ -195,7 +196,7 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
 
     @wp.func
     def move(
-        work: Work,
+        nothing: int,
         status: wp.array(dtype=wp.int32),
         clock_step: wp.array2d(dtype=wp.float64),
         time: wp.array(dtype=wp.float64),
@@ -209,7 +210,7 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
         dt: real,
     ):
         """Moves the body of an environment, and ends its step; returns whether it is accepted."""
-        moved = moved_by(work, model, state_in, env, 0, force, torque, dt)
+        moved = moved_by(nothing, model, state_in, env, 0, force, torque, dt)
         put(state_out, env, 0, moved)
         found = wp.int32(ENV_ACTIVE)
         cause = failure_of(guard, env, moved)
@@ -221,6 +222,7 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
 
     return SimpleNamespace(
         Guard=Guard,
+        remembers=remembers,
         awake_of=awake_of,
         wake_of_block=wake_of_block,
         meet=meet,
@@ -251,7 +253,7 @@ def kernel(
     Coefficients, Memory = group_structs(parts, real)
     of_set = _functions(parts, real, projected, width)
     Guard, awake_of, wake_of_block = of_set.Guard, of_set.awake_of, of_set.wake_of_block
-    meet, move, take = of_set.meet, of_set.move, of_set.take
+    meet, move, take, remembers = of_set.meet, of_set.move, of_set.take, of_set.remembers
     of_travel = travel.functions(real)
     add_travel, sleeps = of_travel.add, of_travel.sleeps
     wake_of = nearness.functions(real, False, EITHER).wake_of
@@ -334,7 +336,7 @@ def kernel(
                     travelled = add_travel(model, state_in, cache, env, 0)
                     awake = not sleeps(model, cache, env, 0, travelled)
                 # What a thread wrote of its environment is there for the others.
-                warps.meet()
+                warps.sync()
                 awakes = Bits()
                 count = wp.int32(0)
                 if awake:
@@ -381,7 +383,9 @@ def kernel(
                             contacts.approach_speed[whose, contact] = met.approach_speed
                     touch_there = warps.lanes_with(met.kind == TOUCHES)
                     ended_there = warps.lanes_with(met.kind == ENDED)
-                    armed_there = warps.lanes_with(met.armed != 0)
+                    armed_there = wp.int32(0)
+                    if wp.static(remembers):
+                        armed_there = warps.lanes_with(met.armed != 0)
                     waits = at < wp.min(up_to, base + wp.static(lanes))
                     while warps.lanes_with(waits) != 0:
                         lane_of_it = wp.where(waits, at - base, lane)
@@ -402,13 +406,14 @@ def kernel(
                             slot = slot_of(mine)
                             touching[slot] = touching[slot] | (bit * warps.some(touch_there, lane_of_it, 1))
                             ended[slot] = ended[slot] | (bit * warps.some(ended_there, lane_of_it, 1))
-                            armed[slot] = armed[slot] | (bit * warps.some(armed_there, lane_of_it, 1))
+                            if wp.static(remembers):
+                                armed[slot] = armed[slot] | (bit * warps.some(armed_there, lane_of_it, 1))
                             at += 1
                         waits = at < wp.min(up_to, base + wp.static(lanes))
                 force += sum_force
                 torque += sum_torque
                 # And what others wrote of its contacts.
-                warps.meet()
+                warps.sync()
                 for block in range(model.block_set.shape[0]):
                     if warps.some(looked_at, block, 1) != 0:
                         slot = slot_of(block)
@@ -417,8 +422,8 @@ def kernel(
                         )
             if there:  # noqa: SIM102  Warp would evaluate both sides
                 if move(
-                    work, status, clock_step, time, model, guard, state_in, state_out, env, force, torque,
-                    step[env, 0],
+                    work.threads >> 31, status, clock_step, time, model, guard, state_in, state_out, env, force,
+                    torque, step[env, 0],
                 ):  # fmt: skip
                     for block in range(model.block_set.shape[0]):
                         slot = slot_of(block)

@@ -425,7 +425,6 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         View=View,
         view_of=view_of,
         nearest_of_all=nearest_of_all,
-        Found=Found,
         find=find,
         leave=leave,
         look=look,

@@ -1,4 +1,4 @@
-"""Advances the memory of the contacts, once per accepted step and nowhere else.
+"""Advances the memory of the contacts, once per accepted step; steps that one launch takes do so in ``alone.py``.
 
 The record belongs to the pair of point and surface, not to a triangle: a point that slides over a mesh edge does
 not enter anew.

@@ -91,10 +91,9 @@ def euler(real: type) -> SimpleNamespace:
 
     @wp.func
     def moved_by(
-        work: Work, model: Model, state: State, env: int, body: int, force_W: vec3, torque_W: vec3, dt: real
+        nothing: int, model: Model, state: State, env: int, body: int, force_W: vec3, torque_W: vec3, dt: real
     ):
-        """The state that a wrench, beside gravity, leads to: the same bits whatever computed that before."""
-        nothing = work.threads >> 31
+        """The state that a wrench, beside gravity, leads to; ``nothing`` as in ``_opaque``."""
         force = hidden(force_W, nothing)
         torque = hidden(torque_W, nothing)
         acceleration = (real(1.0) / model.body_mass[env, body]) * force + model.gravity[env, 0]
@@ -213,7 +212,7 @@ def semi_implicit_euler(
             if wp.static(moves):  # noqa: SIM102  Warp would evaluate both sides
                 if model.body_motion[env, body].kind != FREE:
                     continue
-            moved = moved_by(work, model, state_in, env, body, force, torque, step[env, 0])
+            moved = moved_by(work.threads >> 31, model, state_in, env, body, force, torque, step[env, 0])
             put(state_out, env, body, moved)
             cause = failure_of(guard, env, moved)
             if cause != NO_CAUSE:

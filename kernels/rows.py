@@ -13,9 +13,10 @@ def row_of(real: type) -> wp.Function:
     Row = wp.types.matrix(shape=(4, 3), dtype=real)
     scalar = {wp.float32: "wp::float32", wp.float64: "wp::float64"}[real]
 
-    # A row is some times 16 bytes long, and begins at a multiple of that.
+    # A row is some times 16 bytes long and begins at a multiple of that: tables are whole arrays of their own.
     @wp.func_native(
         f"""
+        assert(row >= 0 && row < table.shape[0]);
         wp::mat_t<4, 3, {scalar}> read;
         const char* from = reinterpret_cast<const char*>(table.data) + size_t(row) * table.strides[0];
         #if defined(__CUDA_ARCH__)

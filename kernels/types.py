@@ -289,7 +289,7 @@ def structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class History:
-        """Memory of the contacts; advances once per accepted step, in ``history.py`` and nowhere else.
+        """Memory of the contacts; advances once per accepted step, in ``history.py`` or ``alone.py``.
 
         That of laws and frictions is theirs to declare: ``memory.py``.
         """

@@ -35,7 +35,7 @@ def lanes_with(flag: bool) -> int:
 
 
 @wp.func_native(_told("__syncwarp();", ""))
-def meet():
+def sync():
     """Threads go on from here when all have come, and see what each other wrote."""
     ...
 

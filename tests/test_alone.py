@@ -6,6 +6,7 @@ import warp as wp
 from like_a_gpu import cells_everywhere, with_queues
 
 import warpcontact as wc
+from warpcontact import schedule
 from warpcontact.integrators import SemiImplicitEuler
 
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -19,7 +20,7 @@ STUCK = wc.Template(
     torsion=wc.frictions.CundallStrack(mu_static=0.2, mu_dynamic=0.1, stiffness=1e2, damping=0.1),
 )
 HILLS = wc.meshes.sinusoidal_terrain((4, 4), (30, 30), amplitude=0.15, wavelength=1.3)
-ENVS = 24
+ENVS = 45
 
 
 def box(count, template=TEMPLATE, radius=0.01, **body):
@@ -110,7 +111,9 @@ def one_launch(monkeypatch, device):
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("name", ALONE)
-def test_one_launch_computes_what_many_do(name, precision, device, one_launch):
+def test_one_launch_computes_what_many_do(name, precision, device, one_launch, monkeypatch):
+    # Of a GPU, warps of 22 environments, and one that has the last.
+    monkeypatch.setattr(schedule, "WARPS", 2)
     model = built(ALONE[name], device, precision)
     sim = wc.Simulation(model, dt=1e-3)
     afresh = wc.Simulation(other := built(ALONE[name], device, precision), dt=1e-3, distance_cache=False)
@@ -127,17 +130,37 @@ def test_one_launch_computes_what_many_do(name, precision, device, one_launch):
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-def test_steps_that_are_watched_and_others_go_on_from_each_other(device, one_launch):
-    """What each knows of distances and contacts is right for the other."""
-    model = built(ALONE["with memory"], device)
-    alone = wc.Simulation(model, dt=1e-3)
-    watched = wc.Simulation(model, dt=1e-3, outcomes={"most": wc.outcomes.Max("touch.normal_force")})
-    afresh = wc.Simulation(other := built(ALONE["with memory"], device), dt=1e-3, distance_cache=False)
+@pytest.mark.parametrize("few", [True, False], ids=["", "as of many"])
+@pytest.mark.parametrize("name", ["a sphere", "points in blocks", "with memory"])
+def test_steps_that_are_watched_and_others_go_on_from_each_other(name, few, device, one_launch, monkeypatch):
+    """What each knows of distances and contacts is right for the other, and nothing old is watched."""
+    if not few:
+        monkeypatch.setattr(schedule, "FEW", 0)
+    outcomes = {
+        "most": wc.outcomes.Max("touch.normal_force"),
+        "least": wc.outcomes.Min("touch.approach_speed"),
+        "deepest": wc.outcomes.Max("touch.penetration"),
+    }
+
+    def both(model, **options):
+        return {
+            key: wc.Simulation(model, dt=1e-3, outcomes=key and outcomes, **options) for key in (None, "watched")
+        }
+
+    ways = both(model := built(ALONE[name], device))
+    afresh = both(other := built(ALONE[name], device), distance_cache=False)
     rng = np.random.default_rng(2)
-    for _ in range(40):
-        (alone if rng.uniform() < 0.5 else watched).step(count := int(rng.integers(1, 30)))
-        afresh.step(count)
-        assert_same(states(model), states(other))
+    for piece in range(40):
+        key = "watched" if piece % 2 else None
+        count = int(rng.integers(1, 30))
+        for own in (ways, afresh):
+            own[key].step(count)
+        if piece % 3 == 0:
+            assert_same(states(model), states(other))
+        if key:
+            for told in outcomes:
+                found, due = (own[key].outcomes()[told].values for own in (ways, afresh))
+                np.testing.assert_array_equal(found, due, err_msg=f"{told} of piece {piece}")
     assert {len(kernels) > 1 for kernels in one_launch} == {True, False}
 
 

@@ -193,6 +193,8 @@ class Model(Environments, OfScene):
 
     @beside_captures()
     def _observe_anew(self, observer: "Observer") -> None:
+        # Steps that nobody watched may have told nothing; contacts that touch are looked at in any case.
+        self._forget_touches()
         observer.restart(wp.full(self.envs, True, dtype=wp.bool, device=self.device))
 
     @beside_captures()
@@ -211,6 +213,10 @@ class Model(Environments, OfScene):
         for array in (near.force, near.torque_1, near.torque_2, ends.force, ends.torque):
             array.zero_()
         # Nor what they showed is what a contact says that does not touch.
+        self._forget_touches()
+
+    def _forget_touches(self) -> None:
+        """Has all contacts say what those do that do not touch."""
         for name in WITHOUT_CONTACT:
             getattr(self.arrays.contacts, name).zero_()
         self._looks = (-1, {})

@@ -5,6 +5,8 @@ Each stage reads what earlier ones wrote:
     travel → closest point → couplings → smooth contacts → contact force (one launch per law) → wrenches → piles
     → integrate, motions → sweep → outcomes → finish → history
 
+or, of bodies alone on a GPU, one launch for all of it.
+
 What an integrator does between forces and ``finish`` is its own: ``integrators/``.
 """
 
@@ -44,7 +46,7 @@ FEW = 131072
 MOST_ADDED_UP = 16
 # Threads of a block: of kernels with many registers each, small blocks fill a processor better.
 FEW_TOGETHER, TOGETHER_IN_CELLS, MANY_TOGETHER = 64, 128, 256
-# Warps that fill the processors of a GPU.
+# Warps that fill the processors of a GPU; measured on an H200.
 WARPS = 2048
 
 
@@ -96,17 +98,21 @@ class Span:
         model = self.model
         # Of many environments of a GPU two launches, with fewer registers each, take less.
         few = model.device.is_cpu or (model.blocks.count == 1 and self.few)
-        alone = model.body_count == 1 and not (model.moves or model.drives or model.follows)
-        return few and alone and model.blocks.count > 0 and self.sums_by_body
+        return few and self._of_one and model.blocks.count > 0 and self.sums_by_body
+
+    @property
+    def _of_one(self) -> bool:
+        """Whether environments have one body, which is free, and contacts that follow no surface."""
+        model = self.model
+        return model.body_count == 1 and not (model.moves or model.drives or model.follows)
 
     @property
     def alone(self) -> bool:
         """Whether one launch takes a step: of bodies alone in their environments with one set of contacts."""
         model, blocks = self.model, self.model.blocks
         looks = self.queued and self.cached and model.arrays.celled and blocks.set_count == 1
-        free = model.body_count == 1 and not (model.moves or model.drives or model.follows)
         coupled = model.couplings or model.smooth or model.piles or any(one.coupling_count for one in model.groups)
-        return looks and free and not coupled and blocks.count <= MOST_ADDED_UP
+        return looks and self._of_one and not coupled and blocks.count <= MOST_ADDED_UP
 
     def prepare(
         self,
@@ -259,7 +265,7 @@ def accept_stages(
     ``ended``: whether clocks and the history of contacts have gone on already.
     """
     if ended and span.alone:
-        # What formulas remember has as well.
+        # What formulas remember has as well, see ``Integrator.step_stages``.
         return []
     model = span.model
     a, real = model.arrays, model.types.real
@@ -314,10 +320,9 @@ def alone_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> l
     lanes = warps.LANES if model.device.is_cuda else 1
     codes = group.parts, real, group.projected, model.pushed
     kernel = alone.kernel(*codes, blocks.width, blocks.count, lanes)
-    # Of many environments each thread has one; of few so many that all processors have warps.
-    own = min(lanes, max(1, span.count // WARPS))
-    if model.contact_count == 1:
-        own = lanes
+    # Of many environments each thread has one; of few so many that all processors have warps. One contact is not
+    # shared out.
+    own = lanes if model.contact_count == 1 else min(lanes, max(1, span.count // WARPS))
     inputs = [own, a.status, dt.dynamic, dt.clock, a.time, a.model, a.guard, state_in, a.history, group.memory]
     inputs += [group.coefficients, group.kept, a.contacts, a.near, a.cache, a.ends, state_out]
     together = FEW_TOGETHER if span.few else MANY_TOGETHER

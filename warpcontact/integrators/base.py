@@ -57,7 +57,8 @@ class Integrator(ABC):
     ) -> list[wp.Launch]:
         """Returns the launches that propose a step from ``state_in`` to ``state_out``.
 
-        With ``ends`` it is accepted at once, as far as clocks and the history of contacts go.
+        With ``ends`` it is accepted at once, as far as clocks and the history of contacts go; and what formulas
+        remember, if the span is ``alone``.
 
         ``mark`` [0] is set, and the status of the environment changed, where a swept point crosses a surface;
         with ``None`` such a step is taken as it is.
