@@ -109,8 +109,10 @@ def one_launch(monkeypatch, device):
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-@pytest.mark.parametrize("name", ALONE)
+@pytest.mark.parametrize(
+    ("name", "precision"),
+    [*((name, "float32") for name in ALONE), ("a sphere", "float64"), ("points in blocks", "float64")],
+)
 def test_one_launch_computes_what_many_do(name, precision, device, one_launch, monkeypatch):
     # Of a GPU, warps of 22 environments, and one that has the last.
     monkeypatch.setattr(schedule, "WARPS", 2)
