@@ -167,6 +167,37 @@ def test_steps_that_are_watched_and_others_go_on_from_each_other(name, few, devi
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+def test_what_is_changed_between_steps_is_seen(device, one_launch):
+    def raised(model):
+        model["body.position"] = model.reading("body.position") + np.array([0.0, 0.0, 0.02])
+
+    def left_out(model):
+        model["touch.enabled"] = np.arange(ENVS) % 2
+
+    def let_in(model):
+        model["touch.enabled"] = 1
+
+    def larger(model):
+        model["touch.radius"] = 0.015
+
+    def shared(model):
+        model["touch.share"] = 0.5
+
+    changes = [raised, left_out, let_in, larger, shared, lambda model: model.reset(np.arange(ENVS) % 3 == 0)]
+    ways = [
+        wc.Simulation(built(ALONE["with memory"], device), dt=1e-3, **options)
+        for options in ({}, {"distance_cache": False})
+    ]
+    for change in changes:
+        for sim in ways:
+            sim.step(150)
+            change(sim.model)
+            sim.step(50)
+        assert_same(states(ways[0].model), states(ways[1].model))
+    assert ["step_alone"] in one_launch
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_a_step_that_fails_is_not_taken(device, one_launch):
     model = built(ALONE["with memory"], device)
     sim = wc.Simulation(model, dt=1e-3)
