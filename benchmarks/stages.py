@@ -55,7 +55,7 @@ def stages(sim: wc.Simulation, envs: int) -> dict[str, float]:
     model = sim.model
     device = str(model.device)
     gpu = model.device.is_cuda
-    span = Span(model, envs, sim.distance_cache, ordered=sim.deterministic or not gpu, queued=gpu)
+    span = Span(model, envs, sim.distance_cache, ordered=sim.deterministic or not gpu, queued=gpu, watched=False)
     buffers = Buffers(model, sim.integrator, sim.dt)
     buffers.allocate(envs)
     own, other = model.arrays.state, buffers.other

@@ -13,7 +13,8 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels import contact_force, finish, frames, history, integrate, travel, warps
+from warpcontact.kernels import finish, history, integrate, travel, warps
+from warpcontact.kernels import meet as meeting
 from warpcontact.kernels import near as nearness
 from warpcontact.kernels import wrenches as of_wrenches
 from warpcontact.kernels.closest_point import EITHER
@@ -41,31 +42,16 @@ REGISTERS = 128
 def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleNamespace:
     """Returns the structs and device functions of a contact, of what all of a step share, and of its end."""
     t = structs(real)
-    vec3, quat, Model, State, History = t.vec3, t.quat, t.Model, t.State, t.History
+    vec3, Model, State, History = t.vec3, t.Model, t.State, t.History
     Near, Cache = t.Near, t.Cache
     of_body = integrate.euler(real)
     Guard, moved_by, put, failure_of = of_body.Guard, of_body.moved_by, of_body.put, of_body.failure_of
     end = finish.end_of_step(real)
     Coefficients, Memory = group_structs(parts, real)
-    of_block = nearness.functions(real, False, EITHER)
-    View, view_of, find = of_block.View, of_block.view_of, of_block.find
-    of_contact = contact_force.functions(parts, real, False, projected)
-    push_of, forget = of_contact.push_of, of_contact.forget
-    frame = frames.functions(real)
-    apart, orientation_to_world = frame.apart, frame.orientation_to_world
+    of_contact = meeting.functions(parts, real, False, projected, EITHER)
+    pair_of, meet_pair, forget = of_contact.pair_of, of_contact.meet, of_contact.forget
     remembers = any(part.memories for part in parts)
     enter = history.entering(real)
-    oriented = parts.oriented
-
-    @wp.struct
-    class Pair:
-        """The two bodies of a set of contacts."""
-
-        view: View
-        body_1: wp.int32
-        body_2: wp.int32
-        apart_W: vec3  # from the centre of the surface's body to that of the points'
-        q_WS: quat  # if the formulas ask for it
 
     @wp.struct
     class Met:
@@ -77,20 +63,6 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
         approach_speed: real  # [m/s]
         force: vec3  # on the body, W [N]
         torque: vec3  # about its centre of mass, W [N·m]
-
-    @wp.func
-    def pair_of(model: Model, state: State, env: int):
-        pair = Pair()
-        pair.view = view_of(model, state, env, 0)
-        contact = natural(model.set_contact[0])
-        surface = natural(model.patch_surface[natural(model.contact_patch[contact])])
-        point = natural(model.contact_point[contact])
-        pair.body_1 = model.point_body[point]
-        pair.body_2 = model.surface_body[surface]
-        pair.apart_W = apart(model, state, env, point, surface)
-        if wp.static(oriented):
-            pair.q_WS = orientation_to_world(state, env, pair.body_2, model.surface_orientation[env, surface])
-        return pair
 
     @wp.func
     def awake_of(model: Model, cache: Cache, env: int, block: int, travelled: real):
@@ -137,23 +109,20 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
         # Returned early: of both sides of a branch Warp copies what they change.
         if not there:
             return met
-        pair = pair_of(model, state, env)
-        entry_speed = history.entry_speed[env, contact]
-        found = find(model, pair.view, history, True, cache, env, contact)
+        pair = pair_of(model, state, env, 0)
+        found = meet_pair(
+            model, state, pair, history, memory, dt, coefficients, kept, cache, env, contact, contact
+        )
         if found.status == CONTACT:
-            push = push_of(
-                model, state, memory, dt, coefficients, kept, env, contact, contact, pair.body_1, pair.body_2,
-                pair.apart_W, pair.q_WS, pair.view.R_WB, found.arm, found.normal, found.penetration, entry_speed,
-            )  # fmt: skip
             met.kind = TOUCHES
-            met.approach_speed = push.approach_speed
+            met.approach_speed = found.approach_speed
             if pair.body_1 >= 0:
-                met.force = push.force
-                met.torque = push.torque_1
+                met.force = found.force
+                met.torque = found.torque_1
             else:
-                met.force = -push.force
-                met.torque = push.torque_2
-        elif entry_speed >= real(0.0):
+                met.force = -found.force
+                met.torque = found.torque_2
+        elif history.entry_speed[env, contact] >= real(0.0):
             met.kind = ENDED
         if wp.static(remembers):
             met.armed = found.armed

@@ -29,6 +29,7 @@ def functions(parts: Parts, real: type, moves: bool, projected: bool) -> SimpleN
     """Returns the device functions of a contact that touches; arguments: ``kernel``."""
     t = structs(real)
     vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
+    Contacts, Wrenches = t.Contacts, t.Wrenches
     Coefficients, Memory = group_structs(parts, real)
     Place = touch_structs(real).Place
     act, forget = touch.functions(parts, real, moves)
@@ -108,7 +109,23 @@ def functions(parts: Parts, real: type, moves: bool, projected: bool) -> SimpleN
         push.torque_2 = -(wp.cross(place.arm_2, push.force) + push.torque)
         return push
 
-    return SimpleNamespace(push_of=push_of, forget=forget)
+    @wp.func
+    def tell_nothing(contacts: Contacts, kept: Memory, env: int, contact: int, member: int, dt: real):
+        """Tells of a contact that does not touch that nothing acts, and that formulas may forget it."""
+        contacts.approach_speed[env, contact] = real(0.0)
+        contacts.normal_force[env, contact] = real(0.0)
+        contacts.friction_force[env, contact] = vec3()
+        contacts.slip_speed[env, contact] = real(0.0)
+        contacts.torque[env, contact] = vec3()
+        forget(kept, env, member, dt)
+
+    @wp.func
+    def add_wrench(wrenches: Wrenches, env: int, body: int, force_W: vec3, torque_W: vec3):
+        if body >= 0:
+            wp.atomic_add(wrenches.force, env, body, force_W)
+            wp.atomic_add(wrenches.torque, env, body, torque_W)
+
+    return SimpleNamespace(push_of=push_of, forget=forget, tell_nothing=tell_nothing, add_wrench=add_wrench)
 
 
 @functools.cache
@@ -126,17 +143,11 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
     Contacts, Near, Wrenches = t.Contacts, t.Near, t.Wrenches
     Coefficients, Memory = group_structs(parts, real)
     of_contact = functions(parts, real, moves, projected)
-    push_of, forget = of_contact.push_of, of_contact.forget
+    push_of, tell_nothing, add_wrench = of_contact.push_of, of_contact.tell_nothing, of_contact.add_wrench
     oriented = parts.oriented
     frame = frames.functions(real)
     orientation_to_world, apart = frame.orientation_to_world, frame.apart
     rotation_to_world = frame.rotation_to_world
-
-    @wp.func
-    def add_wrench(wrenches: Wrenches, env: int, body: int, force_W: vec3, torque_W: vec3):
-        if body >= 0:
-            wp.atomic_add(wrenches.force, env, body, force_W)
-            wp.atomic_add(wrenches.torque, env, body, torque_W)
 
     @wp.struct
     class Pair:
@@ -169,12 +180,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         pair = Pair()
         # Returned early: of both sides of a branch Warp copies what they change.
         if contacts.status[env, contact] != CONTACT:
-            contacts.approach_speed[env, contact] = real(0.0)
-            contacts.normal_force[env, contact] = real(0.0)
-            contacts.friction_force[env, contact] = vec3()
-            contacts.slip_speed[env, contact] = real(0.0)
-            contacts.torque[env, contact] = vec3()
-            forget(kept, env, member, dt)
+            tell_nothing(contacts, kept, env, contact, member, dt)
             return pair
         push = push_of(
             model, state, remembered, dt, coefficients, kept, env, contact, member, body_1, body_2, apart_W, q_WS,

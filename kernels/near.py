@@ -36,7 +36,7 @@ FEW = 0.25
 def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     """Returns the device functions for ``real``; ``follows`` and ``part`` are those of ``closest_point``."""
     t = structs(real)
-    Model, History, Contacts, Cache = t.Model, t.History, t.Contacts, t.Cache
+    Model, History, Contacts, Near, Cache = t.Model, t.History, t.Contacts, t.Near, t.Cache
     contact_of = closest.functions(real, follows, part)
     View, view_of = contact_of.View, contact_of.view_of
     nearest_of_all, leave = contact_of.nearest_of_all, contact_of.leave
@@ -183,6 +183,66 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         touched = before == CONTACT or history.entry_speed[env, contact] >= real(0.0)
         return wp.where(latch or touched or contacts.status[env, contact] == CONTACT, 1, 0)
 
+    @wp.func
+    def around_of(
+        model: Model,
+        view: View,
+        cache: Cache,
+        env: int,
+        block: int,
+        start: int,
+        stop: int,
+        travel: real,
+        travelled: real,
+    ):
+        """What ``probe`` tells of a block, where that may do for some of its contacts; negative: nothing is known.
+
+        One search in the middle may do for all that are far from where they last touched.
+        """
+        if stop - start > 1 and travel >= cache.block_probe[env, block]:  # noqa: SIM102
+            # (Nested, as Warp computes both sides of an ``and``.)
+            if unknown(model, cache, env, start, stop, travelled):
+                return probe(model, view, env, block)
+        return real(-1.0)
+
+    @wp.func
+    def settle(
+        history: History,
+        contacts: Contacts,
+        cache: Cache,
+        near: Near,
+        env: int,
+        contact: int,
+        travel: real,
+        free: real,
+        before: int,
+    ):
+        """Remembers what was found of a contact; returns the travel up to which it may be left alone [m]."""
+        wake = wake_of(travel, free)
+        cache.wake[env, contact] = wake
+        near.news[env, contact] = news(contacts, history, env, contact, before)
+        return wake
+
+    @wp.func
+    def settle_block(
+        model: Model,
+        cache: Cache,
+        env: int,
+        block: int,
+        start: int,
+        stop: int,
+        travel: real,
+        around: real,
+        of_use: bool,
+        new: int,
+        first_wake: real,
+    ):
+        """Remembers of a block when it has to be looked at again, and when in its middle."""
+        if around >= real(0.0) and not of_use:
+            cache.block_probe[env, block] = travel + way_to_use(model, env, start, stop, block, around)
+        # What is new is told until history has it; a step may be taken again.
+        cache.block_wake[env, block] = wp.where(new > 0, real(0.0), first_wake)
+
     return SimpleNamespace(
         View=View,
         view_of=view_of,
@@ -198,6 +258,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         longer_wake=longer_wake,
         unknown=unknown,
         news=news,
+        around_of=around_of,
+        settle=settle,
+        settle_block=settle_block,
     )
 
 
@@ -217,10 +280,9 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
     Model, State, History = t.Model, t.State, t.History
     Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
     block_of = functions(real, follows, WHOLE)
-    view_of, look, probe, unknown = block_of.view_of, block_of.look, block_of.probe, block_of.unknown
-    way_to_use = block_of.way_to_use
-    free_around, wake_of = block_of.free_around, block_of.wake_of
-    longer_wake, news = block_of.longer_wake, block_of.news
+    view_of, look, around_of = block_of.view_of, block_of.look, block_of.around_of
+    free_around, longer_wake = block_of.free_around, block_of.longer_wake
+    settle, settle_block = block_of.settle, block_of.settle_block
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def closest_point(
@@ -254,11 +316,8 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
             stop = model.block_start[block + 1]
             view = view_of(model, state, env, number)
             around = real(-1.0)
-            if cached and stop - start > 1 and travel >= cache.block_probe[env, block]:  # noqa: SIM102
-                # One search in the middle may do for all that are far from where they last touched. (Nested, as
-                # Warp computes both sides of an ``and``.)
-                if unknown(model, cache, env, start, stop, travelled):
-                    around = probe(model, view, env, block)
+            if cached:
+                around = around_of(model, view, cache, env, block, start, stop, travel, travelled)
             of_use = wp.bool(False)
             first_wake = real(wp.inf)
             for place in range(start, stop):
@@ -276,10 +335,8 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                     else:
                         free = look(model, view, history, contacts, cached, cache, env, contact)
                     if cached:
-                        wake = wake_of(travel, free)
-                        cache.wake[env, contact] = wake
+                        wake = settle(history, contacts, cache, near, env, contact, travel, free, before)
                         first_wake = wp.min(first_wake, wake)
-                        near.news[env, contact] = news(contacts, history, env, contact, before)
                     elif contacts.status[env, contact] == CONTACT:
                         # A later look with ``cached`` may not leave it out.
                         cache.wake[env, contact] = real(0.0)
@@ -290,11 +347,8 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
                     near.contact[env, start + count] = contact
                     count += 1
             near.count[env, block] = count
-            if around >= real(0.0) and not of_use:
-                cache.block_probe[env, block] = travel + way_to_use(model, env, start, stop, block, around)
             if cached:
-                # What is new is told until history has it; a step may be taken again.
-                cache.block_wake[env, block] = wp.where(new > 0, real(0.0), first_wake)
+                settle_block(model, cache, env, block, start, stop, travel, around, of_use, new, first_wake)
             elif new > 0:
                 cache.block_wake[env, block] = real(0.0)
                 cache.block_quiet[env, block] = 0

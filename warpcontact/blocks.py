@@ -65,8 +65,11 @@ class Blocks:
 
     def of_contacts(self, first: int, count: int) -> tuple[int, int]:
         """Returns the first block, and the number of blocks, of contacts side by side that make up whole sets."""
-        begin, end = np.searchsorted(self.start, [first, first + count])
-        return int(begin), int(end - begin)
+        return _between(self.start, first, count)
+
+    def sets_of_contacts(self, first: int, count: int) -> tuple[int, int]:
+        """Returns the first set, and the number of sets, of such contacts."""
+        return _between(self.set_contact, first, count)
 
 
 def make_blocks(contacts: list[Contact], body_count: int) -> Blocks:
@@ -98,6 +101,11 @@ def make_blocks(contacts: list[Contact], body_count: int) -> Blocks:
         body_start=body_start,
         of_bodies=of_bodies,
     )
+
+
+def _between(starts: NDArray[np.int32], first: int, count: int) -> tuple[int, int]:
+    begin, end = np.searchsorted(starts, [first, first + count])
+    return int(begin), int(end - begin)
 
 
 def _starts(counts: NDArray[np.integer]) -> NDArray[np.int32]:

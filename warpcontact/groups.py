@@ -29,11 +29,14 @@ class Group:
     Attributes:
         parts: The classes of law and frictions.
         projected: Whether its contacts are weighed by the normals of their points.
+        moves: Whether bodies that are not free oppose to its forces what their motions let them.
         kernel: Their force kernel.
         first: Index of the first contact.
         count: Number of contacts.
         first_block: Index of their first block.
         block_count: Number of their blocks.
+        first_set: Index of their first set.
+        set_count: Number of their sets.
         first_coupling: Index of the first contact coupling that is made of them.
         coupling_count: Number of these.
         coefficients: Struct of arrays [env, contact of the group], one per part.
@@ -43,11 +46,14 @@ class Group:
 
     parts: Parts
     projected: bool
+    moves: bool
     kernel: wp.Kernel
     first: int
     count: int
     first_block: int
     block_count: int
+    first_set: int
+    set_count: int
     first_coupling: int
     coupling_count: int
     coefficients: Any
@@ -105,10 +111,12 @@ def make_group(
     return Group(
         parts,
         projected,
+        moves,
         kernel,
         first,
         count,
         *blocks.of_contacts(first, count),
+        *blocks.sets_of_contacts(first, count),
         *couplings.of_contacts(contacts),
         coefficients,
         memory,

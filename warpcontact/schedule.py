@@ -21,6 +21,8 @@ from warpcontact.kernels import (
     finish,
     history,
     integrate,
+    meet,
+    meet_in_cells,
     near,
     near_cells,
     queues,
@@ -33,6 +35,7 @@ from warpcontact.kernels.closest_point import CELL, KNOWN, LISTED, RECALLED, SEA
 from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
+    from warpcontact.groups import Group
     from warpcontact.model import Model
     from warpcontact.unilateral.hard_contacts import HardContacts
 
@@ -63,6 +66,7 @@ class Span:
         queued: Whether threads share out contacts by what they need, not by blocks: for many threads.
         hard: The contacts that are solved for impulses and have no force; ``None``: all have theirs.
         looked_at: A state whose contacts are known, as nothing changed since they were looked at; ``None``: none.
+        watched: Whether anyone asks what contacts did in a step: else they need not tell.
         slice: Where launches read, when they run, which of these environments they are for: the first and how
             many; ``None``: for all.
     """
@@ -74,6 +78,7 @@ class Span:
     queued: bool = False
     hard: "HardContacts | None" = None
     looked_at: Any = None
+    watched: bool = True
     slice: wp.array | None = None
 
     @property
@@ -91,6 +96,15 @@ class Span:
         """Whether who integrates a body may add up its blocks: nothing comes between, and they are few."""
         few = self.model.device.is_cpu or self.model.blocks.most_of_a_body <= MOST_ADDED_UP
         return few and not self.model.piles
+
+    @property
+    def meets(self) -> bool:
+        """Whether who looks at a contact computes its force, and tells nobody: on a CPU, or of single contacts."""
+        model = self.model
+        asked = self.watched or model.follows or any(group.coupling_count for group in model.groups)
+        celled, single = model.arrays.celled, model.blocks.width == 1 and len(model.groups) == 1
+        able = celled and single if self.queued else model.device.is_cpu and not celled
+        return able and self.cached and self.hard is None and not asked
 
     @property
     def ends_by_body(self) -> bool:
@@ -175,7 +189,9 @@ def force_stages(
     model = span.model
     a, real = model.arrays, model.types.real
     ordered = span.ordered or by_block
-    launches = [] if state is span.looked_at else near_stages(span, state, status)
+    known = state is span.looked_at
+    meets = span.meets and not known
+    launches = [] if known or meets else near_stages(span, state, status)
     for couplings in model.couplings:
         launches += couplings.force_stages(span, state, status)
     for contacts in model.smooth:
@@ -185,6 +201,9 @@ def force_stages(
         inputs = [status, a.cache.waiting, a.model, a.ends, a.wrenches]
         launches += span.prepare(kernel, model.body_count, inputs)
     for group in model.groups:
+        if meets:
+            launches += _meet_stages(span, group, state, step, status, ordered=ordered)
+            continue
         blocks = [(group.first_block, group.block_count)]
         for first_block, count in blocks if span.hard is None else span.hard.compliant_blocks(group):
             inputs = [status, a.model, state, a.history, group.memory, step, first_block]
@@ -197,6 +216,26 @@ def force_stages(
     for pile in model.piles:
         launches += pile.force_stages(span, state, step, status)
     return launches
+
+
+def _meet_stages(
+    span: Span, group: "Group", state: Any, step: wp.array, status: wp.array, *, ordered: bool
+) -> list[wp.Launch]:
+    """Returns the launches that look at the contacts of a group and compute what they do."""
+    model = span.model
+    a, codes = model.arrays, (group.parts, model.types.real, group.moves, group.projected)
+    whole = [a.model, state, a.history, group.memory, step]
+    found = [group.coefficients, group.kept, a.cache, a.contacts, a.near]
+    if not span.queued:
+        kernel = meet.kernel(*codes)
+        return span.prepare(kernel, group.set_count, [status, *whole, group.first_set, group.first, *found])
+    inputs = [*whole, *found, ordered, a.wrenches]
+    kernel = meet_in_cells.kernel(*codes, span.few)
+    launches = span.prepare(kernel, group.block_count, [status, *inputs], None, TOGETHER_IN_CELLS)
+    if span.few:
+        return launches
+    threads = min(SEARCHING, _whole_warps(span.count * group.block_count))
+    return launches + span.prepare(meet_in_cells.rest(*codes), group.block_count, inputs, threads, FEW_TOGETHER)
 
 
 def near_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:

@@ -191,12 +191,12 @@ class Stepper:
         self, span: Span, integrator: Integrator, buffers: Buffers, *, parts: int, captured: bool
     ) -> None:
         model = span.model
-        self._span = span
+        self._observer = buffers.observer
+        self._span = span = replace(span, watched=self._observer is not None)
         self.slice = slice(0, span.count)
         self._place = None if span.slice is None else span.slice.numpy()
         self.device = model.device
         self._parts = parts
-        self._observer = buffers.observer
         divides = model.sweeps and parts > 1
         self._mark = wp.zeros(1, dtype=wp.int32, device=model.device) if divides else None
         # Where the host looks at it.

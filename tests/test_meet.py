@@ -1,0 +1,89 @@
+"""Who looks at a contact computes its force at once, where nobody watches; nothing else comes of it."""
+
+import numpy as np
+import pytest
+from like_a_gpu import cells_everywhere, with_queues
+from test_alone import ALONE, ENVS, HILLS, STATE, STUCK, TEMPLATE
+
+import warpcontact as wc
+from warpcontact.model import WITHOUT_CONTACT
+from warpcontact.schedule import Span
+
+pytestmark = pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+
+
+def balls(template=TEMPLATE):
+    """Balls in a heap on hills, each with one contact; two lie beside the rim."""
+
+    def make(scene):
+        ground = scene.add_surface(HILLS, name="ground")
+        places = [(0.19 * x, 0.19 * y, 0.35 + 0.19 * z) for x in range(2) for y in range(2) for z in range(2)]
+        places += [(1.95, 0.0, 0.3), (2.3, 0.0, 0.3)]
+        heap = scene.add_bodies(places, 1.0, [4e-3] * 3, name="body")
+        scene.add_contact(scene.add_point(heap, (0, 0, 0)), ground, template, radius=0.1, name="touch")
+        scene.add_mutual_contact(scene.add_shape(heap, wc.shapes.Sphere(0.1)), template, name="heap")
+
+    return make
+
+
+def two_laws(scene):
+    """A box with two kinds of contacts."""
+    ALONE["points in blocks"](scene)
+    scene.add_contact(
+        scene.add_points(scene.bodies[0], [(0.1, 0.1, -0.1), (-0.1, -0.1, -0.1)]),
+        scene.surfaces[0],
+        STUCK,
+        radius=0.02,
+        name="feet",
+    )
+
+
+MANY = {"balls": balls(), "balls that stick": balls(STUCK), "two laws": two_laws}
+
+
+def taken(make, device, precision, *, at_once, asks):
+    """States, and what readings tell meanwhile, of steps that look and compute forces at once or do not."""
+    scene = wc.Scene()
+    make(scene)
+    model = scene.build(envs=ENVS, precision=precision, device=device)
+    rng = np.random.default_rng(1)
+    velocity = model["body.linear_velocity"]
+    model["body.linear_velocity"] = velocity + rng.normal(0, 0.7, (ENVS, *velocity.shape[1:]))
+    sim = wc.Simulation(model, dt=1e-3, deterministic=True)
+    names = [f"{contact.name}.{key}" for contact in scene.contacts for key in WITHOUT_CONTACT]
+    seen = []
+    for _ in range(6):
+        sim.step(97)
+        if asks:
+            # What was told is taken for what is, of contacts that can not touch yet.
+            seen += [model.reading(name) for name in names]
+    assert any((model.reading(name) > 0).any() for name in names if name.endswith("normal_force"))
+    kernels = {launch.kernel.key.split("__")[-1] for launch in sim._prepared[1]._steppers[0]._steps[0].whole}
+    assert at_once == bool(kernels & {"meet_sets", "meet_in_cells"}), kernels
+    return [model.reading(f"body.{key}") for key in STATE], seen
+
+
+@pytest.mark.parametrize("asks", [False, True], ids=["", "and told to who asks"])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("name", [*ALONE, *MANY])
+def test_a_cpu_finds_the_same_at_once(name, precision, asks, monkeypatch):
+    make = {**ALONE, **MANY}[name]
+    states, seen = taken(make, "cpu", precision, at_once=True, asks=asks)
+    monkeypatch.setattr(Span, "meets", False)
+    others, also = taken(make, "cpu", precision, at_once=False, asks=asks)
+    for left, right in zip(states + seen, others + also, strict=True):
+        np.testing.assert_array_equal(left, right)
+
+
+@pytest.mark.parametrize("few", [131072, 0], ids=["few", "many"])
+@pytest.mark.parametrize("name", ["balls", "balls that stick"])
+def test_a_gpu_finds_the_same_at_once(name, few, monkeypatch, device):
+    if device == "cpu":
+        cells_everywhere(monkeypatch)
+        with_queues(monkeypatch)
+    monkeypatch.setattr("warpcontact.schedule.FEW", few)
+    states, _ = taken(MANY[name], device, "float32", at_once=True, asks=False)
+    monkeypatch.setattr(Span, "meets", False)
+    others, _ = taken(MANY[name], device, "float32", at_once=False, asks=False)
+    for left, right in zip(states, others, strict=True):
+        np.testing.assert_array_equal(left, right)
