@@ -131,3 +131,10 @@ def copied_run(tmp_path):
         return shutil.copytree(folder, tmp_path / "copy")
 
     return copy
+
+
+@pytest.fixture
+def steps_tell(monkeypatch):
+    """Has steps tell of contacts what they computed, over the step, as if somebody watched."""
+    for at_once in ("meets", "alone"):
+        monkeypatch.setattr(f"warpcontact.schedule.Span.{at_once}", False)

@@ -12,6 +12,8 @@ from warpcontact.kernels.types import ENV_FROZEN
 
 import warpcontact as wc
 
+pytestmark = pytest.mark.usefixtures("steps_tell")
+
 F = wc.frictions
 G = 9.81
 REMEMBERING = [

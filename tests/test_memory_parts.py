@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
 
+pytestmark = pytest.mark.usefixtures("steps_tell")
+
 F = wc.frictions
 
 

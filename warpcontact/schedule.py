@@ -45,6 +45,9 @@ LOOKING = 262144
 SEARCHING = 65536
 # Contacts, or threads, that are few for a GPU, at most.
 FEW = 131072
+# Contacts of a GPU, at most, whose forces are computed by who looks at them: of more, threads with fewer registers
+# each, many at once, take less. Measured on an H200.
+MET = 524288
 # Blocks of contacts that who integrates a body adds up on a GPU, at most.
 MOST_ADDED_UP = 16
 # Threads of a block: of kernels with many registers each, small blocks fill a processor better.
@@ -103,6 +106,7 @@ class Span:
         model = self.model
         asked = self.watched or model.follows or any(group.coupling_count for group in model.groups)
         celled, single = model.arrays.celled, model.blocks.width == 1 and len(model.groups) == 1
+        single = single and self.count * model.contact_count <= MET
         able = celled and single if self.queued else model.device.is_cpu and not celled
         return able and self.cached and self.hard is None and not asked
 
