@@ -113,7 +113,7 @@ def functions(parts: Parts, real: type, moves: bool, projected: bool, part: str)
         met.torque_2 = push.torque_2
         return met
 
-    return SimpleNamespace(Pair=Pair, Met=Met, pair_of=pair_of, meet=meet, forget=forget)
+    return SimpleNamespace(Pair=Pair, pair_of=pair_of, meet=meet, forget=forget)
 
 
 @functools.cache

@@ -1,7 +1,7 @@
 """Contacts looked at in cells, and what they do computed at once: on a GPU, of one group of sets of one contact.
 
 As ``near_cells`` and ``contact_force`` do, by the same functions; but what a look finds goes on to the force
-without a way through memory, readings are not told, and of what stays quiet nothing is written.
+without a way through memory, readings are not told, and of what stays quiet hardly anything is written.
 """
 
 import functools
@@ -36,9 +36,8 @@ def _take(parts: Parts, real: type, moves: bool, projected: bool, part: str) -> 
     Contacts, Near, Cache, Wrenches = t.Contacts, t.Near, t.Cache, t.Wrenches
     Coefficients, Memory = group_structs(parts, real)
     of_contact = meeting.functions(parts, real, moves, projected, part)
-    pair_of, meet = of_contact.pair_of, of_contact.meet
-    of_force = contact_force.functions(parts, real, moves, projected)
-    add_wrench, forget = of_force.add_wrench, of_force.forget
+    pair_of, meet, forget = of_contact.pair_of, of_contact.meet, of_contact.forget
+    add_wrench = contact_force.functions(parts, real, moves, projected).add_wrench
     news = nearness.functions(real, False, part).news
 
     @wp.func
@@ -66,9 +65,10 @@ def _take(parts: Parts, real: type, moves: bool, projected: bool, part: str) -> 
         if wp.static(part == CELL):  # noqa: SIM102  Warp would evaluate both sides
             if met.free == real(LATER):
                 return False
-        # Nothing is to be written of one that was quiet and is.
+        # One that was quiet, and is, has nothing to tell. A look may have listed it.
         if met.status != CONTACT and cache.block_quiet[env, block] != 0:  # noqa: SIM102
             if met.armed == history.armed[env, contact]:
+                near.count[env, block] = 0
                 return True
         before = contacts.status[env, contact]
         contacts.status[env, contact] = met.status

@@ -75,15 +75,16 @@ def test_a_cpu_finds_the_same_at_once(name, precision, asks, monkeypatch):
         np.testing.assert_array_equal(left, right)
 
 
+@pytest.mark.parametrize("asks", [False, True], ids=["", "and told to who asks"])
 @pytest.mark.parametrize("few", [131072, 0], ids=["few", "many"])
 @pytest.mark.parametrize("name", ["balls", "balls that stick"])
-def test_a_gpu_finds_the_same_at_once(name, few, monkeypatch, device):
+def test_a_gpu_finds_the_same_at_once(name, few, asks, monkeypatch, device):
     if device == "cpu":
         cells_everywhere(monkeypatch)
         with_queues(monkeypatch)
     monkeypatch.setattr("warpcontact.schedule.FEW", few)
-    states, _ = taken(MANY[name], device, "float32", at_once=True, asks=False)
+    states, seen = taken(MANY[name], device, "float32", at_once=True, asks=asks)
     monkeypatch.setattr(Span, "meets", False)
-    others, _ = taken(MANY[name], device, "float32", at_once=False, asks=False)
-    for left, right in zip(states, others, strict=True):
+    others, also = taken(MANY[name], device, "float32", at_once=False, asks=asks)
+    for left, right in zip(states + seen, others + also, strict=True):
         np.testing.assert_array_equal(left, right)
