@@ -165,7 +165,6 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
 
     @wp.func
     def move(
-        nothing: int,
         status: wp.array(dtype=wp.int32),
         clock_step: wp.array2d(dtype=wp.float64),
         time: wp.array(dtype=wp.float64),
@@ -179,7 +178,7 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
         dt: real,
     ):
         """Moves the body of an environment, and ends its step; returns whether it is accepted."""
-        moved = moved_by(nothing, model, state_in, env, 0, force, torque, dt)
+        moved = moved_by(model, state_in, env, 0, force, torque, dt)
         put(state_out, env, 0, moved)
         found = wp.int32(ENV_ACTIVE)
         cause = failure_of(guard, env, moved)
@@ -391,7 +390,7 @@ def kernel(
                         )
             if there:  # noqa: SIM102  Warp would evaluate both sides
                 if move(
-                    work.threads >> 31, status, clock_step, time, model, guard, state_in, state_out, env, force,
+                    status, clock_step, time, model, guard, state_in, state_out, env, force,
                     torque, step[env, 0],
                 ):  # fmt: skip
                     for block in range(model.block_set.shape[0]):

@@ -34,32 +34,6 @@ def _spin(real: type) -> wp.Function:
 
 
 @functools.cache
-def _opaque(real: type) -> wp.Function:
-    """Returns the device function that hides from the compiler of a GPU where a number comes from.
-
-    Which of two products that are added is rounded is for the compiler to choose, and what else a kernel computes
-    of the same numbers changes that. ``nothing`` is 0, which it must not know.
-    """
-    bits, number = {
-        wp.float32: ("__float_as_int(number)", "__int_as_float"),
-        wp.float64: ("__double_as_longlong(number)", "__longlong_as_double"),
-    }[real]
-
-    @wp.func_native(
-        f"""
-        #if defined(__CUDA_ARCH__)
-        return {number}({bits} ^ nothing);
-        #else
-        return number;
-        #endif
-        """
-    )
-    def opaque(number: real, nothing: int) -> real: ...
-
-    return opaque
-
-
-@functools.cache
 def euler(real: type) -> SimpleNamespace:
     """Returns the struct ``Moved`` and the device functions of a semi-implicit Euler step of a free body.
 
@@ -71,13 +45,9 @@ def euler(real: type) -> SimpleNamespace:
     t = structs(real)
     vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
     rotated = frames.functions(real).rotated
-    spin, opaque = _spin(real), _opaque(real)
+    spin = _spin(real)
     of_guard = quarantine.guard(real)
     Guard, cause_of = of_guard.Guard, of_guard.cause_of
-
-    @wp.func
-    def hidden(v: vec3, nothing: int):
-        return vec3(opaque(v[0], nothing), opaque(v[1], nothing), opaque(v[2], nothing))
 
     @wp.struct
     class Moved:
@@ -90,12 +60,8 @@ def euler(real: type) -> SimpleNamespace:
         spin: vec3
 
     @wp.func
-    def moved_by(
-        nothing: int, model: Model, state: State, env: int, body: int, force_W: vec3, torque_W: vec3, dt: real
-    ):
-        """The state that a wrench, beside gravity, leads to; ``nothing`` as in ``_opaque``."""
-        force = hidden(force_W, nothing)
-        torque = hidden(torque_W, nothing)
+    def moved_by(model: Model, state: State, env: int, body: int, force: vec3, torque: vec3, dt: real):
+        """The state that a wrench, beside gravity, leads to."""
         acceleration = (real(1.0) / model.body_mass[env, body]) * force + model.gravity[env, 0]
         velocity = state.body_linear_velocity[env, body] + dt * acceleration
         # A step is often smaller than what a position is rounded to: nothing of it is lost.
@@ -104,9 +70,8 @@ def euler(real: type) -> SimpleNamespace:
         position = before + way
         gone = position - before
 
-        q = state.body_orientation[env, body]
-        q_WB = quat(opaque(q[0], nothing), opaque(q[1], nothing), opaque(q[2], nothing), opaque(q[3], nothing))
-        w_W = hidden(state.body_angular_velocity[env, body], nothing)
+        q_WB = state.body_orientation[env, body]
+        w_W = state.body_angular_velocity[env, body]
         inverse_B = model.body_inverse_inertia[env, body]
         turning = w_W + (dt * inverse_B[0, 0]) * torque
         orientation = q_WB
@@ -212,7 +177,7 @@ def semi_implicit_euler(
             if wp.static(moves):  # noqa: SIM102  Warp would evaluate both sides
                 if model.body_motion[env, body].kind != FREE:
                     continue
-            moved = moved_by(work.threads >> 31, model, state_in, env, body, force, torque, step[env, 0])
+            moved = moved_by(model, state_in, env, body, force, torque, step[env, 0])
             put(state_out, env, body, moved)
             cause = failure_of(guard, env, moved)
             if cause != NO_CAUSE:

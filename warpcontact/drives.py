@@ -12,6 +12,7 @@ from warpcontact.arrays import Layout
 from warpcontact.checks import Array
 from warpcontact.elements import Body
 from warpcontact.formula_errors import told_by_warp
+from warpcontact.kernels.builds import load
 from warpcontact.kernels.formula import unit_vectors
 from warpcontact.kernels.motions import Motion, driven
 from warpcontact.kernels.types import DRIVEN, FREE, BodyMotion
@@ -48,7 +49,7 @@ class Drive:
             TypeError: If it does not compile.
         """
         try:
-            driven.follow(self.motion, real).module.load(device, block_dim=None if device.is_cuda else 1)
+            load(driven.follow(self.motion, real), device)
         except Exception as error:
             text = told_by_warp(error, [self.motion])
             names = ", ".join(self.motion.device_names() or ("nothing",))

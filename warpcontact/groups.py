@@ -13,6 +13,7 @@ from warpcontact.blocks import Blocks
 from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.formula_errors import explained
 from warpcontact.kernels import contact_force
+from warpcontact.kernels.builds import load
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.memory import memory_struct
@@ -153,7 +154,7 @@ def compile_forces(parts: Parts, kernel: wp.Kernel, device: wp.Device, real: typ
         "type(s.speed)(1.5) in a friction.",
         "\nThe force of a law is a number, that of a friction a vector.",
     ):
-        kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+        load(kernel, device)
 
 
 def _add_formula(

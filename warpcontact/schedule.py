@@ -31,6 +31,7 @@ from warpcontact.kernels import (
     warps,
     wrenches,
 )
+from warpcontact.kernels.builds import round_each_product
 from warpcontact.kernels.closest_point import CELL, KNOWN, LISTED, RECALLED, SEARCH, TREE
 from warpcontact.kernels.types import Work
 
@@ -160,6 +161,7 @@ class Span:
             work.slice = self.slice
         together = together or (FEW_TOGETHER if work.threads <= FEW else MANY_TOGETHER)
         inputs = [work, *inputs]
+        round_each_product(kernel, device)
         return [wp.launch(kernel, work.threads, inputs, device=device, record_cmd=True, block_dim=together)]
 
 

@@ -13,6 +13,7 @@ from warpcontact.couplings import elements
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import SpringDamper
 from warpcontact.formula_errors import explained
+from warpcontact.kernels.builds import load
 from warpcontact.kernels.couplings import spring
 from warpcontact.kernels.couplings.spring import SpringParts
 from warpcontact.kernels.formula import coefficient_struct
@@ -151,4 +152,4 @@ class SpringSet(CouplingSet):
         present = {part: formula for part, formula in self.parts._asdict().items() if formula is not Undamped}
         said = "\nConstants take the precision of the simulation when written as type(s.length)(1.5)."
         with explained(present, self.types.real, lambda _: ("s", stretch), said, "\nThe force is a number."):
-            self.kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+            load(self.kernel, device)

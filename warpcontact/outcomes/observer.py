@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from warpcontact.arrays import Layout, per_env
 from warpcontact.captures import beside_captures
 from warpcontact.formula_errors import told_by_warp
+from warpcontact.kernels.builds import load
 from warpcontact.kernels.outcomes import events, reduce, stop
 from warpcontact.kernels.outcomes.base import Condition, Outcome
 from warpcontact.kernels.outcomes.source import MOST, Form
@@ -124,7 +125,7 @@ class Observer:
             forms, _ = self._look_at(kept, model.arrays.state)
             try:
                 kernel = reduce.report(outcome.update, outcome.result, kept.length, forms)
-                kernel.module.load(self._device, block_dim=None if self._device.is_cuda else 1)
+                load(kernel, self._device)
             except Exception as error:
                 text = told_by_warp(error, [type(outcome)])
                 raise TypeError(

@@ -14,6 +14,7 @@ from warpcontact.arrays import fixed, per_env
 from warpcontact.formula_errors import told_by_warp
 from warpcontact.groups import compile_forces, memory_view
 from warpcontact.kernels import reset
+from warpcontact.kernels.builds import load
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.smooth import detect, force, history, measures
@@ -283,7 +284,7 @@ class SmoothSet:
         for kinds, _ in self.ranges:
             kernel = detect.kernel(*kinds, self.real, self.curved, self.oriented)
             try:
-                kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+                load(kernel, device)
             except Exception as error:
                 text = told_by_warp(error, kinds)
                 given = "\n".join(
