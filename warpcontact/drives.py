@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout
 from warpcontact.checks import Array
+from warpcontact.compiling import load
 from warpcontact.elements import Body
 from warpcontact.formula_errors import told_by_warp
-from warpcontact.kernels.builds import load
 from warpcontact.kernels.formula import unit_vectors
 from warpcontact.kernels.motions import Motion, driven
 from warpcontact.kernels.types import DRIVEN, FREE, BodyMotion

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks
+from warpcontact.compiling import load
 from warpcontact.contact_couplings import ContactCouplings
 from warpcontact.formula_errors import explained
 from warpcontact.kernels import contact_force
-from warpcontact.kernels.builds import load
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.memory import memory_struct

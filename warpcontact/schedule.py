@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from warpcontact.compiling import round_each_product
 from warpcontact.kernels import (
     alone,
     contact_coupling,
@@ -31,7 +32,6 @@ from warpcontact.kernels import (
     warps,
     wrenches,
 )
-from warpcontact.kernels.builds import round_each_product
 from warpcontact.kernels.closest_point import CELL, KNOWN, LISTED, RECALLED, SEARCH, TREE
 from warpcontact.kernels.types import Work
 

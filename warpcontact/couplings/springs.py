@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from warpcontact import elements as limits_of
 from warpcontact.arrays import per_env
+from warpcontact.compiling import load
 from warpcontact.couplings import elements
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import SpringDamper
 from warpcontact.formula_errors import explained
-from warpcontact.kernels.builds import load
 from warpcontact.kernels.couplings import spring
 from warpcontact.kernels.couplings.spring import SpringParts
 from warpcontact.kernels.formula import coefficient_struct

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, per_env
 from warpcontact.captures import beside_captures
+from warpcontact.compiling import load
 from warpcontact.formula_errors import told_by_warp
-from warpcontact.kernels.builds import load
 from warpcontact.kernels.outcomes import events, reduce, stop
 from warpcontact.kernels.outcomes.base import Condition, Outcome
 from warpcontact.kernels.outcomes.source import MOST, Form

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact import elements as limits_of
 from warpcontact.arrays import fixed, per_env
+from warpcontact.compiling import load
 from warpcontact.formula_errors import told_by_warp
 from warpcontact.groups import compile_forces, memory_view
 from warpcontact.kernels import reset
-from warpcontact.kernels.builds import load
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.smooth import detect, force, history, measures

@@ -9,7 +9,10 @@ def round_each_product(kernel: wp.Kernel, device: wp.Device) -> None:
     Else the compiler chooses which of two products that are added is rounded, by what else the kernel computes of
     the same numbers. On a CPU it goes by each expression, and fused products save time.
     """
-    kernel.module.options["fuse_fp"] = not device.is_cuda
+    fused = not device.is_cuda
+    if kernel.module.options["fuse_fp"] != fused:
+        # Not the entry alone: what is known already of its builds says the opposite.
+        wp.set_module_options({"fuse_fp": fused}, kernel.module)
 
 
 def load(kernel: wp.Kernel, device: wp.Device) -> None:
