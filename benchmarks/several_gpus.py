@@ -1,0 +1,84 @@
+"""Several GPUs of one host against the first of them: the same environments, split over all or on one.
+
+    python benchmarks/several_gpus.py --works W1 W2p64 --envs 262144 1048576
+
+The two take turns. Whether they end in the same states is told as well.
+"""
+
+import argparse
+import statistics
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+from progress import Bar
+from result_file import default_path, write
+
+import warpcontact as wc
+from warpcontact.benchmark.facts import facts, versions
+from warpcontact.benchmark.simulation import run_seconds, simulation
+from warpcontact.benchmark.works import STEPS, WORKS
+from warpcontact.crew import available_threads
+
+ONE, ALL = "cuda:0", "cuda"
+
+
+def main() -> None:
+    """Prints ratios and writes the figures."""
+    options = arguments()
+    wp.config.log_level = wp.LOG_ERROR
+    warnings.simplefilter("ignore", wc.ContactWarning)  # steps as long as those that peers are compared at
+    about = facts(ONE, available_threads()) | {"gpus": wp.get_cuda_device_count()}
+    out = options.out or default_path("several-gpus", ONE, about)
+    measured: list[dict[str, Any]] = []
+    with Bar(total=2 * (options.rounds + 1) * len(options.works) * len(options.envs), unit="run", disable=None) as bar:
+        for work in options.works:
+            for envs in options.envs:
+                bar.set_description(f"{work} {envs}")
+                measured.append(measure(work, envs, options.rounds, bar))
+    write(out, {"facts": about, "versions": versions(), "steps": STEPS, "measured": measured})
+    for row in measured:
+        same = "the same states" if row["same"] else "OTHER STATES"
+        print(f"{row['work']:6} {row['envs']:8}  {row['of_one_gpu']:.2f} of one GPU, {same}")
+    print(f"written to {out}")
+
+
+def measure(work: str, envs: int, rounds: int, bar: Any) -> dict[str, Any]:
+    """Returns environment-steps per second on one GPU and on all, medians of some rounds."""
+    sims = {device: simulation(WORKS[work], envs, device) for device in (ONE, ALL)}
+    times: dict[str, list[float]] = {device: [] for device in sims}
+    for number in range(rounds + 1):
+        for device, sim in sims.items():
+            seconds = run_seconds(sim, STEPS)
+            if number:  # the first captures what others replay
+                times[device].append(seconds)
+            bar.update()
+    one, every = (envs * STEPS / statistics.median(times[device]) for device in (ONE, ALL))
+    states = [sim.model["body.position"] for sim in sims.values()]
+    return {
+        "work": work,
+        "envs": envs,
+        "one_gpu_env_steps_per_s": one,
+        "all_gpus_env_steps_per_s": every,
+        "of_one_gpu": every / one,
+        "same": bool(np.array_equal(*states)),
+    }
+
+
+def arguments() -> argparse.Namespace:
+    """Returns the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--works", nargs="+", choices=WORKS, default=["W1", "W2p8", "W2p64"])
+    parser.add_argument("--envs", type=int, nargs="+", default=[262144, 1048576])
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    if wp.get_cuda_device_count() < 2:
+        parser.error(f"needs at least two GPUs, there are {wp.get_cuda_device_count()}")
+    return options
+
+
+if __name__ == "__main__":
+    main()
