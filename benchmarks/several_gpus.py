@@ -15,11 +15,11 @@ import numpy as np
 import warp as wp
 from progress import Bar
 from result_file import default_path, write
+from works import STEPS, WORKS
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts, versions
 from warpcontact.benchmark.simulation import run_seconds, simulation
-from warpcontact.benchmark.works import STEPS, WORKS
 from warpcontact.crew import available_threads
 
 ONE, ALL = "cuda:0", "cuda"
@@ -33,7 +33,8 @@ def main() -> None:
     about = facts(ONE, available_threads()) | {"gpus": wp.get_cuda_device_count()}
     out = options.out or default_path("several-gpus", ONE, about)
     measured: list[dict[str, Any]] = []
-    with Bar(total=2 * (options.rounds + 1) * len(options.works) * len(options.envs), unit="run", disable=None) as bar:
+    runs = 2 * (options.rounds + 1) * len(options.works) * len(options.envs)
+    with Bar(total=runs, unit="run", disable=None) as bar:
         for work in options.works:
             for envs in options.envs:
                 bar.set_description(f"{work} {envs}")
