@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import warp as wp
 from convex_pairs import heights
-from curved_pairs import Quadric, backward, meetings, random_rotations, rotated, signed_distance
+from curved_pairs import Quadric, backward, meetings, packed, random_rotations, rotated, signed_distance
 from scipy.ndimage import label
 from scipy.spatial import cKDTree
-from warpcontact.kernels.formula import parameter
-from warpcontact.kernels.smooth import curved, shapes
+from warpcontact.kernels.formula import coefficient_struct, parameter
+from warpcontact.kernels.smooth import curved, nearest, shapes
 from warpcontact.kernels.smooth.patch import Patch
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
@@ -72,13 +72,12 @@ def check_ring(other, count, seed, device, angles=600):
     step = RING.major_radius * np.pi / angles
     assert (gap[smooth] >= least[smooth] - step).all()
     check_facing(met[good], RING, other, x[good], q[good])
-    return (~good & wanted).sum(), wanted.sum()
+    return (~good).sum()
 
 
 @pytest.mark.parametrize("other", SOLIDS, **names)
 def test_a_torus_meets_solids_where_its_core_circle_is_deepest(other, device):
-    missed, _ = check_ring(other, 1000, 4, device)
-    assert missed == 0
+    assert check_ring(other, 1000, 4, device) == 0
 
 
 def widest_way(other, x, q, columns=96, rows=48):
@@ -110,12 +109,10 @@ def widest_way(other, x, q, columns=96, rows=48):
 def test_a_ring_that_a_body_pierces_leaves_it_on_the_shortest_way(other, device):
     x, q, least = ring_case(other, 2000, 11)
     met = meetings(RING, other, x, q, device)
-    # Deep in a box, a loop of directions may lie nearer to the axis of the ring than is looked: it is told.
-    good = met["status"] == MET
-    assert (~good).sum() <= (1 if isinstance(other, S.RoundedBox) else 0)
-    check_facing(met[good], RING, other, x[good], q[good])
+    assert (met["status"] == MET).all()
+    check_facing(met, RING, other, x, q)
     # Where the way to the core's deepest place is not across the tube, the contact is another one.
-    pierced = np.flatnonzero(good & (met["gap"] < least - 3e-3))[:40]
+    pierced = np.flatnonzero(met["gap"] < least - 3e-3)[:40]
     assert len(pierced) == 40
     grid = [widest_way(other, x[i], q[i]) for i in pierced]
     # Cells are 0.065 apart: of an edge of g, as steep as the body is wide, half of that is missed.
@@ -125,8 +122,74 @@ def test_a_ring_that_a_body_pierces_leaves_it_on_the_shortest_way(other, device)
 @pytest.mark.slow
 @pytest.mark.parametrize("other", SOLIDS, **names)
 def test_a_hundred_thousand_tori(other, device):
-    missed, _ = check_ring(other, 100_000, 5, device, angles=150)
-    assert missed <= 1e-5 * 100_000
+    assert check_ring(other, 100_000, 5, device, angles=150) == 0
+
+
+def sizes(kind, random):
+    """A body from a tenth of the radius of the ring to twice that."""
+    size = lambda: RING.major_radius * np.exp(random.uniform(np.log(0.1), np.log(2.0)))  # noqa: E731
+    if kind in (S.Ellipsoid, S.RoundedBox):
+        half = (size(), size(), size())
+        return S.Ellipsoid(half) if kind is S.Ellipsoid else S.RoundedBox(half, 0.3 * random.random() * min(half))
+    return kind(size(), size())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", PIERCED, ids=lambda kind: kind.__name__)
+def test_bodies_of_any_size_leave_a_ring(kind, device):
+    """Plates and rods that are wider than the ring, too, from just apart to all but centred in it."""
+    random = np.random.default_rng(12)
+    missed = 0
+    for seed in range(20):
+        other = sizes(kind, random)
+        x, q, _ = ring_case(other, 5000, seed, angles=20)
+        met = meetings(RING, other, x, q, device)
+        good = met["status"] == MET
+        missed += (~good).sum()
+        check_facing(met[good], RING, other, x[good], q[good])
+    # Of boxes four in 300 000 are told to be missed: their edge passes the axis at less than the grid tells apart.
+    assert missed <= (2 if kind is S.RoundedBox else 0)
+
+
+@pytest.mark.parametrize("axes", [(0.5, 0.3, 0.2), (0.54, 0.09, 0.06), (0.2, 0.5, 0.5), (0.5, 0.2, 0.2)])
+def test_the_middle_of_an_ellipsoid_is_as_far_from_it_as_places_beside(axes, device):
+    """Distances change by no more than places do, also where a component is rounding: most of the way to the tips."""
+    random = np.random.default_rng(13)
+    body = S.Ellipsoid(axes)
+    far = random.uniform(-1.0, 1.0, (20_000, 3)) * axes
+    near = 10.0 ** random.uniform(-20.0, -9.0, far.shape)
+    off = random.random(far.shape) < 0.5
+    x = np.where(off, near, far)
+    of_place, P = nearest.nearest(S.Ellipsoid), coefficient_struct(S.Ellipsoid, wp.float64)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def each(p: P, x: wp.array(dtype=wp.vec3d), gap: wp.array(dtype=wp.float64)):
+        i = wp.tid()
+        gap[i] = of_place(p, x[i]).gap
+
+    gap = wp.zeros(len(x), dtype=wp.float64, device=device)
+    wp.launch(each, len(x), inputs=[packed(body), wp.array(x, dtype=wp.vec3d, device=device), gap], device=device)
+    # Beside the middle bisection tells.
+    np.testing.assert_allclose(gap.numpy(), signed_distance(body, np.where(off, 1e-9, far)), atol=4e-9)
+
+
+@pytest.mark.parametrize("passing", [1e-2, 1e-5, 1e-8])
+def test_rings_whose_core_circles_all_but_cross_meet_there(passing, device):
+    """The gap is how far the circles pass each other, less both tubes, at whatever angle they cross."""
+    random = np.random.default_rng(3)
+    count, other = 2000, Torus(0.4, 0.1)
+    q = random_rotations(random, count)
+    a, b = random.uniform(0, 2 * np.pi, (2, count))
+    circle = lambda angle: np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)  # noqa: E731
+    along = np.cross(rotated(q, circle(a + np.pi / 2)), circle(b + np.pi / 2))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    x = other.major_radius * circle(b) + passing * along - RING.major_radius * rotated(q, circle(a))
+    met = meetings(RING, other, x, q, device)
+    assert (met["status"] == MET).all()
+    least = passing - RING.minor_radius - other.minor_radius
+    # Some cross elsewhere as well, and nearer.
+    assert (met["gap"] <= least + 1e-14).all()
+    assert (np.abs(met["gap"] - least) < 1e-14).mean() > 0.9
 
 
 def test_the_order_of_a_pair_does_not_matter(device):

@@ -16,13 +16,15 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels.smooth.base import half, real, two, zero
 
-# The first stride to a bracket, and how many there are, each twice as long as the one before.
-FIRST = wp.constant(real(1.0e-3))
+# The first stride to a bracket, usually, and how many there are, each twice as long as the one before.
+FIRST = 1.0e-3
 STRIDES = wp.constant(wp.int32(9))
 
 
 @functools.cache
-def functions(Seen: type, crossing: wp.Function, cycle: int, most: int, narrow: float) -> SimpleNamespace:
+def functions(
+    Seen: type, crossing: wp.Function, cycle: int, most: int, narrow: float, first: float = FIRST
+) -> SimpleNamespace:
     """Returns the struct ``Search`` and its device functions.
 
     - ``begin(low, a, f_a, high, b, f_b)``: a search between a and b, or, if they are one, from there,
@@ -38,7 +40,9 @@ def functions(Seen: type, crossing: wp.Function, cycle: int, most: int, narrow: 
         cycle: The last of so many steps is a halving, the others are false positions.
         most: Number of steps that narrow the bracket.
         narrow: Width of a bracket that is a place.
+        first: The first stride to a bracket.
     """
+    ahead = wp.constant(real(first))
     steps, every, width = wp.constant(wp.int32(most)), wp.constant(wp.int32(cycle)), wp.constant(real(narrow))
 
     @wp.struct
@@ -62,7 +66,7 @@ def functions(Seen: type, crossing: wp.Function, cycle: int, most: int, narrow: 
         search.f_b = f_b
         search.low = low
         search.high = high
-        search.stride = wp.where(f_a < zero, FIRST, -FIRST)
+        search.stride = wp.where(f_a < zero, ahead, -ahead)
         return search
 
     @wp.func

@@ -20,45 +20,54 @@ def from_ellipsoid(p: Any, x: vec3d):
     """Of an ellipsoid: the point a² x/(t + a²) by axis, with the t that puts it onto the surface.
 
     The left side of Σ (a x/(t + a²))² = 1 is convex and falls beyond −a² of the shortest axis. Its inverse root is
-    nearly straight, and Newton's method on that does not overshoot from the left.
+    nearly straight, and Newton's method on that does not overshoot from the left. As t is counted from there, no
+    digit of it is lost. Beside the middle of a short axis, that term alone is large next to where it is infinite:
+    steps for the sum without it are longer, and do not overshoot either, as each term moves the root on.
     """
     squares = wp.cw_mul(p.semi_axes, p.semi_axes)
     scaled = wp.cw_mul(p.semi_axes, x)
     short = wp.int32(0)
+    long = wp.int32(0)
     for i in range(1, 3):
         if squares[i] < squares[short]:
             short = i
-    # Where each term alone is 1: the sum is at least that at the last of these.
-    t = wp.abs(scaled[0]) - squares[0]
-    for i in range(1, 3):
-        t = wp.max(t, wp.abs(scaled[i]) - squares[i])
-    least = -squares[short]
-    foot = vec3d()
-    if t <= least:
-        # In the middle of the shortest axis, between two nearest points: the upper one, where there are two.
-        t = least
+        if squares[i] >= squares[long]:
+            long = i
+    longer = squares - vec3d(squares[short], squares[short], squares[short])
+    # Where each term alone is 1: the sum is at least that at the last of these. It is 0 in the middle of the
+    # shortest axis, between two nearest points.
+    t = zero
+    for i in range(3):
+        t = wp.max(t, wp.abs(scaled[i]) - longer[i])
     for _i in range(STEPS):
         total = zero
         steep = zero
-        for i in range(3):
-            if scaled[i] != zero:
-                part = scaled[i] / (t + squares[i])
+        step = zero
+        # The longest axis alone, with the middle one, and all.
+        for k in range(3):
+            axis = long
+            if k == 1:
+                axis = 3 - long - short
+            elif k == 2:
+                axis = short
+            if scaled[axis] != zero:
+                part = scaled[axis] / (t + longer[axis])
                 total += part * part
-                steep += part * part / (t + squares[i])
-        if total <= one:
-            break
-        step = (wp.sqrt(total) - one) * total / steep
+                steep += part * part / (t + longer[axis])
+                if total > one:
+                    step = wp.max(step, (wp.sqrt(total) - one) * total / steep)
         t = t + step
-        if step <= ROUNDING * (wp.abs(t) + squares[short]):
+        if step <= ROUNDING * t:
             break
+    foot = vec3d()
     rest = one
     for i in range(3):
         if scaled[i] != zero:
-            share = scaled[i] / (t + squares[i])
+            share = scaled[i] / (t + longer[i])
             foot[i] = p.semi_axes[i] * share
             rest -= share * share
-    if t == least and rest > zero:
-        # On the middle surface: what is missing lies along the shortest axis.
+    if t == zero and rest > zero:
+        # On the middle surface what is missing lies along the shortest axis: the upper one of both.
         foot[short] = p.semi_axes[short] * wp.sqrt(rest)
     found = Nearest()
     found.point = foot

@@ -34,6 +34,11 @@ PART = wp.constant(real(2.0 * math.pi / PLACES / PARTS))
 ALLOWED = wp.constant(real(1.0e-9))
 # A bracket this narrow is a point of the circle [rad], and a slope this small is none.
 NARROW = wp.constant(real(1.0e-15))
+# How well a place of the circle is known, over R, and of what is found there the normal at worst.
+PLACED = wp.constant(real(4.0e-15))
+TURNED = wp.constant(real(1.0e-6))
+# By how much f is lower beyond rounding, over R.
+LOWER = wp.constant(real(1.0e-14))
 # How near to the axis a loop is looked for that the grid does not see [rad].
 BESIDE = wp.constant(real(0.03))
 
@@ -92,7 +97,9 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         while going(search) and wp.abs(best.slope) > NARROW:
             now = seen(p_a, p_b, x, q, place(search))
             search = told(search, now.angle, now.slope, now)
-            if wp.abs(now.slope) <= wp.abs(best.slope) or now.near.gap < best.near.gap:
+            # Lower by rounding is not lower: where the slope is none is known much better than where f is least.
+            lower = now.near.gap < best.near.gap - LOWER * p_a.major_radius
+            if lower or wp.abs(now.slope) <= wp.abs(best.slope):
                 best = now
         return best, search.steps
 
@@ -126,8 +133,7 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
             if flat and not found:
                 # Its loop is so near around the axis that the grid does not see it.
                 met.residual = one
-                loop, found = next_to(p_a, p_b, x, q, met.normal, least, most, BESIDE)
-                found = found and loop.gap > least
+                loop, found = next_to(p_a, p_b, x, q, met.normal, least, least, most, BESIDE)
             if found:
                 met.normal = loop.normal
                 met.gap = loop.gap - p_a.minor_radius
@@ -175,7 +181,13 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         if wp.static(convex_b):  # noqa: SIM102  a static branch
             if met.residual > ALLOWED:
                 met = apart(p_a, p_b, x, q, best.near.gap, iterations)
-        if met.residual > ALLOWED:
+        allowed = ALLOWED
+        if wp.static(B is Torus):
+            # Where both core circles all but cross, the normal turns around within the rounding of a place.
+            passing = best.near.gap + p_b.minor_radius
+            if met.residual * passing <= PLACED * p_a.major_radius:
+                allowed = TURNED
+        if met.residual > allowed:
             met.status = NOT_CONVERGED
         met.seed.normal = met.normal
         met.seed.known = 1

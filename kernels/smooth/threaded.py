@@ -30,6 +30,8 @@ COLUMNS = 64
 ROWS = 32
 COLUMN = wp.constant(real(2.0 * math.pi / COLUMNS))
 ROW = wp.constant(real(math.pi / ROWS))
+# How far from the middle of a cell an edge of g that runs through it may be: to the corners.
+WITHIN = wp.constant(real(0.75 * math.pi / ROWS))
 BIT = wp.constant(wp.uint32(1))
 LAST = wp.constant(wp.uint32(1 << (ROWS - 1)))
 NONE = wp.constant(wp.uint32(0))
@@ -53,6 +55,13 @@ STARTS = 40
 TRIES = wp.constant(wp.int32(2 * STARTS + 2))
 SPIRAL = wp.constant(real(math.pi * (3.0 - math.sqrt(5.0))))
 REACH = wp.constant(real(0.2))
+# Azimuths at which the rim of a pole is looked at first, from an angle to it, up to the largest, by its logarithm,
+# and the first stride of that.
+AZIMUTHS = 32
+AZIMUTH = wp.constant(real(2.0 * math.pi / AZIMUTHS))
+NEAR_POLE = wp.constant(real(math.log(1.0e-3)))
+FAR_OFF = wp.constant(real(math.log(1.5)))
+STRIDE = 0.05
 # By how much the grid is off, over R: usually, and at most.
 SAME = wp.constant(real(2.0e-3))
 UNSURE = wp.constant(real(0.03))
@@ -108,16 +117,21 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     ``threaded(p_a, p_b, x, q, least, most)``: where the largest loop is least, if that is above ``least`` [m];
     where the grid has one that is not found to the last digit, ``off`` is infinite. Of several that the grid does
-    not tell apart, one that is not above ``most`` [m] is taken. ``follow(p_a, p_b, x, q, start, level, most,
-    reach)``: likewise the saddle next to a direction that is about as high as ``level`` [m], from starts within
-    ``reach``.
+    not tell apart, one that is not above ``most`` [m] is taken.
+
+    ``follow(p_a, p_b, x, q, start, level, above, most, reach)``: likewise the saddle next to a direction that is
+    about as high as ``level`` and higher than ``above`` [m], from starts within ``reach`` and about the poles.
     """
     columns = wp.constant(wp.int32(COLUMNS))
     rows = wp.constant(wp.int32(ROWS))
+    azimuths = wp.constant(wp.int32(AZIMUTHS))
     # Every other step is a halving: g has edges.
     search_of = bracket.functions(Across, crossing, cycle=2, most=110, narrow=1.0e-16)
     begin, closed, told = search_of.begin, search_of.closed, search_of.told
     going, place = search_of.going, search_of.place
+    out_of = bracket.functions(Across, crossing, cycle=2, most=110, narrow=1.0e-16, first=STRIDE)
+    begin_out, closed_out, told_out = out_of.begin, out_of.closed, out_of.told
+    going_out, place_out = out_of.going, out_of.place
 
     @wp.func
     def across(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d):
@@ -147,12 +161,15 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         if rate == zero:
             return at.gap
         e = at.off / rate
-        beside = across(p_a, p_b, x, q, wp.normalize(at.normal + half * ROW * e))
+        n_A = wp.quat_rotate_inv(q, at.normal)
+        # Beyond a pole the center is another one.
+        within = wp.min(WITHIN, wp.length(vec3d(n_A[0], n_A[1], zero)))
+        beside = across(p_a, p_b, x, q, wp.normalize(at.normal + within * e))
         other = -wp.dot(beside.off, e)
         if other <= zero:
             return at.gap
         # Where both tangents cross.
-        on = wp.clamp((beside.gap - at.gap + half * ROW * other) / (rate + other), zero, half * ROW)
+        on = wp.clamp((beside.gap - at.gap + within * other) / (rate + other), zero, within)
         return wp.max(at.gap, at.gap + rate * on)
 
     @wp.func
@@ -263,28 +280,97 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         return best
 
     @wp.func
-    def follow(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec3d, level: real, most: real, reach: real):
+    def about(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d, azimuth: real, logarithm: real):
+        """Both surfaces along a direction, by the logarithm of its angle to a pole, and how g rises with it.
+
+        However small that angle is, the azimuth is known to the last digit.
+        """
+        angle = wp.exp(wp.min(logarithm, FAR_OFF))
+        e = wp.quat_rotate(q, vec3d(wp.cos(azimuth), wp.sin(azimuth), zero))
+        at = Across()
+        at.normal = wp.normalize(wp.cos(angle) * pole + wp.sin(angle) * e)
+        at.center = x + p_a.major_radius * e
+        at.point = B.support(p_b, at.normal)
+        apart = at.center - at.point
+        at.gap = wp.dot(at.normal, apart)
+        at.off = apart - at.gap * at.normal
+        return at, wp.dot(at.off, wp.cos(angle) * e - wp.sin(angle) * pole)
+
+    @wp.func
+    def rim(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d, azimuth: real, start: real):
+        """The largest g on the way out from a pole, the logarithm of that angle, and whether there is one."""
+        first, rise = about(p_a, p_b, x, q, pole, azimuth, start)
+        search = begin_out(first, start, -rise, first, start, -rise)
+        while going_out(search):
+            at = place_out(search)
+            now, rise = about(p_a, p_b, x, q, pole, azimuth, at)
+            search = told_out(search, at, -rise, now)
+        out = search.low.normal - wp.dot(search.low.normal, pole) * pole
+        along = wp.normalize(out)
+        return between(p_a, p_b, x, q, search.low, search.high, along), search.b, closed_out(search)
+
+    @wp.func
+    def around_pole(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d):
+        """The saddle on a loop around a pole, however small, where the rim is lowest; whether there is one.
+
+        Beside the pole g rises by R + d·e along e, with the distance d of the middle of the ring from the point of
+        b across the pole: the least to the side of −d. Where d is nearly R, only there the rim is near.
+        """
+        e_1 = wp.quat_rotate(q, vec3d(one, zero, zero))
+        e_2 = wp.quat_rotate(q, vec3d(zero, one, zero))
+        d = x - B.support(p_b, pole)
+        least = wp.atan2(-wp.dot(d, e_2), -wp.dot(d, e_1))
+        first, u, found = rim(p_a, p_b, x, q, pole, least, NEAR_POLE)
+        # The point of an edge or a corner may be another one a little beside the pole.
+        for k in range(azimuths):
+            azimuth = real(k) * AZIMUTH
+            now, at, there = rim(p_a, p_b, x, q, pole, azimuth, NEAR_POLE)
+            if there and (not found or now.gap < first.gap):
+                first = now
+                u = at
+                found = wp.bool(True)
+                least = azimuth
+        aside = wp.cos(least) * e_2 - wp.sin(least) * e_1
+        search = begin(first, zero, wp.dot(first.off, aside), first, zero, wp.dot(first.off, aside))
+        while found and going(search):
+            at = place(search)
+            now, u, found = rim(p_a, p_b, x, q, pole, least + at, u)
+            aside = wp.cos(least + at) * e_2 - wp.sin(least + at) * e_1
+            search = told(search, at, wp.dot(now.off, aside), now)
+        return between(p_a, p_b, x, q, search.low, search.high, aside), found and closed(search)
+
+    @wp.func
+    def follow(
+        p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec3d, level: real, above: real, most: real, reach: real
+    ):
         """The saddle next to a direction that is about as high as ``level``, and whether there is one."""
         best = across(p_a, p_b, x, q, start)
         error = real(wp.inf)
         below = wp.bool(False)
         t_1 = wp.normalize(wp.cross(start, vec3d(start[1], start[2], start[0])))
         t_2 = wp.cross(start, t_1)
-        for k in range(TRIES):
+        for k in range(TRIES + 2):
             n = start
             turn = k // 2
-            if turn > 0:
+            if turn > 0 and k < TRIES:
                 # A spiral out.
                 angle = SPIRAL * real(turn)
                 radius = reach * wp.sqrt(real(turn) / real(wp.static(STARTS)))
                 n = wp.normalize(n + radius * (wp.cos(angle) * t_1 + wp.sin(angle) * t_2))
             now = Across()
-            if k % 2 == 0:  # noqa: SIM108  Warp computes both sides of a ternary
+            if k >= TRIES:
+                # No direction from which to start is near enough to a loop that is small.
+                axis = wp.quat_rotate(q, vec3d(zero, zero, wp.where(k == TRIES, one, -one)))
+                now, there = around_pole(p_a, p_b, x, q, axis)
+                if not there:
+                    now.off = vec3d(real(wp.inf))
+            elif k % 2 == 0:
                 now = smooth(p_a, p_b, x, q, n)
             else:
                 now = sharp(p_a, p_b, x, q, n)
             off = wp.abs(now.gap - level)
-            if wp.length(now.off) <= GOAL * p_a.major_radius and off <= UNSURE * p_a.major_radius:
+            facing = wp.length(now.off) <= GOAL * p_a.major_radius
+            if facing and off <= UNSURE * p_a.major_radius and now.gap > above:
                 under = now.gap <= most
                 # One that is not above what there may be comes first, and then the nearest to the level.
                 if (under and not below) or (under == below and off < error):
@@ -350,7 +436,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
                 count -= lower_count + 1
         if pass_at < 0:
             return Across(), wp.bool(False)
-        found, good = follow(p_a, p_b, x, q, direction(q, pass_at), level, most, REACH)
+        found, good = follow(p_a, p_b, x, q, direction(q, pass_at), level, real(-wp.inf), most, REACH)
         if not good:
             # Where it is no better it is not missed.
             found.off = vec3d(real(wp.inf))
