@@ -147,13 +147,14 @@ def test_bodies_of_any_size_leave_a_ring(kind, device):
         good = met["status"] == MET
         missed += (~good).sum()
         check_facing(met[good], RING, other, x[good], q[good])
-    # Of boxes four in 300 000 are told to be missed: their edge passes the axis at less than the grid tells apart.
-    assert missed <= (2 if kind is S.RoundedBox else 0)
+    # Of slender ones about one in 100 000 is told to be missed: of boxes 5 in 600 000, which were 64 in 100 000.
+    # Here, more than two would be another rate.
+    assert missed <= 2
 
 
 @pytest.mark.parametrize("axes", [(0.5, 0.3, 0.2), (0.54, 0.09, 0.06), (0.2, 0.5, 0.5), (0.5, 0.2, 0.2)])
 def test_the_middle_of_an_ellipsoid_is_as_far_from_it_as_places_beside(axes, device):
-    """Distances change by no more than places do, also where a component is rounding: most of the way to the tips."""
+    """Distances change by no more than places do, also where a component is rounding."""
     random = np.random.default_rng(13)
     body = S.Ellipsoid(axes)
     far = random.uniform(-1.0, 1.0, (20_000, 3)) * axes

@@ -29,9 +29,11 @@ from warpcontact.kernels.smooth.base import Shape, half, one, real, vec3d, zero
 COLUMNS = 64
 ROWS = 32
 COLUMN = wp.constant(real(2.0 * math.pi / COLUMNS))
+# On average; at the equator 1.4 of it, so that an edge of g through a cell is within this of its middle.
 ROW = wp.constant(real(math.pi / ROWS))
-# How far from the middle of a cell an edge of g that runs through it may be: to the corners.
-WITHIN = wp.constant(real(0.75 * math.pi / ROWS))
+# Rows are closer to each other at the poles, where the center turns around, than at the equator.
+DENSER = wp.constant(real(0.4))
+QUARTER = wp.constant(real(0.5 * math.pi))
 BIT = wp.constant(wp.uint32(1))
 LAST = wp.constant(wp.uint32(1 << (ROWS - 1)))
 NONE = wp.constant(wp.uint32(0))
@@ -64,7 +66,7 @@ FAR_OFF = wp.constant(real(math.log(1.5)))
 STRIDE = 0.05
 # By how much the grid is off, over R: usually, and at most.
 SAME = wp.constant(real(2.0e-3))
-UNSURE = wp.constant(real(0.03))
+UNSURE = wp.constant(real(0.02))
 
 Words = wp.types.vector(COLUMNS, wp.uint32)
 
@@ -149,7 +151,8 @@ def functions(B: type[Shape]) -> SimpleNamespace:
     @wp.func
     def direction(q: wp.quatd, cell: wp.int32):
         azimuth = real(cell // rows) * COLUMN
-        latitude = (real(cell % rows) + half) * ROW - real(0.5 * math.pi)
+        up = (real(cell % rows) + half) * ROW / QUARTER - one
+        latitude = QUARTER * up * (one + DENSER * (one - up * up))
         level = wp.cos(latitude)
         return wp.quat_rotate(q, vec3d(level * wp.cos(azimuth), level * wp.sin(azimuth), wp.sin(latitude)))
 
@@ -163,7 +166,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         e = at.off / rate
         n_A = wp.quat_rotate_inv(q, at.normal)
         # Beyond a pole the center is another one.
-        within = wp.min(WITHIN, wp.length(vec3d(n_A[0], n_A[1], zero)))
+        within = wp.min(real(ROW), wp.length(vec3d(n_A[0], n_A[1], zero)))
         beside = across(p_a, p_b, x, q, wp.normalize(at.normal + within * e))
         other = -wp.dot(beside.off, e)
         if other <= zero:
