@@ -136,7 +136,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
     contact has the share of the area that faces the surface, by the normal of its point.
 
     What a block adds to its bodies goes to the block if ``ordered``, to be summed in order; else to the bodies,
-    whoever comes first.
+    whoever comes first. Forces of each contact are ``told`` where anyone may ask for them.
     """
     t = structs(real)
     vec3, quat, mat33, Model, State, History = t.vec3, t.quat, t.mat33, t.Model, t.State, t.History
@@ -175,8 +175,9 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         apart_W: vec3,
         q_WS: quat,
         R_W1: mat33,
+        told: bool,
     ):
-        """Forces of one contact: into ``contacts``, and as what they add to both bodies."""
+        """Forces of one contact: into ``contacts`` if they are ``told``, and what they add to both bodies."""
         pair = Pair()
         # Returned early: of both sides of a branch Warp copies what they change.
         if contacts.status[env, contact] != CONTACT:
@@ -188,10 +189,11 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
             history.entry_speed[env, contact],
         )  # fmt: skip
         contacts.approach_speed[env, contact] = push.approach_speed
-        contacts.slip_speed[env, contact] = push.slip_speed
-        contacts.normal_force[env, contact] = push.normal_force
-        contacts.friction_force[env, contact] = push.friction_force
-        contacts.torque[env, contact] = push.torque
+        if told:
+            contacts.slip_speed[env, contact] = push.slip_speed
+            contacts.normal_force[env, contact] = push.normal_force
+            contacts.friction_force[env, contact] = push.friction_force
+            contacts.torque[env, contact] = push.torque
         pair.force = push.force
         pair.torque_1 = push.torque_1
         pair.torque_2 = push.torque_2
@@ -212,6 +214,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         contacts: Contacts,
         kept: Memory,
         near: Near,
+        told: wp.bool,
         ordered: wp.bool,
         wrenches: Wrenches,
     ):
@@ -241,7 +244,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
                 member = contact - first_contact
                 pair = touch_of(
                     model, state, history, remembered, dt, coefficients, contacts, kept, env, contact, member,
-                    body_1, body_2, apart_W, q_WS, R_W1,
+                    body_1, body_2, apart_W, q_WS, R_W1, told,
                 )  # fmt: skip
                 total.force += pair.force
                 total.torque_1 += pair.torque_1

@@ -102,10 +102,15 @@ class Span:
         return few and not self.model.piles
 
     @property
+    def tells(self) -> bool:
+        """Whether anyone asks what each contact does: who watches, or a coupling that adds them up."""
+        return self.watched or any(group.coupling_count for group in self.model.groups)
+
+    @property
     def meets(self) -> bool:
         """Whether who looks at a contact computes its force, and tells nobody: on a CPU, or of single contacts."""
         model = self.model
-        asked = self.watched or model.follows or any(group.coupling_count for group in model.groups)
+        asked = self.tells or model.follows
         celled, single = model.arrays.celled, model.blocks.width == 1 and len(model.groups) == 1
         single = single and self.count * model.contact_count <= MET
         able = celled and single if self.queued else model.device.is_cpu and not celled
@@ -213,7 +218,8 @@ def force_stages(
         blocks = [(group.first_block, group.block_count)]
         for first_block, count in blocks if span.hard is None else span.hard.compliant_blocks(group):
             inputs = [status, a.model, state, a.history, group.memory, step, first_block]
-            inputs += [group.first, group.coefficients, a.contacts, group.kept, a.near, ordered, a.wrenches]
+            inputs += [group.first, group.coefficients, a.contacts, group.kept, a.near, span.tells, ordered]
+            inputs += [a.wrenches]
             launches += span.prepare(group.kernel, count, inputs)
     if ordered and not by_block:
         kernel = wrenches.add_up(real, *span.sources)

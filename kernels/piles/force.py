@@ -135,9 +135,10 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
         env: int,
         slot: int,
         bits: int,
+        told: bool,
         wrenches: Wrenches,
     ):
-        """Computes what a touch does into its record."""
+        """Computes what a touch does, into its record as far as it is to be ``told`` or added up."""
         entry_speed = real(-1.0)
         if (bits & TOUCHED) != 0:
             entry_speed = touches.entry_speed[env, slot]
@@ -156,9 +157,11 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
         force = normal_force * place.normal + settings.share * acts.friction_force
         torque = settings.share * acts.torque
         touches.approach_speed[env, slot] = acts.approach_speed
-        touches.normal_force[env, slot] = normal_force
-        touches.force[env, slot] = force
-        note(place, touches, env, slot)
+        if told:
+            touches.normal_force[env, slot] = normal_force
+            note(place, touches, env, slot)
+        if told or wp.static(not alone):
+            touches.force[env, slot] = force
         torque_1 = wp.cross(place.arm_1, force) + torque
         torque_2 = wp.cross(place.arm_2, force) + torque
         if wp.static(alone):
@@ -186,6 +189,7 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
         coefficients: Coefficients,
         touches: Touches,
         kept: Memory,
+        told: wp.bool,  # whether anyone may ask where pairs touch, and what each of them does
         wrenches: Wrenches,
     ):
         for task in range(wp.tid(), task_count(work), work.threads):
@@ -282,7 +286,7 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
                     else:
                         touch_of(
                             model, state, place, settings, touches, coefficients, remembered, kept, step[env, 0],
-                            env, record, bits, wrenches,
+                            env, record, bits, told, wrenches,
                         )  # fmt: skip
             if now != busy:
                 touches.busy[env, shape] = now
