@@ -28,7 +28,6 @@ from warpcontact.kernels.types import (
     LATCH_KEEP,
     LATCHED,
     OPEN,
-    REMEMBERED,
     REMEMBERED_IN_QUEUES,
     RIM_OUTER,
     SWEPT,
@@ -70,8 +69,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
     Contacts, Cache = t.Contacts, t.Cache
     in_queues = part != WHOLE
-    remembered = REMEMBERED_IN_QUEUES if in_queues else REMEMBERED
-    of_face, of_search = feet.functions(real), search.functions(real, remembered)
+    of_face, of_search = feet.functions(real), search.functions(real, REMEMBERED_IN_QUEUES if in_queues else None)
     Foot, foot_on, inner, walk = of_face.Foot, of_face.foot_on, of_face.inner, of_face.walk
     Recalled, recall_sure = of_search.Recalled, of_search.recall_sure
     recall = {

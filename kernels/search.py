@@ -19,19 +19,27 @@ STEADY = 0.002
 
 # Steps for which one face has to do, or a second one is looked at as well.
 SOON = 8.0
+# Of the skin: how far a list is made ahead of a point, which serves for longer then. Less than one, for ties.
+AHEAD = 0.8
 
 
 @functools.cache
-def functions(real: type, remembered: int) -> SimpleNamespace:
-    """Returns the device functions for ``real`` and a number of faces that are remembered per contact."""
+def functions(real: type, remembered: int | None = None) -> SimpleNamespace:
+    """Returns the device functions for ``real``.
+
+    Args:
+        real: Type of a real number.
+        remembered: Faces that are remembered per contact, for threads side by side; ``None``: as many as the cache
+            has room for.
+    """
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
     near = feet.functions(real)
     Foot, foot_on, nearer = near.Foot, near.foot_on, near.nearer
     rounding = wp.constant(real(t.epsilon * ROUNDING))
-    room = wp.constant(remembered)
     steady = wp.constant(real(STEADY))
     soon = wp.constant(real(SOON))
+    ahead_of = wp.constant(real(AHEAD))
 
     @wp.struct
     class Recalled:
@@ -63,18 +71,46 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
         return wp.max(simple, wp.min(far, real(0.5) * d))
 
     @wp.func
-    def remember(cache: Cache, env: int, slot: int, foot: Foot, gone: vec3):
-        """Keeps the distance of a face and its slope, as seen from the place of the list, ``gone`` away.
-
-        Where rounding would turn the slope it says that no distance is negative.
-        """
-        distance = real(0.0)
-        direction = vec3()
+    def slope_of(foot: Foot):
+        """Slope of the distance of a face; 0 where rounding would turn it."""
         if foot.distance > steady * foot.span:
-            direction = (real(1.0) / foot.distance) * foot.to_point
-            distance = foot.distance - wp.dot(direction, gone)
-        cache.distance[env, slot] = distance
+            return (real(1.0) / foot.distance) * foot.to_point
+        return vec3()
+
+    @wp.func
+    def least_of(foot: Foot, direction: vec3, gone: vec3):
+        """Distance of a face, at least, at a place that the point is ``gone`` away from."""
+        if foot.distance > steady * foot.span:
+            return foot.distance - wp.dot(direction, gone)
+        return real(0.0)
+
+    @wp.func
+    def remember(cache: Cache, env: int, slot: int, foot: Foot, gone: vec3):
+        """Keeps the distance of a face and its slope, as seen from the place of the list, ``gone`` away."""
+        direction = slope_of(foot)
+        cache.distance[env, slot] = least_of(foot, direction, gone)
         cache.direction[env, slot] = direction
+
+    @wp.func
+    def way_ahead(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, distance: real):
+        """From a point to where its list is to be made, in the direction in which it left that of the last.
+
+        As far as a part of what the last list reached beyond the nearest face: what there was room for.
+        """
+        moved = p - cache.place[env, contact]
+        length = wp.length(moved)
+        reached = wp.min(cache.beyond[env, contact] - distance, model.patch_skin[patch])
+        # Not where it never was, nor after a jump, nor where a state was not finite.
+        if length > real(0.0) and length <= real(2.0) * reached:
+            return (ahead_of * reached / length) * moved
+        return vec3()
+
+    @wp.func
+    def room_of(cache: Cache):
+        """How many faces are remembered per contact."""
+        if wp.static(remembered is not None):
+            return wp.static(remembered or 0)
+        return cache.face.shape[1] // cache.faces.shape[1]
 
     @wp.func
     def recall_nothing(model: Model, cache: Cache, env: int, contact: int, p: vec3, step: real):
@@ -109,7 +145,7 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
             return answer
         first = cache.nearest[env, contact]
         best = foot_on(model, first, p)
-        slot = natural(contact * room)
+        slot = natural(contact * room_of(cache))
         gone = p - cache.place[env, contact]
         moved = wp.length(gone)
         slack = rounding * (best.span + best.distance + real(16.0) * moved)
@@ -198,23 +234,28 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
     def nearest_to_remember(
         model: Model, patch: int, p: vec3, first: Foot, margin: real, cache: Cache, env: int, contact: int
     ):
-        """The same, looking farther and remembering the faces, in the order in which they are found."""
+        """The same, looking about a place ahead and remembering the faces, in the order they are found."""
         start = model.patch_face_start[patch]
         best = first
-        # All others are farther than this.
+        ahead = way_ahead(model, patch, cache, env, contact, p, first.distance)
+        gone = -ahead
+        # All others are farther from that place than this.
         beyond = first.distance + model.patch_skin[patch]
-        found = faces_about(model, patch, p, beyond + margin)
+        found = faces_about(model, patch, p + ahead, beyond + margin)
         face = wp.int32(0)
+        room = room_of(cache)
         slot = natural(contact * room)
         count = wp.int32(0)
         while wp.mesh_query_next(found, face):
             other = foot_on(model, start + face, p)
             best = nearer(model, best, other)
-            if other.distance < beyond:
+            direction = slope_of(other)
+            least = least_of(other, direction, gone)
+            if least < beyond:
                 place = slot + count
                 if count == room:
                     # The farthest makes room, and ends the reach of the list.
-                    beyond = other.distance
+                    beyond = least
                     for k in range(room):
                         i = natural(slot + k)
                         if cache.distance[env, i] > beyond:
@@ -225,13 +266,15 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
                 if place < slot + room:
                     place = natural(place)
                     cache.face[env, place] = start + face
-                    remember(cache, env, place, other, vec3())
+                    cache.distance[env, place] = least
+                    cache.direction[env, place] = direction
         best.distance = wp.length(best.to_point)
-        list_faces(cache, env, contact, count, p, beyond)
+        list_faces(cache, env, contact, count, p + ahead, beyond)
         return best
 
-    Distances = wp.types.vector(length=remembered, dtype=real)
-    Rows = wp.types.vector(length=remembered, dtype=wp.int32)
+    aside = remembered or 1
+    Distances = wp.types.vector(length=aside, dtype=real)
+    Rows = wp.types.vector(length=aside, dtype=wp.int32)
 
     @wp.func
     def nearest_to_remember_aside(
@@ -252,7 +295,7 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
             if other.distance < beyond:
                 distance = other.distance
                 row = start + face
-                for i in range(wp.static(remembered)):
+                for i in range(wp.static(aside)):
                     if distance < distances[i]:
                         farther = distances[i]
                         farther_row = rows[i]
@@ -263,9 +306,9 @@ def functions(real: type, remembered: int) -> SimpleNamespace:
                 # The farthest makes room, and ends the reach of the list.
                 beyond = wp.min(beyond, distance)
         best.distance = wp.length(best.to_point)
-        slot = contact * room
+        slot = contact * wp.static(aside)
         count = wp.int32(0)
-        for i in range(wp.static(remembered)):
+        for i in range(wp.static(aside)):
             if rows[i] >= 0:
                 cache.face[env, slot + i] = rows[i]
                 remember(cache, env, slot + i, foot_on(model, rows[i], p), vec3())

@@ -92,9 +92,8 @@ SIDES_NOWHERE = 0
 SIDES_EVERYWHERE = 1
 SIDES_ABOVE = 2  # within the walls of the patch
 
-# Faces that are remembered per contact. More of them last longer; where many threads search side by side, with few
-# registers each, sorting them in costs more than that.
-REMEMBERED = 16
+# Faces that are remembered per contact where many threads search side by side, with few registers each: more last
+# longer, but sorting them in costs more than that.
 REMEMBERED_IN_QUEUES = 8
 
 # Queues of a GPU.

@@ -127,7 +127,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         history=layout.struct("contacts", t.History, each, records=records),
         contacts=layout.struct("contacts", t.Contacts, each, records=records),
         near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
-        cache=_cache(t, layout, blocks, records, remembers=grids is None),
+        cache=_cache(t, layout, blocks, records, common.patches if grids is None else None),
         guard=add_guard(scene, layout, parameters, t.real),
         celled=grids is not None,
         **dict.fromkeys(("status", "time", "instant", "constrained", "active")),  # allocated with the model
@@ -185,11 +185,13 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     )
 
 
-def _cache(t: SimpleNamespace, layout: Layout, made: Blocks, records: bool, *, remembers: bool) -> Any:
+def _cache(t: SimpleNamespace, layout: Layout, made: Blocks, records: bool, searched: Patches | None) -> Any:
     blocks, contacts, queued = made.count, len(made.contact), layout.device.is_cuda
     shapes = {name: per_env(made.set_count) for name in t.Cache.vars if name.startswith("set_")}
-    remembered = types.REMEMBERED_IN_QUEUES if queued else types.REMEMBERED
-    faces = per_env(contacts * remembered if remembers else 0)
+    remembered = 0
+    if searched is not None:
+        remembered = types.REMEMBERED_IN_QUEUES if queued else searched.remembered()
+    faces = per_env(contacts * remembered)
     return layout.struct(
         "cache",
         t.Cache,

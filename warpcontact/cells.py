@@ -66,13 +66,9 @@ def grids_about(made: "Patches", device: wp.Device, t: SimpleNamespace) -> list[
     """
     if not device.is_cuda or any(contact.swept for contact in made.of_contact):
         return None
-    reach = np.zeros(len(made.patches))
-    for contact, first in made.of_contact.items():
-        own = slice(first, first + len(contact.surface.meshes))
-        reach[own] = np.maximum(reach[own], contact.radius.max() / contact.surface.scale.min())
     grids: list[Grid] = []
-    for number, patch in enumerate(made.patches):
-        grid = grid_about(patch, float(reach[number]), t)
+    for patch, reach in zip(made.patches, made.reaches(), strict=True):
+        grid = grid_about(patch, float(reach), t)
         if grid is None:
             return None
         grids.append(grid)
@@ -94,19 +90,18 @@ def grid_about(patch: "Patch", reach: float, t: SimpleNamespace) -> Grid | None:
     if patch.sides.kind == SIDES_NOWHERE:
         return None
     corner = patch.corner
-    area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     low, high = corner.min(axis=(0, 1)), corner.max(axis=(0, 1))
     of_cell = wp.types.type_size_in_bytes(t.Cell)
     size = FINEST * patch.edge
     while size <= COARSEST * patch.edge:
         # Faces that may be nearest before any other is held against them lie in a disk about the point.
-        crowd = np.pi * size * (2.0 * reach + size) / float(area.mean())
+        crowd = np.pi * size * (2.0 * reach + size) * len(corner) / patch.area
         if crowd > CROWD:
             return None
         # Cells that have a list lie within this of the area, a third more about a bend or beside a rim.
         far = GROWTH * reach
         height = far + 2.0 * patch.skin + 3.0 * size
-        places = LISTED * (int(1.35 * float(area.sum()) * height / size**3) + 1000)
+        places = LISTED * (int(1.35 * patch.area * height / size**3) + 1000)
         # Cells beyond those tell how far it is.
         for beyond in (AROUND, AROUND / 2.0, AROUND / 4.0, 1.0):
             margin = far + patch.skin + beyond * size
