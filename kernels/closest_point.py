@@ -69,7 +69,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
     Contacts, Cache = t.Contacts, t.Cache
     in_queues = part != WHOLE
-    of_face, of_search = feet.functions(real), search.functions(real, REMEMBERED_IN_QUEUES if in_queues else None)
+    of_face, of_search = feet.functions(real), search.functions(real)
     Foot, foot_on, inner, walk = of_face.Foot, of_face.foot_on, of_face.inner, of_face.walk
     Recalled, recall_sure = of_search.Recalled, of_search.recall_sure
     recall = {
@@ -79,7 +79,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         RECALLED: of_search.recall,
     }.get(part, of_search.recall_nothing)
     nearest_of_all = of_search.nearest_of_all
-    nearest_to_remember = of_search.nearest_to_remember_aside if in_queues else of_search.nearest_to_remember
+    nearest_to_remember = of_search.nearest_to_remember
+    if in_queues:
+        nearest_to_remember = search.nearest_to_remember_aside(real, REMEMBERED_IN_QUEUES)
     cell_at, nearest_listed = cells.functions(real).cell_at, cells.functions(real).nearest_listed
     room_on_side = sides_of(real)
     frame = frames.functions(real)
@@ -232,10 +234,10 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
             recalled = Recalled()
             if cached:
                 step = view.per_scale * cache.set_step[env, view.number]
-                recalled = recall(model, cache, env, contact, p_S, step)
+                recalled = recall(model, patch, cache, env, contact, p_S, step)
             elif wp.static(part == WHOLE):
                 # Far away a search settles no ties, as what is remembered does.
-                recalled = recall_sure(model, cache, env, contact, p_S, real(0.0))
+                recalled = recall_sure(model, patch, cache, env, contact, p_S, real(0.0))
                 if recalled.known:
                     sure = recalled.foot.distance
                     sure += model.patch_slack[patch] + query_epsilon * (extent + sure)

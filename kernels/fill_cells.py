@@ -9,7 +9,7 @@ from warpcontact.kernels import search
 from warpcontact.kernels.cells import LISTED, OVERLAP
 from warpcontact.kernels.closest_point import ROUNDING
 from warpcontact.kernels.sides import room_on_side as sides_of
-from warpcontact.kernels.types import REMEMBERED_IN_QUEUES, structs
+from warpcontact.kernels.types import structs
 
 # Faces that may be nearest before it is looked at which of them another is always nearer than.
 CANDIDATES = 64
@@ -34,7 +34,7 @@ def kernel(real: type) -> wp.Kernel:
     """
     t = structs(real)
     vec3, Model = t.vec3, t.Model
-    of_search = search.functions(real, REMEMBERED_IN_QUEUES)
+    of_search = search.functions(real)
     nearest_of_all, faces_about = of_search.nearest_of_all, of_search.faces_about
     foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
     room_on_side = sides_of(real)

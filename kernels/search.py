@@ -1,8 +1,9 @@
 """Search for the face nearest to a point, and its outcome kept from step to step: most contacts need no search.
 
-As in the neighbour lists of molecular dynamics: faces within a skin are remembered, each with its distance and the
-slope of that. A triangle is convex, so its distance is nowhere less than the slope says; and a point that moved by
-m is at least the skin less m away from all others. So the nearest is among the first few, or a new list is due.
+As in the neighbour lists of molecular dynamics: faces within a skin of a place are remembered, each with its
+distance and the slope of that. A triangle is convex, so its distance is nowhere less than the slope says; and a
+point at m from that place is at least the skin less m away from all others. So the nearest is among the first few,
+or a new list is due.
 """
 
 import functools
@@ -24,14 +25,8 @@ AHEAD = 0.8
 
 
 @functools.cache
-def functions(real: type, remembered: int | None = None) -> SimpleNamespace:
-    """Returns the device functions for ``real``.
-
-    Args:
-        real: Type of a real number.
-        remembered: Faces that are remembered per contact, for threads side by side; ``None``: as many as the cache
-            has room for.
-    """
+def functions(real: type) -> SimpleNamespace:
+    """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
     near = feet.functions(real)
@@ -108,17 +103,15 @@ def functions(real: type, remembered: int | None = None) -> SimpleNamespace:
     @wp.func
     def room_of(cache: Cache):
         """How many faces are remembered per contact."""
-        if wp.static(remembered is not None):
-            return wp.static(remembered or 0)
         return cache.face.shape[1] // cache.faces.shape[1]
 
     @wp.func
-    def recall_nothing(model: Model, cache: Cache, env: int, contact: int, p: vec3, step: real):
+    def recall_nothing(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
         """Takes no remembered face for the nearest."""
         return Recalled()
 
     @wp.func
-    def recall_sure(model: Model, cache: Cache, env: int, contact: int, p: vec3, step: real):
+    def recall_sure(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
         """Takes the face that is known to be the nearest here, or one of two."""
         answer = Recalled()
         answer.known = False
@@ -133,7 +126,7 @@ def functions(real: type, remembered: int | None = None) -> SimpleNamespace:
         return answer
 
     @wp.func
-    def recall_listed(model: Model, cache: Cache, env: int, contact: int, p: vec3, step: real):
+    def recall_listed(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
         """Looks for the nearest point among the remembered faces.
 
         ``step``: how far the point came in the last step, about.
@@ -148,7 +141,8 @@ def functions(real: type, remembered: int | None = None) -> SimpleNamespace:
         slot = natural(contact * room_of(cache))
         gone = p - cache.place[env, contact]
         moved = wp.length(gone)
-        slack = rounding * (best.span + best.distance + real(16.0) * moved)
+        # Slopes were taken up to a skin away from the place of the list.
+        slack = rounding * (best.span + best.distance + real(16.0) * (moved + model.patch_skin[patch]))
         for k in range(count):
             i = natural(slot + k)
             least = cache.distance[env, i] + wp.dot(cache.direction[env, i], gone) - slack
@@ -191,11 +185,11 @@ def functions(real: type, remembered: int | None = None) -> SimpleNamespace:
         return answer
 
     @wp.func
-    def recall(model: Model, cache: Cache, env: int, contact: int, p: vec3, step: real):
+    def recall(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
         """Takes the nearest face if it is among the remembered ones."""
-        answer = recall_sure(model, cache, env, contact, p, step)
+        answer = recall_sure(model, patch, cache, env, contact, p, step)
         if not answer.known:
-            answer = recall_listed(model, cache, env, contact, p, step)
+            answer = recall_listed(model, patch, cache, env, contact, p, step)
         return answer
 
     @wp.func
@@ -272,15 +266,41 @@ def functions(real: type, remembered: int | None = None) -> SimpleNamespace:
         list_faces(cache, env, contact, count, p + ahead, beyond)
         return best
 
-    aside = remembered or 1
-    Distances = wp.types.vector(length=aside, dtype=real)
-    Rows = wp.types.vector(length=aside, dtype=wp.int32)
+    return SimpleNamespace(
+        Recalled=Recalled,
+        faces_about=faces_about,
+        recall=recall,
+        recall_nothing=recall_nothing,
+        recall_sure=recall_sure,
+        recall_listed=recall_listed,
+        nearest_of_all=nearest_of_all,
+        nearest_to_remember=nearest_to_remember,
+        remember=remember,
+        list_faces=list_faces,
+    )
+
+
+@functools.cache
+def nearest_to_remember_aside(real: type, remembered: int) -> wp.Function:
+    """Returns ``nearest_to_remember`` for threads side by side, which would wait for each other's memory.
+
+    Args:
+        real: Type of a real number.
+        remembered: Faces that are remembered per contact.
+    """
+    t = structs(real)
+    vec3, Model, Cache = t.vec3, t.Model, t.Cache
+    near, of_search = feet.functions(real), functions(real)
+    Foot, foot_on, nearer = near.Foot, near.foot_on, near.nearer
+    faces_about, remember, list_faces = of_search.faces_about, of_search.remember, of_search.list_faces
+    Distances = wp.types.vector(length=remembered, dtype=real)
+    Rows = wp.types.vector(length=remembered, dtype=wp.int32)
 
     @wp.func
     def nearest_to_remember_aside(
         model: Model, patch: int, p: vec3, first: Foot, margin: real, cache: Cache, env: int, contact: int
     ):
-        """The same for threads side by side, which would wait for each other's memory: lists in registers."""
+        """As ``nearest_to_remember``, about the point itself, with the list in registers while it is made."""
         start = model.patch_face_start[patch]
         best = first
         beyond = first.distance + model.patch_skin[patch]
@@ -295,7 +315,7 @@ def functions(real: type, remembered: int | None = None) -> SimpleNamespace:
             if other.distance < beyond:
                 distance = other.distance
                 row = start + face
-                for i in range(wp.static(aside)):
+                for i in range(wp.static(remembered)):
                     if distance < distances[i]:
                         farther = distances[i]
                         farther_row = rows[i]
@@ -306,9 +326,9 @@ def functions(real: type, remembered: int | None = None) -> SimpleNamespace:
                 # The farthest makes room, and ends the reach of the list.
                 beyond = wp.min(beyond, distance)
         best.distance = wp.length(best.to_point)
-        slot = contact * wp.static(aside)
+        slot = contact * wp.static(remembered)
         count = wp.int32(0)
-        for i in range(wp.static(aside)):
+        for i in range(wp.static(remembered)):
             if rows[i] >= 0:
                 cache.face[env, slot + i] = rows[i]
                 remember(cache, env, slot + i, foot_on(model, rows[i], p), vec3())
@@ -316,14 +336,4 @@ def functions(real: type, remembered: int | None = None) -> SimpleNamespace:
         list_faces(cache, env, contact, count, p, beyond)
         return best
 
-    return SimpleNamespace(
-        Recalled=Recalled,
-        faces_about=faces_about,
-        recall=recall,
-        recall_nothing=recall_nothing,
-        recall_sure=recall_sure,
-        recall_listed=recall_listed,
-        nearest_of_all=nearest_of_all,
-        nearest_to_remember=nearest_to_remember,
-        nearest_to_remember_aside=nearest_to_remember_aside,
-    )
+    return nearest_to_remember_aside

@@ -136,5 +136,5 @@ def copied_run(tmp_path):
 @pytest.fixture
 def steps_tell(monkeypatch):
     """Has steps tell of contacts what they computed, over the step, as if somebody watched."""
-    for at_once in ("meets", "alone"):
-        monkeypatch.setattr(f"warpcontact.schedule.Span.{at_once}", False)
+    monkeypatch.setattr("warpcontact.schedule.Span.watched", property(lambda _: True, lambda *_: None))
+    monkeypatch.setattr("warpcontact.schedule.Span.alone", False)

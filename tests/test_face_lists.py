@@ -5,20 +5,24 @@ import pytest
 import warp as wp
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels import search
-from warpcontact.kernels.types import REMEMBERED_IN_QUEUES, structs
+from warpcontact.kernels.types import structs
 
 import warpcontact as wc
 
 POINTS = 2000
 
 
-def lister(real, how):
-    """Returns the kernel that makes the list of each of some places, and tells the row of its nearest face."""
+def lister(real, aside):
+    """Returns the kernel that makes the list of each of some places, and tells the row of its nearest face.
+
+    ``aside``: how many faces are kept in registers; ``None``: in memory, as many as there is room for.
+    """
     t = structs(real)
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
-    of_search = search.functions(real, None if how == "in room" else REMEMBERED_IN_QUEUES)
     foot_on = feet.functions(real).foot_on
-    to_list = of_search.nearest_to_remember_aside if how == "aside" else of_search.nearest_to_remember
+    to_list = search.functions(real).nearest_to_remember
+    if aside is not None:
+        to_list = search.nearest_to_remember_aside(real, aside)
 
     @wp.kernel(module="unique", enable_backward=False)
     def list_all(
@@ -47,29 +51,36 @@ def over_terrain(real, points, device):
     return scene.build(device=device, precision=precision)
 
 
-def nearest_listed(real, how, model, points, device):
+def room_in(model):
+    """Returns how many faces are remembered per contact."""
+    cache = model.parts[0].arrays.cache
+    return cache.face.shape[1] // cache.faces.shape[1]
+
+
+def nearest_listed(real, aside, model, points, device):
     """Makes the lists of all points; returns the rows of their nearest faces."""
     arrays = model.parts[0].arrays
     places = wp.array(points, dtype=structs(real).vec3, device=device)
     best = wp.zeros(len(points), dtype=wp.int32, device=device)
-    wp.launch(lister(real, how), len(points), [arrays.model, arrays.cache, places, best], device=device)
+    wp.launch(lister(real, aside), len(points), [arrays.model, arrays.cache, places, best], device=device)
     return best.numpy()
 
 
 def listed(real, how, points, device):
     """Returns (number, reach, rows of faces, row of the nearest) of the list of each point over a terrain."""
     model = over_terrain(real, points, device)
-    best = nearest_listed(real, how, model, points, device)
+    room = room_in(model)
+    best = nearest_listed(real, room if how == "aside" else None, model, points, device)
     arrays = model.parts[0].arrays
     cache = arrays.cache
     count, reach = cache.faces.numpy()[0], cache.beyond.numpy()[0]
     rows = []
     for contact, number in enumerate(count):
-        own = slice(contact * REMEMBERED_IN_QUEUES, contact * REMEMBERED_IN_QUEUES + number)
+        own = slice(contact * room, contact * room + number)
         faces, distances = cache.face.numpy()[0][own], cache.distance.numpy()[0][own]
         # Of several that are the farthest any may be there.
         rows.append(sorted(faces[distances < reach[contact]]))
-    return count, reach, rows, best
+    return count, reach, rows, best, room
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
@@ -77,9 +88,9 @@ def test_lists_in_registers_are_those_in_memory(real, device):
     points = np.random.default_rng(5).uniform([-1.9, -1.9, -0.1], [1.9, 1.9, 0.6], (POINTS, 3))
     in_memory, aside = (listed(real, how, points, device) for how in ("in memory", "aside"))
     # Some have room left, and of others the farthest had to go.
-    count = in_memory[0]
-    assert ((count > 0) & (count < REMEMBERED_IN_QUEUES)).sum() > 50
-    assert (count == REMEMBERED_IN_QUEUES).sum() > 50
+    count, room = in_memory[0], in_memory[-1]
+    assert ((count > 0) & (count < room)).sum() > 50
+    assert (count == room).sum() > 50
     np.testing.assert_array_equal(aside[0], count)
     np.testing.assert_array_equal(aside[1], in_memory[1])
     assert aside[2] == in_memory[2]
@@ -109,7 +120,7 @@ def test_a_list_made_ahead_holds_all_faces_about_there_and_the_nearest_here(real
     points = rng.uniform([-1.8, -1.8, -0.1], [1.8, 1.8, 0.4], (400, 3))
     model = over_terrain(real, points, "cpu")
     cache = model.parts[0].arrays.cache
-    nearest_listed(real, "in room", model, points, "cpu")
+    nearest_listed(real, None, model, points, "cpu")
     np.testing.assert_array_equal(cache.place.numpy()[0], points.astype(cache.place.numpy().dtype))  # no way yet
     reached = cache.beyond.numpy()[0] - distances(real, model, points, "cpu").min(axis=1)
     way = rng.normal(size=points.shape)
@@ -121,7 +132,7 @@ def test_a_list_made_ahead_holds_all_faces_about_there_and_the_nearest_here(real
     last = cache.place.numpy()
     last[0, 5] = np.nan
     cache.place.assign(last)
-    nearest = nearest_listed(real, "in room", model, here, "cpu")
+    nearest = nearest_listed(real, None, model, here, "cpu")
 
     place, beyond, count = cache.place.numpy()[0], cache.beyond.numpy()[0], cache.faces.numpy()[0]
     ahead = np.linalg.norm(place - here, axis=1)
@@ -137,11 +148,26 @@ def test_a_list_made_ahead_holds_all_faces_about_there_and_the_nearest_here(real
     # Rounding of coordinates of two metres.
     room = 1e-6 if real is wp.float32 else 1e-14
     assert (from_here[np.arange(len(here)), nearest] <= from_here.min(axis=1) + room).all()
-    room_of_each = cache.face.shape[1] // len(points)
     for point, number in enumerate(count):
-        own = slice(point * room_of_each, point * room_of_each + number)
+        own = slice(point * room_in(model), point * room_in(model) + number)
         faces, least = cache.face.numpy()[0][own], cache.distance.numpy()[0][own]
         assert len(set(faces)) == number > 0
         assert (least <= from_there[point, faces] + room).all()
         others = np.delete(from_there[point], faces)
         assert others.min() >= beyond[point] - room
+
+
+@pytest.mark.parametrize(
+    ("radius", "scale", "least", "most"),
+    [(0.0, 1.0, 16, 16), (0.09, 1.0, 20, 30), (0.9, 10.0, 20, 30), (0.9, 1.0, 48, 48)],
+)
+def test_more_faces_are_remembered_of_larger_spheres(radius, scale, least, most):
+    """By their edges, in the unit of the mesh; the surface and the sphere with the most tell for all."""
+    scene = wc.Scene()
+    coarse, fine = (wc.meshes.sinusoidal_terrain((3, 3), (n, n), 0.1, 1.0) for n in (10, 100))
+    ground = scene.add_surface([coarse, fine], scale=scale)
+    body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+    points = scene.add_points(body, np.zeros((3, 3)))
+    template = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    scene.add_contact(points, ground, template, radius=[0.0, radius, 0.0])
+    assert least <= room_in(scene.build(device="cpu")) <= most

@@ -39,18 +39,13 @@ class Patch:
     flags: NDArray[np.uint8]  # (F, 7) FEATURE_* bits
     neighbor: NDArray[np.int32]  # (F, 3) 3 × face + edge across each edge; −1: none, or not one alone
     edge: float  # length of a usual edge
+    area: float  # of all faces together
     sides: Sides
 
     @property
     def skin(self) -> float:
         """How much farther faces are remembered than the nearest."""
         return SKIN * self.edge
-
-    @property
-    def area(self) -> float:
-        """Of all faces together."""
-        a, b, c = np.moveaxis(self.corner, 1, 0)
-        return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
 def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_active: bool) -> Patch:
@@ -68,7 +63,8 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
     welded = mesh.welded[faces]
 
     cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    face_normal = cross / np.linalg.norm(cross, axis=1, keepdims=True)
+    twice_area = np.linalg.norm(cross, axis=1, keepdims=True)
+    face_normal = cross / twice_area
 
     # Edges: both faces meet them with the angle π, so the weights are equal.
     ends = np.stack([welded, np.roll(welded, -1, axis=1)], axis=2)  # (F, 3, 2)
@@ -102,6 +98,7 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
         flags=flags,
         neighbor=neighbor,
         edge=float(np.median(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2))),
+        area=0.5 * float(twice_area.sum()),
         sides=sides_of(mesh, corner, ends, neighbor, whole=whole),
     )
 
@@ -133,9 +130,10 @@ class Patches:
         return reach
 
     def remembered(self) -> int:
-        """Returns how many faces are worth remembering of a contact on a CPU.
+        """Returns how many faces are worth remembering of each contact on a CPU: of that with the most.
 
-        Those that are within the skin of the middle of a sphere, where it touches a plane: they lie in a disk.
+        Those that are farther from the middle of a sphere, where it touches a plane, than that by no more
+        than the skin lie in a disk.
         """
         most = FEWEST_REMEMBERED
         for patch, reach in zip(self.patches, self.reaches(), strict=True):

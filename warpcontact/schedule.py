@@ -102,15 +102,10 @@ class Span:
         return few and not self.model.piles
 
     @property
-    def tells(self) -> bool:
-        """Whether anyone asks what each contact does: who watches, or a coupling that adds them up."""
-        return self.watched or any(group.coupling_count for group in self.model.groups)
-
-    @property
     def meets(self) -> bool:
         """Whether who looks at a contact computes its force, and tells nobody: on a CPU, or of single contacts."""
         model = self.model
-        asked = self.tells or model.follows
+        asked = self.watched or model.follows or self._coupled
         celled, single = model.arrays.celled, model.blocks.width == 1 and len(model.groups) == 1
         single = single and self.count * model.contact_count <= MET
         able = celled and single if self.queued else model.device.is_cpu and not celled
@@ -125,6 +120,11 @@ class Span:
         return few and self._of_one and model.blocks.count > 0 and self.sums_by_body
 
     @property
+    def _coupled(self) -> bool:
+        """Whether contacts are those of contact couplings, which ask where each of them is."""
+        return any(group.coupling_count for group in self.model.groups)
+
+    @property
     def _of_one(self) -> bool:
         """Whether environments have one body, which is free, and contacts that follow no surface."""
         model = self.model
@@ -135,7 +135,7 @@ class Span:
         """Whether one launch takes a step: of bodies alone in their environments with one set of contacts."""
         model, blocks = self.model, self.model.blocks
         looks = self.queued and self.cached and model.arrays.celled and blocks.set_count == 1
-        coupled = model.couplings or model.smooth or model.piles or any(one.coupling_count for one in model.groups)
+        coupled = model.couplings or model.smooth or model.piles or self._coupled
         return looks and self._of_one and not coupled and blocks.count <= MOST_ADDED_UP
 
     def prepare(
@@ -218,7 +218,7 @@ def force_stages(
         blocks = [(group.first_block, group.block_count)]
         for first_block, count in blocks if span.hard is None else span.hard.compliant_blocks(group):
             inputs = [status, a.model, state, a.history, group.memory, step, first_block]
-            inputs += [group.first, group.coefficients, a.contacts, group.kept, a.near, span.tells, ordered]
+            inputs += [group.first, group.coefficients, a.contacts, group.kept, a.near, span.watched, ordered]
             inputs += [a.wrenches]
             launches += span.prepare(group.kernel, count, inputs)
     if ordered and not by_block:

@@ -23,6 +23,7 @@ from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack
 from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.room import FEW, all_pairs, owned_of, partners_around
 from warpcontact.readings import Reading, shape_in
+from warpcontact.schedule import FEW_TOGETHER
 from warpcontact.smooth.elements import Shape
 
 if TYPE_CHECKING:
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 # What a step takes of the cache of a core: of an entry, and of a shape with the records of its touches.
 ENTRY_BYTES = 8
 SHAPE_BYTES = 300
-# Threads that share the registers of a GPU block, where they take many or wait for memory; measured.
-TOGETHER = 64
 
 _RANGES = {
     "kappa": limits_of.KAPPA,
@@ -347,12 +346,12 @@ class Pile:
         hard = self._is_hard(span)
         kernel = self._finder if hard else self._kernel
         inputs = [status, model, state, shapes, lists_, grid, self._memory, step, self._coefficients, touches]
-        inputs += [self._kept, span.tells, wrenches]
-        launches += span.prepare(kernel, count, inputs, together=TOGETHER)
+        inputs += [self._kept, span.watched, wrenches]
+        launches += span.prepare(kernel, count, inputs, together=FEW_TOGETHER)
         if not self._alone and not hard:
             adding = force.add(self.real, self._single)
             inputs = [status, shapes, lists_, touches, wrenches]
-            launches += span.prepare(adding, self._carriers, inputs, together=TOGETHER)
+            launches += span.prepare(adding, self._carriers, inputs, together=FEW_TOGETHER)
         return launches
 
     def _list_stages(self, span: "Span", state: Any, status: wp.array) -> list[wp.Launch]:
@@ -384,7 +383,7 @@ class Pile:
         status = span.model.arrays.status
         inputs = [status, self.shapes, self.lists, self.touches, self._kept, self._memory]
         kernel = history.advance(self._parts, self.real, self._is_hard(span))
-        return span.prepare(kernel, self.contact.count, inputs, together=TOGETHER)
+        return span.prepare(kernel, self.contact.count, inputs, together=FEW_TOGETHER)
 
     def _is_hard(self, span: "Span") -> bool:
         return span.hard is not None and not span.hard.acts(self.contact.name)
