@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
+from scipy.spatial.transform import Rotation
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels import search
 from warpcontact.kernels.types import structs
@@ -171,3 +172,73 @@ def test_more_faces_are_remembered_of_larger_spheres(radius, scale, least, most)
     template = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
     scene.add_contact(points, ground, template, radius=[0.0, radius, 0.0])
     assert least <= room_in(scene.build(device="cpu")) <= most
+
+
+# Along the axes products would not be rounded.
+ASKEW = Rotation.from_rotvec([0.7, -0.4, 1.1]).as_matrix()
+
+
+def two_sheets(apart):
+    """A triangle with an edge along x at y = 0, z = 0, and one ``apart`` below both of its sides, turned askew."""
+    upper = [(0.0, 0.0, 0.0), (0.5, -1.0, 0.0), (1.0, 0.0, 0.0)]
+    lower = [(-0.1, -0.5, -apart), (1.1, -0.5, -apart), (0.5, 0.6, -apart)]
+    return wc.Mesh(np.array(upper + lower) @ ASKEW.T, np.array([[0, 2, 1], [3, 4, 5]]))
+
+
+@pytest.mark.parametrize(("real", "epsilon"), [(wp.float32, 2.0**-23), (wp.float64, 2.0**-52)])
+def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(real, epsilon):
+    """Beside an edge a slope turns with rounding, and the way ahead, times that, is more than a tie of two faces.
+
+    A list is made ahead along the edge of one of two sheets, and asked at its place, where both are as near but
+    for some rounding: the sheet with the edge is nearer by 12 epsilon or more, and the other was nearest last.
+    """
+    t = structs(real)
+    model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
+    of_search, of_feet = search.functions(real), feet.functions(real)
+    foot_on, nearer = of_feet.foot_on, of_feet.nearer
+    to_list, recall = of_search.nearest_to_remember, of_search.recall_listed
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def list_and_recall(
+        model: model_type,
+        cache: cache_type,
+        places: wp.array(dtype=vec3),
+        edge: int,
+        found: wp.array(dtype=wp.int32),
+        right: wp.array(dtype=wp.int32),
+    ):
+        contact = wp.tid()
+        p = places[contact]
+        to_list(model, 0, p, foot_on(model, edge, p), real(1e-3), cache, 0, contact)
+        q = cache.place[0, contact]
+        cache.nearest[0, contact] = 1 - edge
+        answer = recall(model, 0, cache, 0, contact, q, real(0.0))
+        found[contact] = answer.foot.row
+        if not answer.known:
+            found[contact] = -1
+        right[contact] = nearer(model, foot_on(model, edge, q), foot_on(model, 1 - edge, q)).row
+
+    rng = np.random.default_rng(8)
+    count, apart = 20000, 0.0036
+    from_lower = rng.uniform(0.0019, 0.0024, count)
+    from_edge = from_lower - epsilon * rng.uniform(12.0, 20.0, count)
+    z = from_lower - apart
+    points = np.stack([rng.uniform(0.2, 0.5, count), np.sqrt(from_edge**2 - z**2), z], axis=1) @ ASKEW.T
+    scene = wc.Scene()
+    ground = scene.add_surface(two_sheets(apart))
+    body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+    scene.add_contact(scene.add_points(body, points), ground, wc.Template(law=wc.laws.Hooke(stiffness=1e4)))
+    model = scene.build(device="cpu", precision="float32" if real is wp.float32 else "float64")
+    own = model.parts[0].arrays
+    cache = own.cache
+    # They come along the edge, and left a list that reached far.
+    cache.place.assign((points - 0.1 * ASKEW[:, 0])[None].astype(cache.place.numpy().dtype))
+    cache.beyond.fill_(10.0)
+    places = wp.array(points, dtype=vec3, device="cpu")
+    found, right = (wp.zeros(count, dtype=wp.int32, device="cpu") for _ in range(2))
+    wp.launch(list_and_recall, count, [own.model, cache, places, 0, found, right], device="cpu")
+    ahead = cache.place.numpy()[0] - points
+    np.testing.assert_allclose(ahead, [0.8 * own.model.patch_skin.numpy()[0] * ASKEW[:, 0]] * count, atol=1e-6)
+    right = right.numpy()
+    assert (right == 0).mean() > 0.5
+    np.testing.assert_array_equal(found.numpy(), right)
