@@ -37,6 +37,9 @@ NARROW = wp.constant(real(1.0e-15))
 # How well a place of the circle is known, over R, and of what is found there the normal at worst.
 PLACED = wp.constant(real(4.0e-15))
 TURNED = wp.constant(real(1.0e-6))
+# Core circles that pass each other nearer than this, over R, cross; as far as they do so at an angle, its sine.
+CROSSED = wp.constant(real(1.0e-9))
+ASLANT = wp.constant(real(1.0e-3))
 # By how much f is lower beyond rounding, over R.
 LOWER = wp.constant(real(1.0e-14))
 # How near to the axis a loop is looked for that the grid does not see [rad].
@@ -143,6 +146,22 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         return met
 
     @wp.func
+    def across(p_a: Any, p_b: Any, q: wp.quatd, at: Seen, met: Meeting):
+        """Where two core circles cross: rings part across both of them, to the side where they are already."""
+        own = wp.quat_rotate(q, vec3d(-wp.sin(at.angle), wp.cos(at.angle), zero))
+        other = wp.normalize(vec3d(-at.center[1], at.center[0], zero))
+        normal = wp.cross(own, other)
+        if wp.length(normal) > ASLANT:
+            normal = wp.normalize(normal)
+            if wp.dot(normal, at.near.normal) < zero:
+                normal = -normal
+            met.normal = normal
+            met.point_a = at.center - p_a.minor_radius * normal
+            met.point_b = at.center + p_b.minor_radius * normal
+            met.residual = wp.abs(wp.dot(normal, own))
+        return met
+
+    @wp.func
     def met_by(p_a: Any, p_b: Any, x: vec3d, rotation: wp.quatd, seed: Any):
         q = wp.normalize(rotation)
         values = Values()
@@ -185,7 +204,9 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
         if wp.static(B is Torus):
             # Where both core circles all but cross, the normal turns around within the rounding of a place.
             passing = best.near.gap + p_b.minor_radius
-            if met.residual * passing <= PLACED * p_a.major_radius:
+            if met.residual > TURNED and passing <= CROSSED * p_a.major_radius:
+                met = across(p_a, p_b, q, best, met)
+            elif met.residual * passing <= PLACED * p_a.major_radius:
                 allowed = TURNED
         if met.residual > allowed:
             met.status = NOT_CONVERGED

@@ -308,8 +308,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
             at = place_out(search)
             now, rise = about(p_a, p_b, x, q, pole, azimuth, at)
             search = told_out(search, at, -rise, now)
-        out = search.low.normal - wp.dot(search.low.normal, pole) * pole
-        along = wp.normalize(out)
+        along = wp.quat_rotate(q, vec3d(wp.cos(azimuth), wp.sin(azimuth), zero))
         return between(p_a, p_b, x, q, search.low, search.high, along), search.b, closed_out(search)
 
     @wp.func
