@@ -276,6 +276,7 @@ def functions(real: type) -> SimpleNamespace:
         nearest_of_all=nearest_of_all,
         nearest_to_remember=nearest_to_remember,
         remember=remember,
+        room_of=room_of,
         list_faces=list_faces,
     )
 
@@ -286,13 +287,14 @@ def nearest_to_remember_aside(real: type, remembered: int) -> wp.Function:
 
     Args:
         real: Type of a real number.
-        remembered: Faces that are remembered per contact.
+        remembered: Faces that are remembered per contact, not more than the cache has room for.
     """
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
     near, of_search = feet.functions(real), functions(real)
     Foot, foot_on, nearer = near.Foot, near.foot_on, near.nearer
     faces_about, remember, list_faces = of_search.faces_about, of_search.remember, of_search.list_faces
+    room_of = of_search.room_of
     Distances = wp.types.vector(length=remembered, dtype=real)
     Rows = wp.types.vector(length=remembered, dtype=wp.int32)
 
@@ -326,7 +328,7 @@ def nearest_to_remember_aside(real: type, remembered: int) -> wp.Function:
                 # The farthest makes room, and ends the reach of the list.
                 beyond = wp.min(beyond, distance)
         best.distance = wp.length(best.to_point)
-        slot = contact * wp.static(remembered)
+        slot = contact * room_of(cache)
         count = wp.int32(0)
         for i in range(wp.static(remembered)):
             if rows[i] >= 0:
