@@ -11,26 +11,13 @@ import warp as wp
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import natural, structs
+from warpcontact.kernels.warps import first_of
 
 # A list is a number: its first place times this, and how many faces there are, which are fewer.
 LISTED = 32
 # A cell is filled as if it were so much larger, for points that rounding puts into the one beside theirs; what is
 # taken off for the rounding of a query serves for them as well.
 OVERLAP = 1.001
-
-
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    return __ffs(bits) - 1;
-#else
-    return __builtin_ctz(bits);
-#endif
-    """
-)
-def first_of(bits: int) -> int:
-    """Number of the lowest of some bits."""
-    ...
 
 
 @functools.cache

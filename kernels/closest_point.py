@@ -45,7 +45,7 @@ ROUNDING = 16.0
 POINT_ROUNDING = 4.0
 # Parts of a look.
 WHOLE, KNOWN, LISTED, RECALLED, SEARCH = "whole", "known", "listed", "recalled", "search"
-CELL, EITHER, TREE = "cell", "either", "tree"
+CELL, AWAY, EITHER, TREE = "cell", "away", "either", "tree"
 # Result of one that is left to the next part: no distance.
 LATER = -math.inf
 # Contacts that stay with the part of the surface that they touched.
@@ -62,8 +62,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
 
     ``part`` is ``WHOLE``, or one of some that do it in turn, each putting off what it does not know: ``KNOWN``
     takes the face that is sure to be nearest, ``LISTED`` looks through the remembered ones, ``RECALLED`` does
-    both, and ``SEARCH`` searches. Or, about meshes with cells, with nothing remembered: ``CELL`` looks through the
-    faces of a cell, ``TREE`` searches, and ``EITHER`` does what is due.
+    both, and ``SEARCH`` searches. Or, about meshes with cells, with no faces remembered: ``CELL`` looks through
+    the faces of a cell, ``AWAY`` does unless it remembers that none is near, ``TREE`` searches, and ``EITHER``
+    does what is due.
     """
     t = structs(real)
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
@@ -165,6 +166,12 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         arm: vec3  # to K, where the force acts, from where points are given, W [m]
 
     @wp.func
+    def keep_away(cache: Cache, env: int, contact: int, p_S: vec3, room: real):
+        """Remembers how far a point can move from where it is and not touch, in units of the mesh."""
+        cache.room[env, contact] = room
+        cache.room_place[env, contact] = p_S
+
+    @wp.func
     def lost(free: real, gap: real, status: int, armed: int, arm_W: vec3):
         """What is found of one that has no nearest point."""
         found = Found()
@@ -244,16 +251,23 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     recalled.known = sure < reach + model.patch_skin[patch]
             foot = recalled.foot
             known = recalled.known
-            if wp.static(part in (CELL, EITHER)):
+            # A latch that is not armed waits until the surface is in sight.
+            may_be_away = armed != 0 or (option & LATCHED) == 0
+            if wp.static(part == AWAY):
+                left = cache.room[env, contact] - wp.length(p_S - cache.room_place[env, contact])
+                if left > query_epsilon * extent and may_be_away:
+                    return away(scale * left)
+            if wp.static(part in (CELL, AWAY, EITHER)):
                 cell = cell_at(model, patch, p_S)
-                # A latch that is not armed waits until the surface is in sight.
-                if cell.free > reach and (armed != 0 or (option & LATCHED) == 0):
+                if cell.free > reach and may_be_away:
+                    if wp.static(part == AWAY):
+                        keep_away(cache, env, contact, p_S, cell.free - reach)
                     return away(scale * (cell.free - reach))
                 known = cell.faces >= 0
                 if known:
                     margin = model.patch_slack[patch] + query_epsilon * (extent + reach)
                     foot = nearest_listed(model, cell.faces, p_S, margin)
-            if wp.static(part in (KNOWN, LISTED, RECALLED, CELL)):
+            if wp.static(part in (KNOWN, LISTED, RECALLED, CELL, AWAY)):
                 if not known:
                     return later()
             elif not known:
@@ -370,6 +384,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 free = wp.min(nearest - radius, scale * room_on_side(model, patch, p_S))
             if (option & LATCHED) == 0:
                 free = wp.max(free, nearest - wp.max(radius, geometry.max_depth - radius))
+            if wp.static(part == AWAY):  # noqa: SIM102  Warp would evaluate both sides
+                if touching == OPEN and armed != 0 and free > real(0.0):
+                    keep_away(cache, env, contact, p_S, view.per_scale * free)
 
         # K = S + κ (D − S) with D = P − RC n, the deepest point; seen from P.
         to_surface = -scale * foot.to_point
@@ -392,6 +409,22 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         return found
 
     @wp.func
+    def tell(found: Found, contacts: Contacts, env: int, contact: int):
+        """Fills ``contacts`` for one."""
+        if wp.static(follows):
+            contacts.crossed_face[env, contact] = -1
+        if not found.told:
+            leave(contacts, env, contact)
+            return
+        contacts.gap[env, contact] = found.gap
+        contacts.status[env, contact] = found.status
+        contacts.armed[env, contact] = found.armed
+        contacts.penetration[env, contact] = found.penetration
+        contacts.face[env, contact] = found.face
+        contacts.normal[env, contact] = found.normal
+        contacts.arm[env, contact] = found.arm
+
+    @wp.func
     def look(
         model: Model,
         view: View,
@@ -407,25 +440,16 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         if wp.static(part in (KNOWN, LISTED, RECALLED, CELL)):  # noqa: SIM102  Warp would evaluate both sides
             if found.free == real(LATER):
                 return found.free
-        if wp.static(follows):
-            contacts.crossed_face[env, contact] = -1
-        if not found.told:
-            leave(contacts, env, contact)
-            return found.free
-        contacts.gap[env, contact] = found.gap
-        contacts.status[env, contact] = found.status
-        contacts.armed[env, contact] = found.armed
-        contacts.penetration[env, contact] = found.penetration
-        contacts.face[env, contact] = found.face
-        contacts.normal[env, contact] = found.normal
-        contacts.arm[env, contact] = found.arm
+        tell(found, contacts, env, contact)
         return found.free
 
     return SimpleNamespace(
         View=View,
+        Found=Found,
         view_of=view_of,
         nearest_of_all=nearest_of_all,
         find=find,
         leave=leave,
+        tell=tell,
         look=look,
     )

@@ -6,6 +6,8 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import finish, frames, history, quarantine
 from warpcontact.kernels import wrenches as of_wrenches
+from warpcontact.kernels.piles import sums as sums_of_piles
+from warpcontact.kernels.piles.base import pile_structs
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     ENV_FAILED,
@@ -18,6 +20,9 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+
+# Registers of a thread of a GPU in float32 that adds touches up, so that many wait for memory at once; measured.
+REGISTERS = 72
 
 
 @functools.cache
@@ -117,13 +122,18 @@ def euler(real: type) -> SimpleNamespace:
 
 @functools.cache
 def semi_implicit_euler(
-    real: type, moves: bool = False, sources: tuple[bool, bool] | None = None, accepts: bool = False
+    real: type,
+    moves: bool = False,
+    sources: tuple[bool, bool] | None = None,
+    accepts: bool = False,
+    piled: bool = False,
 ) -> wp.Kernel:
     """Returns the semi-implicit Euler kernel; items: bodies.
 
     With ``moves``, bodies that are not free are left to ``motions``. With ``sources``, the options of
-    ``wrenches.functions``, it adds the wrenches up before. With ``accepts``, for environments of one body, it
-    ends their step, and takes their contacts into the history.
+    ``wrenches.functions``, it adds the wrenches up before, with what touches of a pile do if ``piled``, and writes
+    them if they are ``told``. With ``accepts``, for environments of one body, it ends their step, and takes their
+    contacts into the history.
     """
     t = structs(real)
     vec3, Model, State, Near, Ends, Wrenches = t.vec3, t.Model, t.State, t.Near, t.Ends, t.Wrenches
@@ -134,8 +144,11 @@ def semi_implicit_euler(
     empty = of_wrenches.empty
     of_body = euler(real)
     Guard, moved_by, put, failure_of = of_body.Guard, of_body.moved_by, of_body.put, of_body.failure_of
+    p, of_shape = pile_structs(real), sums_of_piles.functions(real)
+    Shapes, Lists, Touches, Sum, add_shape = p.Shapes, p.Lists, p.Touches, of_shape.Sum, of_shape.add_shape
+    registers = REGISTERS if piled and real is wp.float32 else None
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, cuda_max_registers=registers)
     def semi_implicit_euler(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -146,6 +159,10 @@ def semi_implicit_euler(
         waiting: wp.array(dtype=wp.int32),
         near: Near,
         ends: Ends,
+        shapes: Shapes,
+        lists: Lists,
+        touches: Touches,
+        told: wp.bool,
         wrenches: Wrenches,
         clock_step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]; this and what follows if it accepts
         time: wp.array(dtype=wp.float64),  # [env] [s]
@@ -169,8 +186,15 @@ def semi_implicit_euler(
                 wrench = total(model, near, ends, env, body)
                 force = wrench.force
                 torque = wrench.torque
-                wrenches.force[env, body] = force
-                wrenches.torque[env, body] = torque
+                if wp.static(piled):
+                    shape = shapes.of_body[body]
+                    if shape >= 0:
+                        of_pile = add_shape(Sum(), state_in, shapes, lists, touches, env, shape)
+                        force += of_pile.force
+                        torque += of_pile.torque
+                if told:
+                    wrenches.force[env, body] = force
+                    wrenches.torque[env, body] = torque
             else:
                 force = wrenches.force[env, body]
                 torque = wrenches.torque[env, body]

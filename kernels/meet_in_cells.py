@@ -10,7 +10,7 @@ import warp as wp
 from warpcontact.kernels import contact_force, warps
 from warpcontact.kernels import meet as meeting
 from warpcontact.kernels import near as nearness
-from warpcontact.kernels.closest_point import CELL, EITHER, LATER, TREE
+from warpcontact.kernels.closest_point import AWAY, EITHER, LATER, TREE
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import (
     CONTACT,
@@ -25,7 +25,7 @@ from warpcontact.kernels.types import (
 )
 
 # Registers of a thread of a GPU in float32; measured.
-REGISTERS = 128
+REGISTERS = 96
 
 
 @functools.cache
@@ -61,8 +61,10 @@ def _take(parts: Parts, real: type, moves: bool, projected: bool, part: str) -> 
         place = natural(model.block_start[block])
         contact = natural(model.block_contact[place])
         pair = pair_of(model, state, env, natural(model.block_set[block]))
+        # Right before it is written, what this comes with would be long in coming.
+        before = contacts.status[env, contact]
         met = meet(model, state, pair, history, memory, dt, coefficients, kept, cache, env, contact, contact)
-        if wp.static(part == CELL):  # noqa: SIM102  Warp would evaluate both sides
+        if wp.static(part == AWAY):  # noqa: SIM102  Warp would evaluate both sides
             if met.free == real(LATER):
                 return False
         # One that was quiet, and is, has nothing to tell. A look may have listed it.
@@ -70,7 +72,6 @@ def _take(parts: Parts, real: type, moves: bool, projected: bool, part: str) -> 
             if met.armed == history.armed[env, contact]:
                 near.count[env, block] = 0
                 return True
-        before = contacts.status[env, contact]
         contacts.status[env, contact] = met.status
         contacts.armed[env, contact] = met.armed
         new = news(contacts, history, env, contact, before)
@@ -105,7 +106,7 @@ def kernel(parts: Parts, real: type, moves: bool, projected: bool, whole: bool) 
     Model, State, History = t.Model, t.State, t.History
     Contacts, Near, Cache, Wrenches = t.Contacts, t.Near, t.Cache, t.Wrenches
     Coefficients, Memory = group_structs(parts, real)
-    take = _take(parts, real, moves, projected, EITHER if whole else CELL)
+    take = _take(parts, real, moves, projected, EITHER if whole else AWAY)
     registers = REGISTERS if real is wp.float32 else None
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED, cuda_max_registers=registers)

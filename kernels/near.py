@@ -13,7 +13,7 @@ import warp as wp
 from warpcontact.kernels import cells
 from warpcontact.kernels import closest_point as closest
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels.closest_point import CELL, EITHER, FOLLOWS, ROUNDING, WHOLE
+from warpcontact.kernels.closest_point import AWAY, CELL, EITHER, FOLLOWS, ROUNDING, WHOLE
 from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import (
     CONTACT,
@@ -55,7 +55,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         patch = view.patch
         c_W = view.apart_W + view.R_WB * model.block_center[env, block]
         c_S = view.per_scale * (wp.transpose(view.R_WS) * c_W)
-        if wp.static(part in (CELL, EITHER)):
+        if wp.static(part in (CELL, AWAY, EITHER)):
             # Where that is little, each point looks into its own.
             return view.scale * cell_at(model, patch, c_S).free
         query = wp.mesh_query_point_no_sign(
@@ -246,7 +246,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     return SimpleNamespace(
         View=View,
         view_of=view_of,
+        Found=contact_of.Found,
         find=contact_of.find,
+        tell=contact_of.tell,
         look=contact_of.look,
         leave=leave,
         left_of=left_of,

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import near as nearness
 from warpcontact.kernels import warps
-from warpcontact.kernels.closest_point import CELL, EITHER, LATER, TREE
+from warpcontact.kernels.closest_point import AWAY, EITHER, LATER, TREE
 from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, env_of, item_of, natural, structs, task_count
 
 # What ``near.news`` says of a contact that is left to the second launch.
@@ -55,10 +55,11 @@ def kernel(real: type, follows: bool, width: int, whole: bool) -> wp.Kernel:
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
     Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
-    of_block = _functions(real, follows, EITHER if whole else CELL)
+    of_block = _functions(real, follows, EITHER if whole else AWAY)
     view_of, probe, gather = of_block.view_of, of_block.probe, of_block.gather
-    look, left_of, news, may_be_left = of_block.look, of_block.left_of, of_block.news, of_block.may_be_left
-    View, leave = of_block.View, of_block.leave
+    find, tell, news = of_block.find, of_block.tell, of_block.news
+    left_of, may_be_left = of_block.left_of, of_block.may_be_left
+    View, Found, leave = of_block.View, of_block.Found, of_block.leave
     registers = REGISTERS if width and not whole and real is wp.float32 else None
 
     @wp.func
@@ -83,19 +84,22 @@ def kernel(real: type, follows: bool, width: int, whole: bool) -> wp.Kernel:
         quiet: bool,
     ):
         """Looks at a contact; returns whether the rest of the step has to do with it, or ``TO_SEARCH``."""
-        result = wp.int32(0)
+        result = wp.static(TO_SEARCH)
+        # Right before it is written, what this comes with would be long in coming.
         before = contacts.status[env, contact]
-        if is_free(model, history, env, block, contact, around):
-            if quiet:
-                return result
-            leave(contacts, env, contact)
+        free = is_free(model, history, env, block, contact, around)
+        found = Found()
+        if not free:
+            found = find(model, view, history, True, cache, env, contact)
+        if free or found.free != real(LATER):
+            # One that was quiet, and is, has nothing to tell.
+            if quiet and not found.told and (free or found.armed == history.armed[env, contact]):
+                return 0
+            if free:
+                leave(contacts, env, contact)
+            else:
+                tell(found, contacts, env, contact)
             result = news(contacts, history, env, contact, before)
-        else:
-            free = look(model, view, history, contacts, True, cache, env, contact)
-            result = news(contacts, history, env, contact, before)
-            if wp.static(not whole):  # noqa: SIM102  Warp would evaluate both sides
-                if free == real(LATER):
-                    result = wp.static(TO_SEARCH)
         near.news[env, contact] = result
         return result
 

@@ -366,6 +366,9 @@ def structs(real: type) -> SimpleNamespace:
         sure_place: wp.array2d(dtype=vec3)  # [env, contact] S
         nearest: wp.array2d(dtype=wp.int32)  # [env, contact] its row
         rival: wp.array2d(dtype=wp.int32)  # [env, contact] row of the only other that it may be; −1: none
+        # In cells: within ``room`` of ``room_place`` it does not touch; in units of the mesh
+        room: wp.array2d(dtype=real)  # [env, contact]
+        room_place: wp.array2d(dtype=vec3)  # [env, contact] S
         # Faces nearest to a point, from where it was when they were looked for; in units of the mesh
         place: wp.array2d(dtype=vec3)  # [env, contact] S
         beyond: wp.array2d(dtype=real)  # [env, contact] all other faces are farther from there

@@ -100,6 +100,12 @@ def one_of(bits: int, number: int) -> int:
     ...
 
 
+@wp.func_native(_told("return __ffs(bits) - 1;", "return __builtin_ctz(bits);"))
+def first_of(bits: int) -> int:
+    """Place of the lowest bit that is set, of some."""
+    ...
+
+
 @wp.func_native("return (unsigned(bits) >> first) & ((1ull << count) - 1ull);")
 def some(bits: int, first: int, count: int) -> int:
     """Those among ``count`` bits from ``first`` on, as bits from 0 on."""

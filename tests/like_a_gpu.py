@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import warp as wp
+from warpcontact.kernels.piles import force
 from warpcontact.kernels.types import QUEUES
 
 from warpcontact import build, cells, simulation
@@ -32,3 +33,10 @@ def with_queues(monkeypatch):
         lambda model, count, _cached, **options: Span(model, count, cached=False, **options),
     )
     monkeypatch.setattr(simulation, "slice_sizes", lambda shares, _: [envs for _, envs in shares])
+
+
+def sum_by_body(pile):
+    """Has touches be added up by body, not as they are found."""
+    assert pile._alone
+    pile._alone = False
+    pile._kernel = force.kernel(pile._parts, pile._form, pile.real, moves=False, alone=False)

@@ -88,3 +88,31 @@ def test_a_gpu_finds_the_same_at_once(name, few, asks, monkeypatch, device):
     others, also = taken(MANY[name], device, "float32", at_once=False, asks=asks)
     for left, right in zip(states + seen, others + also, strict=True):
         np.testing.assert_array_equal(left, right)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("at_once", [True, False])
+def test_many_contacts_of_a_gpu_remember_that_nothing_is_near(at_once, precision, monkeypatch, device):
+    """The same as of few, which look each time; what was known is forgotten where radii grow."""
+    if device == "cpu":
+        cells_everywhere(monkeypatch)
+        with_queues(monkeypatch)
+    if not at_once:
+        monkeypatch.setattr(Span, "meets", False)
+    ends = []
+    for few in (131072, 0):
+        monkeypatch.setattr("warpcontact.schedule.FEW", few)
+        scene = wc.Scene()
+        balls()(scene)
+        model = scene.build(envs=ENVS, precision=precision, device=device)
+        sim = wc.Simulation(model, dt=1e-3, deterministic=True)
+        kept = []
+        for radius in (0.1, 0.12, 0.1, 0.12):
+            model["touch.radius"] = radius
+            assert not model.arrays.cache.room.numpy().any()
+            sim.step(80)
+            kept.append(int((model.arrays.cache.room.numpy() > 0).sum()))
+        assert [number > 0 for number in kept] == [few == 0] * 4
+        ends.append([model.reading(f"body.{key}") for key in STATE])
+    for one, other in zip(*ends, strict=True):
+        np.testing.assert_array_equal(one, other)

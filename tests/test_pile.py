@@ -4,7 +4,6 @@ import itertools
 
 import numpy as np
 import pytest
-from warpcontact.kernels.piles import force
 
 import warpcontact as wc
 
@@ -221,33 +220,6 @@ def test_sphere_and_capsule_on_one_body_touch_others_alone(device):
     np.testing.assert_allclose(model.reading("pin.force")[0], [-force, 0, 0], atol=1e-9)
     np.testing.assert_allclose(model.reading("pin.torque")[0], [0, -0.5 * force, 0], atol=1e-9)
     np.testing.assert_allclose(model.reading("ball.force")[0], [force, 0, 0], atol=1e-9)
-
-
-@pytest.mark.parametrize("several", [False, True])
-def test_touches_summed_by_body_are_those_added_one_by_one(several):
-    """A GPU, where threads share an environment, sums touches of a body; a thread of a CPU adds each at once."""
-    positions, turns, forms, _, _ = cloud(capsules=True)
-    scene = wc.Scene(gravity=(0, 0, 0))
-    velocities = np.random.default_rng(2).normal(size=positions.shape)
-    balls = scene.add_bodies(positions, MASS, INERTIA, turns, velocities, name="ball")
-    shapes = [scene.add_shape(balls, forms)]
-    if several:
-        shapes.append(scene.add_shape(balls, wc.shapes.Sphere(0.05), position=(0.1, 0.02, 0.0)))
-    template = wc.Template(law=ELASTIC.law, friction=wc.frictions.Tanh(mu=0.4, velocity_scale=0.1))
-    scene.add_mutual_contact(shapes, template, name="pile", partners=200)
-    forces = []
-    for alone in (True, False):
-        model = scene.build(2, "cpu", "float64")
-        pile = model.piles[0]
-        assert pile._alone
-        pile._alone = alone
-        pile._kernel = force.kernel(pile._parts, pile._form, pile.real, moves=False, alone=alone)
-        forces.append([model.reading(f"ball.{name}") for name in ("force", "torque")])
-    assert not np.array_equal(forces[0][1], forces[1][1])  # rounded otherwise: the other way was taken
-    for at_once, summed in zip(*forces, strict=True):
-        assert (np.linalg.norm(at_once, axis=-1) > 0).mean() > 0.9
-        # The same numbers in another order.
-        np.testing.assert_allclose(summed, at_once, rtol=0, atol=1e-13 * np.abs(at_once).max())
 
 
 def test_groups_masks_and_exclusions_keep_pairs_apart(device):

@@ -192,6 +192,7 @@ def _cache(t: SimpleNamespace, layout: Layout, made: Blocks, records: bool, sear
     if searched is not None:
         remembered = types.REMEMBERED_IN_QUEUES if queued else searched.remembered()
     faces = per_env(contacts * remembered)
+    room = per_env(contacts if searched is None else 0)
     return layout.struct(
         "cache",
         t.Cache,
@@ -201,15 +202,12 @@ def _cache(t: SimpleNamespace, layout: Layout, made: Blocks, records: bool, sear
         # What blocks look through lies by contact.
         wake=per_env(contacts),
         faces=per_env(contacts),
-        block_wake=per_env(blocks),
-        block_probe=per_env(blocks),
-        block_quiet=per_env(blocks),
+        **dict.fromkeys(("room", "room_place"), room),
+        **dict.fromkeys(("block_wake", "block_probe", "block_quiet"), per_env(blocks)),
         waiting=fixed(types.QUEUES),
         waiting_block=(lambda envs: (envs * blocks,)) if queued else fixed(1),
         waiting_contact=(lambda envs: (types.QUEUES, envs * contacts)) if queued else fixed(types.QUEUES, 1),
-        face=faces,
-        distance=faces,
-        direction=faces,
+        **dict.fromkeys(("face", "distance", "direction"), faces),
     )
 
 

@@ -405,7 +405,7 @@ class Model(Environments, OfScene):
         # What was known of distances may not hold for other radii, poses or meshes.
         cache = self.arrays.cache
         blocks = (cache.block_wake, cache.block_probe, cache.block_quiet)
-        for known in (cache.set_wake, *blocks, cache.wake, cache.faces):
+        for known in (cache.set_wake, *blocks, cache.wake, cache.faces, cache.room):
             known.zero_()
         for pile in self.piles:
             pile.forget_lists()

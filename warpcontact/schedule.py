@@ -46,9 +46,6 @@ LOOKING = 262144
 SEARCHING = 65536
 # Contacts, or threads, that are few for a GPU, at most.
 FEW = 131072
-# Contacts of a GPU, at most, whose forces are computed by who looks at them: of more, threads with fewer registers
-# each, many at once, take less. Measured on an H200.
-MET = 524288
 # Blocks of contacts that who integrates a body adds up on a GPU, at most.
 MOST_ADDED_UP = 16
 # Threads of a block: of kernels with many registers each, small blocks fill a processor better.
@@ -97,9 +94,10 @@ class Span:
 
     @property
     def sums_by_body(self) -> bool:
-        """Whether who integrates a body may add up its blocks: nothing comes between, and they are few."""
-        few = self.model.device.is_cpu or self.model.blocks.most_of_a_body <= MOST_ADDED_UP
-        return few and not self.model.piles
+        """Whether who integrates a body may add up few blocks, and touches of a pile: nothing comes between."""
+        model = self.model
+        few = model.device.is_cpu or model.blocks.most_of_a_body <= MOST_ADDED_UP
+        return few and (not model.piles or (len(model.piles) == 1 and model.piles[0].sums_by_body))
 
     @property
     def meets(self) -> bool:
@@ -107,7 +105,6 @@ class Span:
         model = self.model
         asked = self.watched or model.follows or self._coupled
         celled, single = model.arrays.celled, model.blocks.width == 1 and len(model.groups) == 1
-        single = single and self.count * model.contact_count <= MET
         able = celled and single if self.queued else model.device.is_cpu and not celled
         return able and self.cached and self.hard is None and not asked
 
@@ -195,7 +192,8 @@ def force_stages(
         state: Their state.
         step: What the forces act over [env, 0] [s]; zeros for the forces of the instant.
         status: Of the environments [env]; left out are those that are not active.
-        by_block: Whether what blocks of contacts do is left with them, to be added up by whoever comes next.
+        by_block: Whether what blocks of contacts and touches of a pile do is left with them, to be added up by
+            whoever comes next.
     """
     model = span.model
     a, real = model.arrays, model.types.real
@@ -226,7 +224,7 @@ def force_stages(
         inputs = [status, a.cache.waiting, a.model, a.near, a.ends, a.wrenches]
         launches += span.prepare(kernel, model.body_count, inputs)
     for pile in model.piles:
-        launches += pile.force_stages(span, state, step, status)
+        launches += pile.force_stages(span, state, step, status, by_block=by_block)
     return launches
 
 

@@ -18,6 +18,9 @@ TOUCHED = 2
 
 #: Partner or slot that there is none of.
 NONE = -1
+#: Partners that are looked at before anything is done about them: threads of a GPU wait for all at once. The bits
+#: of a number.
+AT_ONCE = 32
 
 
 class Form(NamedTuple):
@@ -66,6 +69,7 @@ def pile_structs(real: type) -> SimpleNamespace:
         settings: wp.array2d(dtype=Settings)  # [env, 0]
         entry_start: wp.array(dtype=wp.int32)  # [shape + 1] first entry of its list
         slot_start: wp.array(dtype=wp.int32)  # [shape + 1] first of the records that it owns
+        of_body: wp.array(dtype=wp.int32)  # [body] its shape, if no body has several; NONE: none
         carrier_body: wp.array(dtype=wp.int32)  # [carrier] bodies that have a shape
         carrier_start: wp.array(dtype=wp.int32)  # [carrier + 1] first of its shapes in the list
         carrier_shape: wp.array(dtype=wp.int32)  # shapes by body
@@ -81,17 +85,19 @@ def pile_structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class Touches:
-        """Records of pairs; of those that do not touch only the bits tell anything."""
+        """Records of pairs; of those that do not touch only the bits tell anything.
+
+        First what every step reads and writes: a GPU fetches and keeps 32 bytes at once.
+        """
 
         entry_speed: wp.array2d(dtype=real)  # [env, slot] as of the history, if TOUCHED [m/s]
         approach_speed: wp.array2d(dtype=real)  # [env, slot] dδ/dt at K [m/s]
+        force: wp.array2d(dtype=vec3)  # [env, slot] on the first, W [N]
+        torque: wp.array2d(dtype=vec3)  # [env, slot] on it, about its centre of mass, W [N·m]
         gap: wp.array2d(dtype=real)  # [env, slot] [m]
         normal_force: wp.array2d(dtype=real)  # [env, slot] [N]
         normal: wp.array2d(dtype=vec3)  # [env, slot] out of the second, towards the first, W
         arm: wp.array2d(dtype=vec3)  # [env, slot] to K from the centre of mass of the first, W [m]
-        force: wp.array2d(dtype=vec3)  # [env, slot] on the first, W [N]
-        torque_1: wp.array2d(dtype=vec3)  # [env, slot] on it, about its centre of mass, W [N·m]
-        torque_2: wp.array2d(dtype=vec3)  # [env, slot] on the second, about its own, W [N·m]
         bits: wp.array2d(dtype=wp.int32)  # [env, slot] TOUCHES, TOUCHED
         busy: wp.array2d(dtype=wp.int32)  # [env, shape] whether any bits are set of what it owns
 
@@ -113,3 +119,20 @@ def pile_structs(real: type) -> SimpleNamespace:
         keys: wp.array2d(dtype=wp.int32)  # [env, shape] how many
 
     return SimpleNamespace(Settings=Settings, Shapes=Shapes, Lists=Lists, Touches=Touches, Grid=Grid)
+
+
+@functools.cache
+def marked(real: type) -> wp.Function:
+    """Returns the device function that finds the records that have any of some bits set, among a few."""
+    Touches = pile_structs(real).Touches
+
+    @wp.func
+    def marked(touches: Touches, env: int, first: int, count: int, wanted: int):
+        """Those of ``count`` records from ``first`` on, at most ``AT_ONCE``, as bits by their places."""
+        those = wp.int32(0)
+        for k in range(count):
+            if (touches.bits[env, first + k] & wanted) != 0:
+                those = those | (1 << k)
+        return those
+
+    return marked

@@ -1,4 +1,4 @@
-"""What shapes of a pile do to each other: touches of the pairs that a shape owns, and their sum for each body.
+"""What shapes of a pile do to each other: touches of the pairs that a shape owns.
 
 The distance comes first, with little traffic; what a touch does is computed by ``touch.py``. A pure function of
 model, state and history, whichever pairs beside those that touch are in the lists.
@@ -163,17 +163,17 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
         if told or wp.static(not alone):
             touches.force[env, slot] = force
         torque_1 = wp.cross(place.arm_1, force) + torque
-        torque_2 = wp.cross(place.arm_2, force) + torque
         if wp.static(alone):
             one = natural(place.body_1)
             other = natural(place.body_2)
             wrenches.force[env, one] = wrenches.force[env, one] + force
             wrenches.torque[env, one] = wrenches.torque[env, one] + torque_1
             wrenches.force[env, other] = wrenches.force[env, other] - force
+            torque_2 = wp.cross(place.arm_2, force) + torque
             wrenches.torque[env, other] = wrenches.torque[env, other] - torque_2
         else:
-            touches.torque_1[env, slot] = torque_1
-            touches.torque_2[env, slot] = -torque_2
+            # Of the other that follows from it.
+            touches.torque[env, slot] = torque_1
 
     @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
     def pile_force(
@@ -292,70 +292,3 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
                 touches.busy[env, shape] = now
 
     return pile_force
-
-
-@functools.cache
-def add(real: type, alone: bool) -> wp.Kernel:
-    """Returns the kernel that adds to the wrench of each body what touches of its shapes do, in their order.
-
-    The same bits in every run. Items: carriers. ``alone``: whether every body of the pile has one shape.
-    """
-    t = structs(real)
-    vec3, Wrenches = t.vec3, t.Wrenches
-    p = pile_structs(real)
-    Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
-
-    @wp.struct
-    class Sum:
-        force: vec3  # W [N]
-        torque: vec3  # about the centre of mass, W [N·m]
-        touching: wp.int32
-
-    @wp.func
-    def add_shape(total: Sum, shapes: Shapes, lists: Lists, touches: Touches, env: int, shape: int):
-        start = shapes.entry_start[shape]
-        slot = shapes.slot_start[shape]
-        owned = lists.owned[env, shape]
-        for k in range(lists.count[env, shape]):
-            record = slot + k
-            if k >= owned:
-                record = lists.slot[env, start + k]
-                if record < 0:
-                    continue
-            if (touches.bits[env, record] & TOUCHES) == 0:
-                continue
-            total.touching += 1
-            if shape < lists.partner[env, start + k]:
-                total.force += touches.force[env, record]
-                total.torque += touches.torque_1[env, record]
-            else:
-                total.force -= touches.force[env, record]
-                total.torque += touches.torque_2[env, record]
-        return total
-
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
-    def add_pile(
-        work: Work,
-        status: wp.array(dtype=wp.int32),
-        shapes: Shapes,
-        lists: Lists,
-        touches: Touches,
-        wrenches: Wrenches,
-    ):
-        for task in range(wp.tid(), task_count(work), work.threads):
-            env = env_of(work, task)
-            carrier = item_of(work, task)
-            if status[env] != ENV_ACTIVE:
-                continue
-            total = Sum()
-            if wp.static(alone):
-                total = add_shape(total, shapes, lists, touches, env, carrier)
-            else:
-                for place in range(shapes.carrier_start[carrier], shapes.carrier_start[carrier + 1]):
-                    total = add_shape(total, shapes, lists, touches, env, shapes.carrier_shape[place])
-            if total.touching > 0:
-                body = shapes.carrier_body[carrier]
-                wrenches.force[env, body] = wrenches.force[env, body] + total.force
-                wrenches.torque[env, body] = wrenches.torque[env, body] + total.torque
-
-    return add_pile

@@ -3,9 +3,11 @@
 import functools
 
 import warp as wp
-from warpcontact.kernels.piles.base import TOUCHED, TOUCHES, pile_structs
+from warpcontact.kernels.piles import base
+from warpcontact.kernels.piles.base import AT_ONCE, TOUCHED, TOUCHES, pile_structs
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, task_count
+from warpcontact.kernels.warps import first_of
 
 
 @functools.cache
@@ -34,7 +36,22 @@ def advance(parts: Parts, real: type, hard: bool = False) -> wp.Kernel:
     p = pile_structs(real)
     Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
     _, Memory = group_structs(parts, real)
-    copy = copy_memory(parts, real)
+    copy, marked = copy_memory(parts, real), base.marked(real)
+
+    @wp.func
+    def take(touches: Touches, kept: Memory, memory: Memory, env: int, slot: int):
+        bits = touches.bits[env, slot]
+        if (bits & TOUCHES) == 0:
+            touches.bits[env, slot] = 0
+            return
+        speed = wp.max(touches.approach_speed[env, slot], real(0.0))
+        if bits == TOUCHES:
+            touches.bits[env, slot] = TOUCHES | TOUCHED
+            touches.entry_speed[env, slot] = speed
+        elif speed > touches.entry_speed[env, slot]:
+            touches.entry_speed[env, slot] = speed
+        if wp.static(not hard):
+            copy(kept, slot, memory, slot, env)
 
     @wp.kernel(module="unique", enable_backward=False)
     def advance_pile(
@@ -52,21 +69,13 @@ def advance(parts: Parts, real: type, hard: bool = False) -> wp.Kernel:
             if status[env] != ENV_ACTIVE or touches.busy[env, shape] == 0:
                 continue
             start = shapes.slot_start[shape]
-            for slot in range(start, start + lists.owned[env, shape]):
-                bits = touches.bits[env, slot]
-                if bits == 0:
-                    continue
-                if (bits & TOUCHES) == 0:
-                    touches.bits[env, slot] = 0
-                    continue
-                speed = wp.max(touches.approach_speed[env, slot], real(0.0))
-                if bits == TOUCHES:
-                    touches.bits[env, slot] = TOUCHES | TOUCHED
-                    touches.entry_speed[env, slot] = speed
-                elif speed > touches.entry_speed[env, slot]:
-                    touches.entry_speed[env, slot] = speed
-                if wp.static(not hard):
-                    copy(kept, slot, memory, slot, env)
+            owned = lists.owned[env, shape]
+            for first in range(start, start + owned, wp.static(AT_ONCE)):
+                count = wp.min(start + owned - first, wp.static(AT_ONCE))
+                those = marked(touches, env, first, count, TOUCHES | TOUCHED)
+                while those != 0:
+                    take(touches, kept, memory, env, first + first_of(those))
+                    those = those & (those - 1)
 
     return advance_pile
 

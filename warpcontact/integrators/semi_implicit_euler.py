@@ -8,7 +8,8 @@ import warp as wp
 from warpcontact.integrators.base import Integrator, formulas_of
 from warpcontact.kernels import integrate, sweep
 from warpcontact.kernels.motions import driven, step
-from warpcontact.schedule import Span, StepLength, alone_stages, force_stages
+from warpcontact.piles.pile import touches_of
+from warpcontact.schedule import FEW_TOGETHER, Span, StepLength, alone_stages, force_stages
 
 if TYPE_CHECKING:
     from warpcontact.scene import Scene
@@ -58,10 +59,15 @@ class SemiImplicitEuler(Integrator):
         a, real = model.arrays, model.types.real
         by_block = span.sums_by_body
         launches = force_stages(span, state_in, dt.dynamic, a.status, by_block=by_block)
-        kernel = integrate.semi_implicit_euler(real, model.moves, span.sources if by_block else None, ends)
-        inputs = [a.status, dt.dynamic, a.model, a.guard, state_in, a.cache.waiting, a.near, a.ends, a.wrenches]
+        pile = model.piles[0] if by_block and model.piles else None
+        sources = span.sources if by_block else None
+        kernel = integrate.semi_implicit_euler(real, model.moves, sources, ends, pile is not None)
+        inputs = [a.status, dt.dynamic, a.model, a.guard, state_in, a.cache.waiting, a.near, a.ends]
+        inputs += touches_of(pile, real)
+        # Steps that nobody asks about them need no wrenches but those of bodies that are not free.
+        inputs += [span.watched or model.moves or bool(model.drives), a.wrenches]
         inputs += [dt.clock, a.time, model.blocks.count, a.contacts, a.history, a.cache, state_out]
-        launches += span.prepare(kernel, model.body_count, inputs)
+        launches += span.prepare(kernel, model.body_count, inputs, together=FEW_TOGETHER if pile else None)
         if model.moves:
             inputs = [a.status, dt.dynamic, a.model, a.guard, a.constrained, state_in, a.wrenches, state_out]
             launches += span.prepare(step.semi_implicit_euler(real), model.constrained_count, inputs)

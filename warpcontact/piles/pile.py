@@ -15,7 +15,7 @@ from warpcontact.checks import Array
 from warpcontact.groups import compile_forces
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.memory import memory_struct
-from warpcontact.kernels.piles import force, history, lists, measures
+from warpcontact.kernels.piles import force, history, lists, measures, sums
 from warpcontact.kernels.piles.base import NONE, Form, pile_structs
 from warpcontact.kernels.touch import group_structs
 from warpcontact.kernels.types import FREE
@@ -105,7 +105,7 @@ class Pile:
         )
         self._buckets = 1 << (max(16, count) - 1).bit_length()
         self.grid = self._make_grid(layout)
-        self._add_shapes(layout, parameters)
+        self._add_shapes(layout, parameters, sum(body.count for body in scene.bodies))
         self._add_settings(parameters)
         self._add_formulas(layout, parameters)
         self.measured = layout.struct(
@@ -191,7 +191,7 @@ class Pile:
         envs = max(len(column) for column in columns)
         return np.concatenate([np.broadcast_to(c, (envs, *c.shape[1:])) for c in columns], axis=1)
 
-    def _add_shapes(self, layout: Layout, parameters: Parameters) -> None:
+    def _add_shapes(self, layout: Layout, parameters: Parameters, body_count: int) -> None:
         """Adds where the shapes are and how large they are, and which bodies have them."""
         contact, shapes, vec3 = self.contact, self.shapes, self._types.vec3
         kinds, allowed = contact.kinds
@@ -202,6 +202,9 @@ class Pile:
         self._carriers = len(bodies)
         # Side by side in the order of their bodies, a shape is its own carrier.
         self._single = np.array_equal(bodies, contact.bodies)
+        of_body = np.full(body_count, NONE)
+        of_body[contact.bodies] = np.arange(contact.count)
+        layout.content("piles", shapes, "of_body", of_body, wp.int32)
         for name, values in (
             ("carrier_body", bodies),
             ("carrier_start", [*starts, contact.count]),
@@ -334,7 +337,14 @@ class Pile:
         """
         compile_forces(self._parts, self._kernel, device, self.real)
 
-    def force_stages(self, span: "Span", state: Any, step: wp.array, status: wp.array) -> list[wp.Launch]:
+    @property
+    def sums_by_body(self) -> bool:
+        """Whether who integrates a body may add its touches up: of one shape, and not added as they are found."""
+        return self._single and not self._alone
+
+    def force_stages(
+        self, span: "Span", state: Any, step: wp.array, status: wp.array, *, by_block: bool = False
+    ) -> list[wp.Launch]:
         """Returns the launches that add what its shapes do to each other to the wrenches of ``state``.
 
         Arguments are those of ``schedule.force_stages``. Of hard pairs, those that find where they touch.
@@ -348,9 +358,9 @@ class Pile:
         inputs = [status, model, state, shapes, lists_, grid, self._memory, step, self._coefficients, touches]
         inputs += [self._kept, span.watched, wrenches]
         launches += span.prepare(kernel, count, inputs, together=FEW_TOGETHER)
-        if not self._alone and not hard:
-            adding = force.add(self.real, self._single)
-            inputs = [status, shapes, lists_, touches, wrenches]
+        if not (self._alone or hard or by_block):
+            adding = sums.add(self.real, self._single)
+            inputs = [status, state, shapes, lists_, touches, wrenches]
             launches += span.prepare(adding, self._carriers, inputs, together=FEW_TOGETHER)
         return launches
 
@@ -442,6 +452,14 @@ def _constant(values: list[int]) -> Callable[[], NDArray[Any]]:
 def _parameter(parameters: Parameters, shape: Shape, key: str) -> Parameter | None:
     """Returns a parameter of a shape, ``None`` if it has none of this name."""
     return parameters.by_name.get(f"{shape.name}.{key}")
+
+
+def touches_of(pile: Pile | None, real: type) -> list[Any]:
+    """Returns shapes, lists and touches of a pile, as kernels take them; of none those that are not looked at."""
+    if pile is not None:
+        return [pile.shapes, pile.lists, pile.touches]
+    t = pile_structs(real)
+    return [t.Shapes(), t.Lists(), t.Touches()]
 
 
 def make_piles(scene: "Scene", layout: Layout, parameters: Parameters, types: SimpleNamespace) -> list[Pile]:
