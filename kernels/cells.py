@@ -13,8 +13,10 @@ from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import natural, structs
 from warpcontact.kernels.warps import first_of
 
-# A list is a number: its first place times this, and how many faces there are, which are fewer.
+# A list is a number: its first place, a multiple of ``PLACED``, over that times ``LISTED``, and how many faces it
+# has, which are fewer.
 LISTED = 32
+PLACED = 4
 # A cell is filled as if it were so much larger, for points that rounding puts into the one beside theirs; what is
 # taken off for the rounding of a query serves for them as well.
 OVERLAP = 1.001
@@ -60,7 +62,7 @@ def functions(real: type) -> SimpleNamespace:
     @wp.func
     def nearest_listed(model: Model, faces: int, p_S: vec3, margin: real):
         """The foot on the nearest of the faces of a list, ``margin`` being wide enough for rounding."""
-        start = natural(faces) // wp.static(LISTED)
+        start = natural(faces) // wp.static(LISTED) * wp.static(PLACED)
         least = real(wp.inf)
         # Those that are about as near as the nearest so far, as bits.
         those = wp.int32(0)

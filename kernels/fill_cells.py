@@ -6,13 +6,13 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels import search
-from warpcontact.kernels.cells import LISTED, OVERLAP
+from warpcontact.kernels.cells import LISTED, OVERLAP, PLACED
 from warpcontact.kernels.closest_point import ROUNDING
 from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import structs
 
 # Faces that may be nearest before it is looked at which of them another is always nearer than.
-CANDIDATES = 64
+CANDIDATES = 192
 # Those, the nearest to the middle, that others are held against.
 RIVALS = 4
 # Distance, in units of the size of the differences, from which on rounding leaves a direction as it is.
@@ -78,7 +78,7 @@ def kernel(real: type) -> wp.Kernel:
         patch: wp.int32,
         reach: real,  # from the outer side, of points that are searched for [unit of the mesh]
         first: wp.int32,  # place of the first face that is listed
-        places: wp.int32,  # that there is room for
+        places: wp.int32,  # that there is room for; both are multiples of ``PLACED``
         used: wp.array(dtype=wp.int32),
     ):
         number = wp.tid()
@@ -157,11 +157,13 @@ def kernel(real: type) -> wp.Kernel:
                 left += 1
         if left == 0 or left >= wp.static(LISTED):
             return
-        place = wp.atomic_add(used, 0, left)
-        if place + left > places:
+        taken = (left + wp.static(PLACED - 1)) // wp.static(PLACED)
+        place = wp.atomic_add(used, 0, taken)
+        if place + taken > places // wp.static(PLACED):
             return
+        place += first // wp.static(PLACED)
         for i in range(left):
-            model.listed_face[first + place + i] = rows[i]
-        model.cells[cell].faces = wp.static(LISTED) * (first + place) + left
+            model.listed_face[wp.static(PLACED) * place + i] = rows[i]
+        model.cells[cell].faces = wp.static(LISTED) * place + left
 
     return fill_cells

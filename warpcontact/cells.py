@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -10,24 +11,25 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout
-from warpcontact.kernels.cells import LISTED as LISTED_AS
+from warpcontact.kernels.cells import LISTED, PLACED
 from warpcontact.kernels.types import SIDES_NOWHERE
 
 if TYPE_CHECKING:
     from warpcontact.patches import Patch, Patches
 
 # Size of a cell, as part of a usual edge: the finest first, the coarsest last. Measured.
-FINEST, COARSEST = 0.25, 1.0
+FINEST, COARSEST = 0.25, 1.25
 # Cells beside those near the patch, where there is room for them.
 AROUND = 8.0
-# Spheres that come to touch may be so much larger later, by their parameters.
-GROWTH = 2.0
-# Room for the faces of a list on average. Where it runs out, cells have none.
-LISTED = 6
+# Spheres that come to touch may be so much larger later, by their parameters; or so, where there is less room.
+GROWTHS = (2.0, 1.25)
+# Room for the faces of a list on average, and so many more times the area of a cell in squares of a usual edge:
+# measured. Where it runs out, cells have none.
+LISTED_FEW, LISTED_MORE = 4.5, 11.0
 # Faces about a point from which on there are too many to tell them apart.
-CROWD = 40
+CROWD = 120
 # What the cells of a patch may take, its lists, and all that of all patches [bytes].
-CELL_BYTES, LIST_BYTES, MOST_BYTES = 96 * 2**20, 96 * 2**20, 512 * 2**20
+CELL_BYTES, LIST_BYTES, MOST_BYTES = 384 * 2**20, 640 * 2**20, 1024 * 2**20
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def grids_about(made: "Patches", device: wp.Device, t: SimpleNamespace) -> list[
         grids.append(grid)
         # A list is told by a number.
         places = sum(one.places for one in grids)
-        if sum(one.bytes for one in grids) > MOST_BYTES or places * LISTED_AS >= 2**31:
+        if sum(one.bytes for one in grids) > MOST_BYTES or places // PLACED * LISTED >= 2**31:
             return None
     return grids or None
 
@@ -98,20 +100,20 @@ def grid_about(patch: "Patch", reach: float, t: SimpleNamespace) -> Grid | None:
         crowd = np.pi * size * (2.0 * reach + size) * len(corner) / patch.area
         if crowd > CROWD:
             return None
-        # Cells that have a list lie within this of the area, a third more about a bend or beside a rim.
-        far = GROWTH * reach
-        height = far + 2.0 * patch.skin + 3.0 * size
-        places = LISTED * (int(1.35 * patch.area * height / size**3) + 1000)
-        # Cells beyond those tell how far it is.
-        for beyond in (AROUND, AROUND / 2.0, AROUND / 4.0, 1.0):
+        listed = LISTED_FEW + LISTED_MORE * (size / patch.edge) ** 2
+        # Cells beyond those that have a list tell how far it is.
+        for growth, beyond in product(GROWTHS, (AROUND, AROUND / 2.0, AROUND / 4.0, 1.0)):
+            far = growth * reach
             margin = far + patch.skin + beyond * size
             counts = np.ceil((high - low + 2.0 * margin) / size)
             cells = float(np.prod(counts))
-            if cells * of_cell <= CELL_BYTES and places * 4 <= LIST_BYTES:
+            # Cells that have one lie within this of the area, a third more about a bend or beside a rim.
+            height = far + 2.0 * patch.skin + 3.0 * size
+            lists = min(1.35 * patch.area * height / size**3 + 1000.0, cells)
+            places = PLACED * int(listed * lists / PLACED)
+            if cells * of_cell <= CELL_BYTES and 4 * places <= LIST_BYTES:
                 x, y, z = counts.astype(int).tolist()
-                places = min(places, LISTED * int(cells))
-                taken = int(cells) * of_cell + 4 * places
-                return Grid(low - margin, (x, y, z), size, margin, places, far, taken)
+                return Grid(low - margin, (x, y, z), size, margin, places, far, int(cells) * of_cell + 4 * places)
         size *= 1.1
     return None
 
