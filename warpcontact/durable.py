@@ -89,7 +89,7 @@ def sync_names(folders: Iterable[Path], root: Path) -> None:
 
 
 def _up_to(folder: Path, root: Path) -> set[Path]:
-    return {folder, *(one for one in folder.parents if one == root or root in one.parents)}
+    return {folder, *folder.parents[: max(0, len(folder.parts) - len(root.parts))]}
 
 
 def sync_folder(folder: Path) -> None:
