@@ -71,13 +71,9 @@ class Taking:
         self.launches = span.prepare(recording.take(), 1, [place, rows])
         # Views, which keep what the launch reads.
         self._place, self._rows = place.numpy(), rows.numpy()
-        self._read: Copies | None = None
 
     def read(self, copies: Copies | None) -> None:
-        """Takes frames of these readings from now on, or of none."""
-        if copies is self._read:
-            return
-        self._read = copies
+        """Takes frames of other readings from now on, or of none."""
         count = 0
         if copies is not None:
             count = len(copies.rows)
