@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.crew import available_threads
-from warpcontact.durable import PARTIAL, sync, sync_file, sync_folder, sync_names, write_json
+from warpcontact.durable import PARTIAL, sync, sync_folder, sync_names, write_json
 from warpcontact.experiment.chunks import Chunk, Chunks, compressors
 from warpcontact.experiment.records import (
     COMMITS,
@@ -224,10 +224,8 @@ class Ledger:
         Args:
             shard: The shard.
             commit: Its new record, without the staged files.
-            staged: These, whose contents are on the disk.
+            staged: These, which are on the disk.
         """
-        root = self.folder / STAGING / shard.name
-        sync_names({(root / name).parent for name in staged}, self.folder / STAGING)
         commit.files |= dict(sorted(staged.items()))
         write_json(self.folder / COMMITS / f"{shard.name}.json", asdict(commit))
         self._publish(shard, staged)
@@ -372,9 +370,7 @@ class Staging:
         for folder in {(self._root / name).parent for name in chunks}:
             folder.mkdir(parents=True, exist_ok=True)
         written = dict(self._writers.map(self._put, chunks.items()))
-        # The first that is waited for takes others along.
-        for _ in self._writers.map(sync_file, [self._root / name for name in written]):
-            pass
+        sync([self._root / name for name in written], self._root.parent)
         self.written |= written
 
     def _put(self, item: tuple[str, Chunk]) -> tuple[str, tuple[int, str]]:
