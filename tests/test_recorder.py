@@ -247,10 +247,10 @@ def test_frames_of_turns_are_what_one_reads_by_stopping(readings, device, in_sli
     sim._record(recorder, 54, 3, 0.0, 9, follows=True)
     if sim.model.device.is_cpu:
         # 162 steps of three slices, in turns of 32 and more.
-        assert sorted((turn.done, len(turn.ways)) for turn in taken) == [
-            turn for turn in ((0, 11), (33, 11), (66, 11), (99, 11), (132, 10)) for _ in range(3)
+        assert sorted((turn.frame, len(turn.ways)) for turn in taken) == [
+            turn for turn in ((4, 11), (15, 11), (26, 11), (37, 11), (48, 10)) for _ in range(3)
         ]
-    assert all(turn.known for turn in taken)
+    assert all(way.known for turn in taken for way in turn.ways)
     expected = dict(zip(WATCHED, read_by_stopping(device, 58, 3), strict=True))
     for name, values in recorder.frames().items():
         np.testing.assert_array_equal(values, expected[name], err_msg=name)

@@ -378,11 +378,11 @@ def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
         def go_to(self, own):
             pass
 
-        def capture(self, count, begin):
+        def capture(self, way):
             pass
 
-        def step(self, count, begin):
-            time.sleep(0.02 * count)
+        def step(self, way):
+            time.sleep(0.02 * way.steps)
 
     assert list(crew.Crew([crew.Share([slice(0, 1)], [Stepper()])]).step(24)) == [8, 16, 24]
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import shutil
 import threading
 import time
 
@@ -11,6 +12,8 @@ import xarray as xr
 import zarr
 
 from warpcontact.experiment import store
+from warpcontact.experiment.chunks import Chunk, Chunks, compressors
+from warpcontact.experiment.records import StoreError
 
 ENVS, FRAMES = 96, 5
 
@@ -32,13 +35,13 @@ def write(folder, values, shard, threads=None):
     # A last shard is smaller than what runs.
     own = np.pad(own, ((0, 0), (0, 32 - shard.envs)), constant_values=7.0)
     with store.Ledger(folder).staging(shard, threads) as staging:
-        staging.write("series", xr.Dataset({"gap": (("time", "env"), own)}))
+        staging.write("series", {"gap": own})
         staging.wait()
     return staging
 
 
 def series(values):
-    return xr.Dataset({"gap": (("time", "env"), values[:, :32])})
+    return {"gap": values[:, :32]}
 
 
 @pytest.mark.parametrize(("threads", "most"), [(1, 1), (2, 2), (64, store.WRITERS), (None, store.WRITERS)])
@@ -46,20 +49,21 @@ def test_no_more_chunks_are_in_memory_than_the_plan_counts(threads, most, made, 
     folder, values = made
     lock, busy = threading.Lock(), []
     count = 0
-    put = store._put
+    put = Chunk.write
 
-    def counted(piece):
+    def counted(chunk, path):
         nonlocal count
         with lock:
             count += 1
             busy.append(count)
         # Long enough for others to begin, if they can.
         time.sleep(0.05)
-        put(piece)
+        entry = put(chunk, path)
         with lock:
             count -= 1
+        return entry
 
-    monkeypatch.setattr(store, "_put", counted)
+    monkeypatch.setattr(Chunk, "write", counted)
     monkeypatch.setattr(store, "available_threads", lambda: 64)
     write(folder, values, store.Shard(0, 0, 32), threads)
     assert len(busy) == 8  # 32 environments in chunks of 4
@@ -72,32 +76,78 @@ def test_a_shard_writes_its_environments_and_no_others(shard, made):
     staging = write(folder, values, shard)
     assert len(staging.written) == -(-shard.envs // 4)
     path = folder / store.STAGING / shard.name / "series" / "gap"
+    shutil.copyfile(folder / store.DATA / "series" / "gap" / "zarr.json", path / "zarr.json")
     found = zarr.open_array(path, mode="r")[:]
     np.testing.assert_array_equal(found[:, shard.first : shard.stop], values[:, shard.first : shard.stop])
     assert np.isnan(np.delete(found, np.s_[shard.first : shard.stop], axis=1)).all()
 
 
-def test_chunks_that_shards_share_have_one_writer_in_each(made, monkeypatch):
-    """A shard that begins within a chunk cuts at its ends all the same."""
-    folder, values = made
-    regions = []
-    put = store._put
-    monkeypatch.setattr(store, "_put", lambda piece: (regions.append(piece[1][1]), put(piece)))
-    write(folder, values, store.Shard(1, 38, 49), 1)
-    assert [(own.start, own.stop) for own in regions] == [(38, 40), (40, 44), (44, 48), (48, 49)]
+@pytest.mark.parametrize(
+    ("dims", "dtype"),
+    [
+        (("time", "env"), "f4"),
+        (("time", "env", "axis"), "f8"),
+        (("time", "env", "item"), "f4"),
+        (("env",), "f8"),
+        (("env", "item", "axis"), "f8"),
+        (("time", "env"), "i4"),
+        (("env", "event"), "i8"),
+        (("env",), "?"),
+    ],
+    ids=str,
+)
+def test_chunks_are_to_the_byte_those_that_zarr_writes(dims, dtype, tmp_path):
+    """Also the last of them, which are not full; of what is empty there is none."""
+    sizes = {"time": 10, "env": 22, "axis": 3, "item": 5, "event": 2}
+    pieces = {**sizes, "time": 4, "env": 8}
+    values = (100 * np.random.default_rng(4).normal(size=[sizes[dim] for dim in dims])).round(1).astype(dtype)
+    values[(slice(0, 4),) * (dims[0] == "time") + (slice(8, 16),)] = store.empty_value(values.dtype)
+    template = xr.DataArray(values, dims=dims)
+    group = zarr.open_group(tmp_path, mode="w", zarr_format=3)
+    array = group.create_array(
+        "x",
+        shape=values.shape,
+        chunks=tuple(pieces[dim] for dim in dims),
+        dtype=values.dtype,
+        fill_value=store.empty_value(values.dtype),
+        dimension_names=dims,
+        compressors=compressors(template),
+    )
+    chunks = Chunks(tmp_path / "x")
+    frames = range(0, 10, 4) if "time" in dims else [0]
+    own = [
+        chunk
+        for first in frames
+        for chunk in chunks.cut(values[first : first + 4] if "time" in dims else values, 0, 22, first)
+    ]
+    array[:] = values
+    files = {path.relative_to(tmp_path / "x").as_posix(): path for path in (tmp_path / "x" / "c").rglob("*")}
+    assert [chunk.name for chunk in own] == sorted(name for name, path in files.items() if path.is_file())
+    for chunk in own:
+        size, sha = chunk.write(tmp_path / "own")
+        content = (tmp_path / "own").read_bytes()
+        assert content == files[chunk.name].read_bytes()
+        assert (size, sha) == (len(content), hashlib.sha256(content).hexdigest())
+
+
+def test_arrays_that_are_compressed_otherwise_are_refused(tmp_path):
+    group = zarr.open_group(tmp_path, mode="w", zarr_format=3)
+    group.create_array("x", shape=(4,), chunks=(4,), dtype="f4", compressors=zarr.codecs.GzipCodec())
+    with pytest.raises(StoreError, match="gzip"):
+        Chunks(tmp_path / "x")
 
 
 def test_a_block_is_written_while_its_writer_goes_on(made, monkeypatch):
     folder, values = made
     begun, go_on = threading.Event(), threading.Event()
-    put = store._put
+    put = Chunk.write
 
-    def held(piece):
+    def held(chunk, path):
         begun.set()
         assert go_on.wait(60)
-        put(piece)
+        return put(chunk, path)
 
-    monkeypatch.setattr(store, "_put", held)
+    monkeypatch.setattr(Chunk, "write", held)
     with store.Ledger(folder).staging(store.Shard(0, 0, 32)) as staging:
         staging.write("series", series(values), 0)
         assert begun.wait(60)
@@ -114,10 +164,10 @@ def test_a_block_is_written_while_its_writer_goes_on(made, monkeypatch):
 def test_who_comes_next_hears_that_a_block_could_not_be_written(asks, made, monkeypatch):
     folder, values = made
 
-    def full(piece):
+    def full(chunk, path):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(store, "_put", full)
+    monkeypatch.setattr(Chunk, "write", full)
     with store.Ledger(folder).staging(store.Shard(0, 0, 32)) as staging:
         staging.write("series", series(values), 0)
         with pytest.raises(OSError, match="No space left"):
@@ -129,14 +179,15 @@ def test_who_comes_next_hears_that_a_block_could_not_be_written(asks, made, monk
 
 def test_nobody_writes_any_more_when_a_shard_is_left(made, monkeypatch):
     folder, values = made
-    put, ended = store._put, []
+    put, ended = Chunk.write, []
 
-    def slow(piece):
+    def slow(chunk, path):
         time.sleep(0.05)
-        put(piece)
-        ended.append(piece)
+        entry = put(chunk, path)
+        ended.append(chunk)
+        return entry
 
-    monkeypatch.setattr(store, "_put", slow)
+    monkeypatch.setattr(Chunk, "write", slow)
     with (
         contextlib.suppress(KeyboardInterrupt),
         store.Ledger(folder).staging(store.Shard(0, 0, 32), 1) as staging,
@@ -149,10 +200,10 @@ def test_nobody_writes_any_more_when_a_shard_is_left(made, monkeypatch):
 def test_an_error_beside_another_is_told_with_it(made, monkeypatch):
     folder, values = made
 
-    def full(piece):
+    def full(chunk, path):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(store, "_put", full)
+    monkeypatch.setattr(Chunk, "write", full)
     other = KeyboardInterrupt()
     with contextlib.suppress(KeyboardInterrupt), store.Ledger(folder).staging(store.Shard(0, 0, 32)) as staging:
         staging.write("series", series(values), 0)

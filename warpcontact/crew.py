@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 
 from warpcontact.pace import Pace
-from warpcontact.slices import Begin, Frames, Stepper
+from warpcontact.slices import Frames, Stepper, Way
 
 # Steps between two looks at whether somebody wants to interrupt, at least, in whole graphs: on the CPU, and where
 # a GPU has graphs. Threads wait for each other then.
@@ -56,14 +56,12 @@ class _Turn:
     """What is done to a slice at a time.
 
     Attributes:
-        done: Steps before it.
+        frame: Number of the frame that is looked at next.
         ways: Its steps, up to each frame or the end.
-        known: Whether a frame was looked at before, as frames are.
     """
 
-    done: int
-    ways: Sequence[int]
-    known: bool
+    frame: int
+    ways: Sequence[Way]
 
 
 class Crew:
@@ -104,17 +102,15 @@ class Crew:
         done = 0
         known = frames is not None and frames.follows
         while done < count:
-            some = min(count - done, self._pace.steps)
+            some = self._pace.of(count - done)
             if frames is not None:
                 some = frames.whole(done, some, count)
             turns = self._cut(done, some, frames, known)
             for stepper in self._steppers:
                 if frames is not None:
                     stepper.ready_look(frames)
-                for turn in turns:
-                    stepper.capture(turn.ways[0], stepper.after_look if turn.known else Begin.STEP)
-                    for way in set(turn.ways[1:]):
-                        stepper.capture(way, stepper.after_frame)
+                for way in {way for turn in turns for way in turn.ways}:
+                    stepper.capture(way)
             start = time.perf_counter()
             with _uninterrupted():
                 self._step_all(some, turns, frames)
@@ -123,6 +119,15 @@ class Crew:
                 known = frames is not None and done % frames.every == 0
                 yield done
             self._pace.took(some, took)
+
+    def look(self, frames: Frames) -> None:
+        """Takes a frame of the state that there is, the first of ``frames``."""
+        turns = [_Turn(frames.first, [Way(0, looks=True)])]
+        for stepper in self._steppers:
+            stepper.ready_look(frames)
+            stepper.capture(turns[0].ways[0])
+        with _uninterrupted():
+            self._step_all(1, turns, frames)
 
     def _alone(self, count: int) -> bool:
         """Whether one thread takes ``count`` steps sooner than several are told of them."""
@@ -133,18 +138,20 @@ class Crew:
         length = max(_SHORTEST_TURN, -(-some // (1 if self._alone(some) else self._turns)))
         grain = _FEWEST_QUEUED if self._queued else _FEWEST
         length = -(-length // grain) * grain
-        if frames is None:
-            return [_Turn(done + first, [min(length, some - first)], known) for first in range(0, some, length)]
         turns: list[_Turn] = []
-        own: list[int] = []
-        size, ways = 0, frames.cut(done, some)
-        for number, way in enumerate(ways, start=1):
-            own.append(way)
-            size += way
-            if size >= length or number == len(ways):
-                turns.append(_Turn(done, own, known))
-                done, own, size, known = done + size, [], 0, True
-        return turns
+        if frames is None:
+            return [_Turn(0, [Way(min(length, some - first))]) for first in range(0, some, length)]
+        own: list[Way] = []
+        frame, size = frames.first + done // frames.every, 0
+        for count in frames.cut(done, some):
+            done += count
+            looks = done % frames.every == 0
+            own.append(Way(count, known, looks))
+            size, known = size + count, looks
+            if size >= length:
+                turns.append(_Turn(frame, own))
+                frame, own, size = frames.first + done // frames.every, [], 0
+        return [*turns, _Turn(frame, own)] if own else turns
 
     def _step_all(self, count: int, turns: Sequence[_Turn], frames: Frames | None) -> None:
         _step_each(0, _waiting(self._queued), turns, frames)
@@ -192,18 +199,17 @@ def _step_each(
 
 def _step(stepper: Stepper, turn: _Turn, frames: Frames | None) -> None:
     """Takes a turn in a slice, and looks at it wherever a frame is due."""
-    done = turn.done
-    begin = stepper.after_look if turn.known else Begin.STEP
-    if frames is not None:
-        stepper.go_to_frame(frames.first + done // frames.every)
-    for ahead, way in zip(range(len(turn.ways) - 1, -1, -1), turn.ways, strict=True):
-        stepper.step(way, begin)
-        done += way
-        begin = Begin.STEP
-        if frames is not None and done % frames.every == 0:
-            begin = stepper.after_frame
-            if begin is not Begin.LOOK or ahead == 0:
-                stepper.look(frames, frames.first + done // frames.every - 1)
+    if frames is None:
+        for way in turn.ways:
+            stepper.step(way)
+        return
+    frame = turn.frame
+    stepper.go_to_frame(frame)
+    for way in turn.ways:
+        stepper.step(way)
+        if way.looks:
+            stepper.hand_on(frames, frame)
+            frame += 1
 
 
 @contextlib.contextmanager

@@ -3,12 +3,16 @@
 import contextlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, BinaryIO
 
 #: End of the name of a file that is not whole yet.
 PARTIAL = ".partial"
+
+# Files or folders that are waited for at once.
+WAITING = 16
 
 
 def check_place(path: Path) -> None:
@@ -74,22 +78,26 @@ def sync_file(path: Path) -> None:
 
 def sync(files: Iterable[Path], root: Path) -> None:
     """Waits until files are on the disk, and the names of them and of all folders from ``root`` on."""
-    folders: set[Path] = set()
-    for path in files:
-        sync_file(path)
-        folders |= _up_to(path.parent, root)
-    for folder in sorted(folders):
-        sync_folder(folder)
+    paths = list(files)
+    _wait_for(sync_file, paths)
+    sync_names({path.parent for path in paths}, root)
 
 
 def sync_names(folders: Iterable[Path], root: Path) -> None:
     """Waits until the names in folders, and in all above them up to ``root``, are on the disk."""
-    for folder in sorted({one for given in folders for one in _up_to(given, root)}):
-        sync_folder(folder)
+    _wait_for(sync_folder, {one for given in folders for one in _up_to(given, root)})
+
+
+def _wait_for(synced: Callable[[Path], None], paths: Collection[Path]) -> None:
+    """Waits until all paths are on the disk: it writes what it keeps in its memory for many that wait at once."""
+    if paths:
+        with ThreadPoolExecutor(min(len(paths), WAITING)) as pool:
+            for _ in pool.map(synced, paths):
+                pass
 
 
 def _up_to(folder: Path, root: Path) -> set[Path]:
-    return {folder, *(one for one in folder.parents if one == root or root in one.parents)}
+    return {folder, *folder.parents[: max(0, len(folder.parts) - len(root.parts))]}
 
 
 def sync_folder(folder: Path) -> None:

@@ -26,6 +26,10 @@ class Pace:
     def __post_init__(self) -> None:
         self._least = self.steps
 
+    def of(self, count: int) -> int:
+        """Returns how many of ``count`` steps to take now: what is little more than that all at once."""
+        return count if 2 * count < 3 * self.steps else min(count, self.steps)
+
     def took(self, count: int, seconds: float) -> None:
         """Counts that ``count`` steps took so long [s]."""
         if seconds < 0.5 * SECONDS and 2 * count > self.steps and (self.most is None or self.steps < self.most):

@@ -296,7 +296,7 @@ class Simulation:
     def _step_in_frames(self, count: int, frames: Frames) -> None:
         self._attach()
         parts = self.model.parts
-        if self.watch.quarantine == "freeze" and all(in_parts(p.device, p.hard, frames.needs) for p in parts):
+        if self._looks_by_the_way(frames.needs):
             self._advance(count * frames.every, frames)
             return
         for number in range(frames.first, frames.first + count):
@@ -306,6 +306,11 @@ class Simulation:
                 part.prepare(frames.needs)
             for part in parts:
                 frames.take(part, slice(0, part.envs), number)
+
+    def _looks_by_the_way(self, needs: frozenset[str]) -> bool:
+        """Whether frames are looked at slice by slice."""
+        parts = self.model.parts
+        return self.watch.quarantine == "freeze" and all(in_parts(p.device, p.hard, needs) for p in parts)
 
     def _advance(self, count: int, frames: Frames | None) -> None:
         model = self.model
@@ -318,11 +323,7 @@ class Simulation:
             part.untouched = False
             if buffers.hard is not None:
                 buffers.hard.wake()
-        revisions = tuple(part.revision for part in model.parts)
-        prepared, crew = self._prepared
-        if crew is None or prepared != revisions:
-            crew = Crew(self._shares())
-            self._prepared = (revisions, crew)
+        crew = self._crew()
         done = 0
         while done < count:
             some = count - done
@@ -340,6 +341,15 @@ class Simulation:
         # A GPU is still at work, and is asked when it is waited for.
         if all(device.is_cpu for device in model.devices):
             model.check_piles()
+
+    def _crew(self) -> Crew:
+        """Returns who steps the environments as they are built now."""
+        revisions = tuple(part.revision for part in self.model.parts)
+        prepared, crew = self._prepared
+        if crew is None or prepared != revisions:
+            crew = Crew(self._shares())
+            self._prepared = (revisions, crew)
+        return crew
 
     @beside_captures()
     def _shares(self) -> list[Share]:
@@ -452,14 +462,14 @@ class Simulation:
         queued = any(device.is_cuda for device in self.model.devices)
         pace = Pace(SHORTEST_PIECE, LONGEST_PIECE_QUEUED if queued else None)
         if done == taken * stride:
-            recorder.take(start + done * self.dt)
-            taken += 1
+            self._take_first(recorder, start + done * self.dt)
+            taken, follows = taken + 1, alone
         while True:
             yield done
             if done >= steps:
                 return
             begin = time.perf_counter()
-            count = min(pace.steps, steps - done)
+            count = pace.of(steps - done)
             every = taken * stride - done
             # A frame that is not much farther is taken with its steps.
             if every > min(2 * pace.steps, steps - done):
@@ -467,11 +477,23 @@ class Simulation:
                 follows = False
             else:
                 # The first of a piece may be nearer than the others are apart.
-                frames = max(1, min(count // stride, recorder.room)) if every == stride else 1
+                most = min(recorder.room, (steps - done) // stride)
+                frames = max(1, pace.of(most * stride) // stride) if every == stride else 1
                 self._record(recorder, frames, every, start, done, follows)
                 count, taken, follows = frames * every, taken + frames, alone
             pace.took(count, time.perf_counter() - begin)
             done += count
+
+    def _take_first(self, recorder: "Recorder", time: float) -> None:
+        """Takes a frame of the state that there is, at ``time`` [s]."""
+        recorder.require(1)
+        self._attach()
+        needs = frozenset(recorder.needs)
+        if not self._looks_by_the_way(needs):
+            recorder.take(time)
+            return
+        self._crew().look(Frames(1, needs, recorder.take_of, recorder.copies, recorder.taken))
+        recorder.count([time])
 
     def _record(
         self, recorder: "Recorder", count: int, every: int, start: float, done: int, follows: bool

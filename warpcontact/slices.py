@@ -7,7 +7,6 @@ from memory which slice they are for: each thread has its own, and takes them fr
 
 from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +35,8 @@ if TYPE_CHECKING:
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
 CPU_GRAPH_STEPS = (8, 2, 1)
+# Graphs of the most steps in whose place steps to a frame have one of their own, with its look, at most.
+FRAME_GRAPHS = 2
 
 
 @dataclass(frozen=True)
@@ -146,15 +147,19 @@ class Frames:
         return [first, *[self.every] * whole, *([rest] if rest else [])]
 
 
-class Begin(Enum):
-    """What comes before the first of some steps."""
+@dataclass(frozen=True)
+class Way:
+    """Steps that are taken one after the other, and what comes before and after them.
 
-    #: Nothing that it has to know of.
-    STEP = "step"
-    #: A look, which told what is near of contacts.
-    LOOKED = "looked"
-    #: A look that is part of their graph, and may tell.
-    LOOK = "look"
+    Attributes:
+        steps: How many.
+        known: Whether a look came just before, which may have told what is near of contacts.
+        looks: Whether a look follows.
+    """
+
+    steps: int
+    known: bool = False
+    looks: bool = False
 
 
 @dataclass(frozen=True)
@@ -183,8 +188,6 @@ class Stepper:
         device: Their device.
         captured: Whether steps are replayed: on a GPU nothing is then waited for.
         graph_steps: Steps in its graphs, the most first.
-        after_frame: How steps after a frame begin, for which ``ready_look`` was called.
-        after_look: How they begin where the frame was looked at before.
     """
 
     def __init__(
@@ -212,16 +215,15 @@ class Stepper:
         # What is decided on the host cannot be captured.
         self.captured = captured and not divides
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
-        # By their steps, how these begin, and what a look among them is for. All are kept: few sets of needs come
-        # up in a simulation.
-        self._graphs: dict[tuple[int, Begin, frozenset[str]], wp.Graph] = {}
+        # With what a look at their end is for. All are kept: few sets of needs come up in a simulation.
+        self._graphs: dict[tuple[Way, frozenset[str]], wp.Graph] = {}
         # Of those, by what is asked for, which it is made up of.
-        self._ways: dict[tuple[int, Begin, frozenset[str]], list[wp.Graph]] = {}
-        # By what is needed; what is now; and what takes frames.
-        self._looks: dict[frozenset[str], tuple[list[wp.Launch], wp.Graph | None]] = {}
+        self._ways: dict[tuple[Way, frozenset[str]], list[wp.Graph]] = {}
+        # By what is needed; what is now, and whether it tells steps what is near; and what takes frames.
+        self._looks: dict[frozenset[str], list[wp.Launch]] = {}
         self._needs: frozenset[str] = frozenset()
+        self._tells = False
         self._taking: Taking | None = None
-        self.after_frame = self.after_look = Begin.STEP
 
     def go_to(self, own: slice) -> None:
         """Takes the environments that are stepped next: others than all of the span only if it has slices."""
@@ -258,72 +260,85 @@ class Stepper:
         steps = [part for step in self._steps for part in vars(step).values()]
         return [*steps, self._wait, self._wake]
 
-    def graph(self, steps: int, begin: Begin = Begin.STEP) -> list[wp.Launch]:
-        """Returns the launches of the graph of ``steps`` steps, none if nothing is captured."""
+    def graph(self, way: Way) -> list[wp.Launch]:
+        """Returns the launches of a graph, none if nothing is captured."""
         if not self.captured:
             return []
-        look = self._looks[self._needs][0] if begin is Begin.LOOK else []
-        known = begin is Begin.LOOKED or (begin is Begin.LOOK and self.ready_after_look(self._needs))
-        first = self._after_look if known else self._steps[0].whole
-        rest = [launch for number in range(1, steps) for launch in self._steps[number % 2].whole]
-        return [*look, *first, *rest, *(self._steps[0].back if steps % 2 else [])]
+        launches: list[wp.Launch] = []
+        for number in range(way.steps):
+            first = way.known and number == 0
+            launches += self._after_look if first else self._steps[number % 2].whole
+        if way.steps % 2:
+            launches += self._steps[0].back
+        return launches + self._looks[self._needs] if way.looks else launches
 
-    def _graphs_of(self, count: int, begin: Begin) -> Iterator[tuple[int, Begin]]:
-        """Yields the graphs that make up ``count`` steps."""
-        if begin is not Begin.STEP and count:
-            # The shortest that ends in the model's buffer: others are there anyway.
-            first = min(2, count)
-            yield first, begin
+    def _graphs_of(self, way: Way) -> Iterator[Way]:
+        """Yields the graphs that make up a way."""
+        count, most = way.steps, self.graph_steps[0]
+        if way.known and way.looks and count <= FRAME_GRAPHS * most:
+            # Of frame after frame: whatever is launched apart, Python has to come by for.
+            yield way
+            return
+        if way.known and count:
+            first = count % most or most
+            yield Way(first, known=True)
             count -= first
         for steps in self.graph_steps:
             for _ in range(count // steps):
-                yield steps, Begin.STEP
+                yield Way(steps)
             count %= steps
+        if way.looks:
+            yield Way(0, looks=True)
 
-    def capture(self, count: int, begin: Begin = Begin.STEP) -> None:
+    def capture(self, way: Way) -> None:
         """Captures what ``step`` will replay. Not while other threads step."""
-        if not self.captured or self._key(count, begin) in self._ways:
+        way = self._told(way)
+        if not self.captured or self._key(way) in self._ways:
             return
         graphs = []
-        for way in self._graphs_of(count, begin):
-            key = self._key(*way)
+        for one in self._graphs_of(way):
+            key = self._key(one)
             if key not in self._graphs:
-                self._graphs[key] = self._captured(self.graph(*way))
+                self._graphs[key] = self._captured(self.graph(one))
             graphs.append(self._graphs[key])
-        self._ways[self._key(count, begin)] = graphs
+        self._ways[self._key(way)] = graphs
 
-    def _key(self, count: int, begin: Begin) -> tuple[int, Begin, frozenset[str]]:
-        return count, begin, self._needs if begin is Begin.LOOK else frozenset()
+    def _told(self, way: Way) -> Way:
+        """Returns a way that knows no more than looks tell."""
+        return way if self._tells or not way.known else replace(way, known=False)
+
+    def _key(self, way: Way) -> tuple[Way, frozenset[str]]:
+        return way, self._needs if way.looks else frozenset()
 
     def _captured(self, launches: list[wp.Launch]) -> wp.Graph:
         with capturing(), wp.ScopedCapture(device=self.device) as capture:
             _launch(launches)
         return capture.graph
 
-    def step(self, count: int, begin: Begin = Begin.STEP) -> None:
-        """Takes ``count`` steps, captured ones; the state is in the model's buffer before and after."""
+    def step(self, way: Way) -> None:
+        """Takes steps, captured ones, and looks; the state is in the model's buffer before and after."""
         if self.captured:
-            for graph in self._ways[self._key(count, begin)]:
+            for graph in self._ways[self._key(self._told(way))]:
                 wp.capture_launch(graph)
             return
         with beside_captures():
-            for number in range(count):
+            for number in range(way.steps):
                 self._take(number % 2)
-            if count % 2:
+            if way.steps % 2:
                 _launch(self._steps[0].back)
+            if way.looks:
+                _launch(self._looks[self._needs])
 
     def ready_look(self, frames: Frames) -> None:
-        """Prepares, or captures, ``look``, and says how steps after it begin. Not while other threads step."""
-        copies = frames.copies.get(self._span.model)
+        """Prepares looks, for ways from now on. Not while other threads step."""
         if self._taking is None:
             self._taking = Taking(self._span)
-        self._taking.read(copies)
+        self._taking.read(frames.copies.get(self._span.model))
         self._needs = frames.needs
         if frames.needs not in self._looks:
-            launches = [*self._span.model.look(frames.needs, self._span.slice), *self._taking.launches]
-            self._looks[frames.needs] = launches, self._captured(launches) if self.captured else None
-        self.after_look = Begin.LOOKED if self.ready_after_look(frames.needs) else Begin.STEP
-        self.after_frame = Begin.LOOK if copies is not None and self.captured else self.after_look
+            look = self._span.model.look(frames.needs, self._span.slice)
+            self._looks[frames.needs] = [*look, *self._taking.launches]
+        self._tells = self.ready_after_look(frames.needs)
 
     def ready_after_look(self, needs: Set[str]) -> bool:
         """Prepares the step after a look for readings with ``needs``; returns whether it has less to do."""
@@ -341,14 +356,8 @@ class Stepper:
         if self._taking is not None:
             self._taking.go_to(number)
 
-    def look(self, frames: Frames, number: int) -> None:
-        """Computes frame ``number`` of its environments, and hands it on."""
-        launches, graph = self._looks[frames.needs]
-        if graph is not None:
-            wp.capture_launch(graph)
-        else:
-            with beside_captures():
-                _launch(launches)
+    def hand_on(self, frames: Frames, number: int) -> None:
+        """Hands on frame ``number`` of its environments, which was looked at, where launches do not take it."""
         if self._span.model not in frames.copies:
             frames.take(self._span.model, self.slice, number)
 

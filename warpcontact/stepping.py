@@ -16,7 +16,7 @@ from warpcontact.kernels import recording
 from warpcontact.looks import in_parts, look_span, look_stages
 from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.schedule import Span
-from warpcontact.slices import Begin, Buffers, Stepper
+from warpcontact.slices import FRAME_GRAPHS, Buffers, Stepper, Way
 
 if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
@@ -110,17 +110,18 @@ def stepping_footprint(
         one = Stepper(span, integrator, buffers, parts=crossing_steps, captured=graphs)
         size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
         for steps in one.graph_steps:
-            size += _captured_bytes(one.graph(steps))
+            size += _captured_bytes(one.graph(Way(steps)))
         if looks is not None and watch.quarantine == "freeze" and in_parts(part.device, buffers.hard, looks):
             tally = look_span(_Tally, part, 1, buffers.hard, looks)
             look = [*look_stages(tally, looks, part.no_step, None), recording.take()]
             size += LAUNCH_BYTES * len(look)
             if one.captured:
-                begin = Begin.LOOKED if one.ready_after_look(looks) else Begin.STEP
-                if begin is Begin.LOOKED:
-                    size += LAUNCH_BYTES * len(one.graph(1, begin))
-                # By itself, and with the steps after it; a rest of one would have a smaller graph beside that.
-                size += _captured_bytes(look) + _captured_bytes([*look, *one.graph(2, begin)])
+                steps = one.graph_steps[0]
+                if one.ready_after_look(looks):
+                    first = one.graph(Way(1, known=True))
+                    size += LAUNCH_BYTES * len(first) + _captured_bytes(first)
+                # By itself, and with the steps before it, of which few have smaller graphs.
+                size += _captured_bytes(look) + _captured_bytes([*look, *FRAME_GRAPHS * one.graph(Way(steps))])
         launches = Need("launches", HOST, size * (members if part.device.is_cpu else 1))
         needs = [*buffers.layout.needs(envs), launches]
         if observer is not None:

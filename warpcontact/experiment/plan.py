@@ -39,7 +39,7 @@ SMALLEST_BLOCK = 4 * 2**20
 # and what threads that write leave in the hands of the allocator [bytes]; measured.
 WRITTEN_AT_ONCE = 2 * WRITERS
 DRAWN_AT_ONCE = 2
-LEFT_BY_WRITERS = 8 * 2**20
+LEFT_BY_WRITERS = 24 * 2**20
 # What a run loads beside: kernels, what makes and stores data sets, what draws its picture, and with series what
 # writes its animation; measured.
 LOADED = 100 * 2**20

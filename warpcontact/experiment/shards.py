@@ -296,7 +296,7 @@ class _Attempt:
     def run(self, asked: Asked, tell: Callable[[int], None]) -> Commit:
         runner, frames, commit = self.runner, self.runner.frames, self.commit
         if not commit.steps:
-            self.staging.write("params", self.recorder.parameters())
+            self.staging.write("params", _values(self.recorder.parameters()))
         taken = commit.frames + self.recorder.taken
         # The frames without readings are not counted.
         taken = taken if frames.count else min(1, commit.steps)
@@ -318,7 +318,7 @@ class _Attempt:
 
     def _write_block(self) -> None:
         """Lets the frames that were taken be written while others are taken."""
-        self.staging.write("series", self.recorder.series(), self.commit.frames)
+        self.staging.write("series", self.recorder.frames(), self.commit.frames)
         self.commit.frames += self.recorder.taken
         self.recorder.rewind()
 
@@ -345,10 +345,10 @@ class _Attempt:
         runner = self.runner
         if runner.frames.count and self.recorder.taken:
             self._write_block()
-        self.staging.write("outcome", runner.outcome())
+        self.staging.write("outcome", _values(runner.outcome()))
         events = runner.events()
         if events is not None:
-            self.staging.write("events", events)
+            self.staging.write("events", _values(events))
         for sentence in self.remarks.new():
             warnings.warn(sentence, RuntimeWarning, stacklevel=4)
         self.commit.frozen = runner.frozen(self.shard)
@@ -363,6 +363,11 @@ class _Attempt:
         self.commit.wall_time = self.spent + time.perf_counter() - self.started
         self.runner.ledger.commit(self.shard, self.commit, self.staging.written)
         self.staging.clear()
+
+
+def _values(data: "xr.Dataset") -> dict[str, NDArray[Any]]:
+    """Returns the values of a data set, by variable."""
+    return {str(name): variable.values for name, variable in data.data_vars.items()}
 
 
 def make_simulation(model: Environments, settings: Settings, threads: int | None = None) -> Simulation:

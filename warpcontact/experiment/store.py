@@ -16,6 +16,7 @@ Chunks of series are written, and brought to the disk, while steps go on; a comm
 """
 
 import contextlib
+import math
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -27,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.crew import available_threads
-from warpcontact.durable import PARTIAL, sync, sync_file, sync_folder, sync_names, write_json
+from warpcontact.durable import PARTIAL, sync, sync_folder, sync_names, write_json
+from warpcontact.experiment.chunks import Chunk, Chunks, compressors
 from warpcontact.experiment.records import (
     COMMITS,
     DATA,
@@ -43,7 +45,6 @@ from warpcontact.experiment.records import (
 
 if TYPE_CHECKING:
     import xarray as xr
-    from zarr.abc.codec import BytesBytesCodec
 
 STAGING = "staging"
 CHECKPOINTS = "checkpoint"
@@ -177,19 +178,8 @@ def _create_array(
         fill_value=empty_value(template.dtype),
         dimension_names=[str(dim) for dim in template.dims],
         attributes=dict(template.attrs),
-        compressors=_compressors(template),
+        compressors=compressors(template),
     )
-
-
-def _compressors(template: "xr.DataArray") -> "tuple[BytesBytesCodec, ...]":
-    """Returns how chunks of an array are compressed, with a check sum: a chunk that was changed is no chunk."""
-    from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
-
-    if "item" in template.dims:
-        # Most of many points are in the air, and their values 0: Zstandard leaves a third of what others do.
-        return (ZstdCodec(level=1, checksum=True),)
-    # Of what moves, bits in the order of their places are shorter, and take half the time.
-    return BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle"), Crc32cCodec()
 
 
 def empty_value(dtype: np.dtype[Any]) -> Any:
@@ -199,7 +189,8 @@ def empty_value(dtype: np.dtype[Any]) -> Any:
 
 def largest_part(envs: int, most: int) -> int:
     """Returns the largest divisor of ``envs`` up to ``most``; where all are far smaller, the next larger one."""
-    parts = [part for part in range(1, envs + 1) if envs % part == 0]
+    small = [part for part in range(1, math.isqrt(envs) + 1) if envs % part == 0]
+    parts = sorted({*small, *(envs // part for part in small)})
     largest = max(part for part in parts if part <= max(1, most))
     # Of a prime number the others are 1 and the whole.
     return largest if largest >= min(envs, most) / FAR else next(part for part in parts if part > most)
@@ -233,10 +224,8 @@ class Ledger:
         Args:
             shard: The shard.
             commit: Its new record, without the staged files.
-            staged: These, whose contents are on the disk.
+            staged: These, which are on the disk.
         """
-        root = self.folder / STAGING / shard.name
-        sync_names({(root / name).parent for name in staged}, self.folder / STAGING)
         commit.files |= dict(sorted(staged.items()))
         write_json(self.folder / COMMITS / f"{shard.name}.json", asdict(commit))
         self._publish(shard, staged)
@@ -327,13 +316,13 @@ class Staging:
 
     def __init__(self, folder: Path, shard: Shard, threads: int | None = None) -> None:
         self._shard = shard
-        self._threads = min(threads or available_threads(), WRITERS)
         self._root = folder / STAGING / shard.name
         self._store = folder / DATA
         self.written: Files = {}
-        self._arrays: dict[str, Any] = {}
+        self._arrays: dict[str, Chunks] = {}
         _begin_zarr(self._store)
         self._beside = ThreadPoolExecutor(1)
+        self._writers = ThreadPoolExecutor(min(threads or available_threads(), WRITERS))
         self._begun: Future[None] | None = None
 
     def __enter__(self) -> "Staging":
@@ -341,25 +330,26 @@ class Staging:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._beside.shutdown()
+        self._writers.shutdown()
         failed = None if self._begun is None else self._begun.exception()
         if error is not None and failed is not None:
             error.add_note(f"what was to be written meanwhile could not be: {failed}")
 
-    def write(self, group: str, data: "xr.Dataset", first_frame: int = 0) -> None:
-        """Begins to write the values of a data set of the shard, once all is written that was begun before.
+    def write(self, group: str, values: Mapping[str, NDArray[Any]], first_frame: int = 0) -> None:
+        """Begins to write values of the shard, once all is written that was begun before.
 
         Those of further environments are left out. The values are read until ``wait`` returns, or more is written.
 
         Args:
             group: Where they belong.
-            data: Variables (…, env, …), with frames (time, …) from a multiple of those of a chunk on.
-            first_frame: Number of the first frame.
+            values: By variable (…, env, …), with frames (time, …) of one chunk or less.
+            first_frame: Number of the first frame, a multiple of those of a chunk.
 
         Raises:
             OSError: If what was begun before could not be written.
         """
         self.wait()
-        self._begun = self._beside.submit(self._write, group, data, first_frame)
+        self._begun = self._beside.submit(self._write, group, values, first_frame)
 
     def wait(self) -> None:
         """Waits until all is written, and on the disk.
@@ -371,44 +361,27 @@ class Staging:
         if begun is not None:
             begun.result()
 
-    def _write(self, group: str, data: "xr.Dataset", first_frame: int) -> None:
-        first, stop = self._shard.first, self._shard.stop
-        paths = {f"{group}/{name}": variable for name, variable in data.data_vars.items()}
-        pieces = []
-        for path, variable in paths.items():
-            array, values, axis = self._array(path), variable.values, variable.dims.index("env")
-            place = {"time": slice(first_frame, first_frame + variable.sizes.get("time", 0))}
-            # A file has one writer: from multiples of the size of a chunk on.
-            chunk = array.chunks[axis]
-            for start in range(first // chunk * chunk, stop, chunk):
-                place["env"] = own = slice(max(start, first), min(start + chunk, stop))
-                region = tuple(place.get(str(dim), slice(None)) for dim in variable.dims)
-                some = slice(own.start - first, own.stop - first)
-                pieces.append((array, region, values[(slice(None),) * axis + (some,)]))
-        # Chunks are copied here, some at once; of a whole variable Zarr would copy one after the other.
-        with ThreadPoolExecutor(self._threads) as pool:
-            for _ in pool.map(_put, pieces):
-                pass
-            chunks = (one for path in paths for one in (self._root / path / "c").rglob("*") if one.is_file())
-            names = {one.relative_to(self._root).as_posix() for one in chunks} - self.written.keys()
-            # What is read of one file comes from memory, while the disk is waited for with another.
-            for entry in pool.map(self._settle, sorted(names)):
-                self.written |= entry
+    def _write(self, group: str, values: Mapping[str, NDArray[Any]], first_frame: int) -> None:
+        chunks = {}
+        for name, own in values.items():
+            path = f"{group}/{name}"
+            for chunk in self._chunks(path).cut(own, self._shard.first, self._shard.stop, first_frame):
+                chunks[f"{path}/{chunk.name}"] = chunk
+        for folder in {(self._root / name).parent for name in chunks}:
+            folder.mkdir(parents=True, exist_ok=True)
+        written = dict(self._writers.map(self._put, chunks.items()))
+        sync([self._root / name for name in written], self._root.parent)
+        self.written |= written
 
-    def _settle(self, name: str) -> Files:
-        """Waits until the content of a file is on the disk; returns what a record says of it."""
-        sync_file(self._root / name)
-        return measured(self._root, [name])
+    def _put(self, item: tuple[str, Chunk]) -> tuple[str, tuple[int, str]]:
+        """Writes a chunk; returns what a record says of its file, by its name."""
+        name, chunk = item
+        return name, chunk.write(self._root / name)
 
-    def _array(self, path: str) -> Any:
-        """Returns the array, in the staging folder, that has the chunks of a variable."""
-        import zarr
-
+    def _chunks(self, path: str) -> Chunks:
+        """Returns what cuts a variable into chunks."""
         if path not in self._arrays:
-            target = self._root / path
-            target.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(self._store / path / "zarr.json", target / "zarr.json")
-            self._arrays[path] = zarr.open_array(target, mode="r+", zarr_format=3)
+            self._arrays[path] = Chunks(self._store / path)
         return self._arrays[path]
 
     def clear(self) -> None:
@@ -419,9 +392,3 @@ class Staging:
         """Removes the folder."""
         if self._root.exists():
             shutil.rmtree(self._root)
-
-
-def _put(piece: tuple[Any, tuple[slice, ...], NDArray[Any]]) -> None:
-    """Writes values to a region of an array."""
-    array, region, values = piece
-    array[region] = np.ascontiguousarray(values)
