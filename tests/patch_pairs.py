@@ -13,9 +13,10 @@ from warpcontact.kernels.smooth.patch import Patch
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
-# A place is nearer than another beyond rounding of distances.
-TIE = 1e-9
-# Slope of the distance along the patch that is none; where two ways out of the shape are as short it is any number.
+# A place is nearer than another by more. Of minima within two of the finest cells, a thousandth of the patch, the
+# solver finds one: those are as near to 1e-8.
+TIE = 1e-7
+# Slope of the distance along the patch that is none; where two ways out of the shape are as short it is any.
 LEVEL = 1e-5
 # Parts of the radius of curvature of a convex patch that a shape is deep, beyond which its normals cross soon.
 DEEP = 0.5

@@ -19,8 +19,9 @@ from warpcontact.kernels.smooth.torus import Torus
 
 vec2d = wp.vec2d
 
-#: How often a cell of the grid is divided into four at most.
-LEVELS = 5
+#: How often a cell of the grid is divided into four, and where two sides of the shape are as near.
+SMOOTH = 5
+LEVELS = 8
 #: Minima that are kept in mind, and how often Newton's method starts at most.
 KNOWN = 8
 STARTS = wp.constant(wp.int32(16))
@@ -79,7 +80,8 @@ class Search:
     rest_u: vec2d
     count: wp.int32  # of the known
     starts: wp.int32
-    looks: wp.int32
+    looks: wp.int32  # at cells
+    steps: wp.int32  # of Newton's method
     plane: real  # what touches the shape across the normal of the best
 
 
@@ -112,9 +114,9 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
         wp.constant(real((ends[1] - ends[0]) / count))
         for count, ends in zip(B.scan, (B.u_range, B.v_range), strict=True)
     )
-    finest = 0.5**LEVELS
+    finest, fine = 0.5**LEVELS, 0.5**SMOOTH
     fine_u, fine_v = (
-        wp.constant(real(finest * (ends[1] - ends[0]) / count))
+        wp.constant(real(fine * (ends[1] - ends[0]) / count))
         for count, ends in zip(B.scan, (B.u_range, B.v_range), strict=True)
     )
 
@@ -185,23 +187,27 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
         return wp.abs(difference)
 
     @wp.func
-    def started(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, u: vec2d, gap: real, lowered: real, search: Search):
+    def started(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, u: vec2d, near: Nearest, lowered: real, search: Search):
         """The search after Newton's method from u, unless a minimum that is known lies beside it."""
         fresh = wp.bool(True)
+        # However near, what is lower than all that is known is none of them, nor is what has another side of the
+        # shape nearest to it.
+        same_side = wp.dot(near.normal, wp.quat_rotate_inv(q, search.best.near.normal)) > half
+        lower = near.gap < search.best.near.gap - TIE * wp.abs(search.best.near.gap)
         for k in range(KNOWN):
-            if k < search.count:
+            if k < search.count and same_side and not lower:
                 off_u = beside(search.known_u[k] - u[0], period_u, closed_u)
                 off_v = beside(search.known_v[k] - u[1], period_v, closed_v)
                 if off_u <= search.wide_u[k] and off_v <= search.wide_v[k]:
                     fresh = wp.bool(False)
         if fresh and search.starts >= STARTS:
-            if search.starts == STARTS or gap < search.rest:
-                search.rest = gap
+            if search.starts == STARTS or near.gap < search.rest:
+                search.rest = near.gap
                 search.rest_u = u
             search.starts += 1
         elif fresh:
             now, steps = polish(p_a, p_b, x, q, u, lowered)
-            search.looks += steps
+            search.steps += steps
             if search.starts == 0 or now.near.gap < search.best.near.gap:
                 search.best = now
                 search.plane = beyond(p_a, x, q, now.near.normal)
@@ -289,9 +295,12 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
                     else:
                         floor = near.gap - reach
                 left = floor < limit
-                if left and (near.gap < limit or level == LEVELS or search.looks > MOST):
-                    search = started(p_a, p_b, x, q, vec2d(u, v), near.gap, lowered, search)
-                    left = level < LEVELS and search.looks <= MOST
+                # Where another side of the shape is nearest than at the best place, both are as near in between.
+                other = wp.dot(n, search.best.near.normal) < half and level < LEVELS
+                last = level >= SMOOTH and not other
+                if left and (near.gap < limit or last or search.looks > MOST):
+                    search = started(p_a, p_b, x, q, vec2d(u, v), near, lowered, search)
+                    left = not last and level < LEVELS and search.looks <= MOST
             if left:
                 level += 1
             else:
@@ -308,8 +317,9 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
         search = Search()
         least = real(FAR)
         first = vec2d()
+        nearest_of_all = Nearest()
         n = vec3d()
-        plane = real(-FAR)
+        plane = real(FAR)
         for i in range(cells_u):
             for j in range(cells_v):
                 u = u_0 + (real(i) + half) * step_u
@@ -329,10 +339,12 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
                         if near.gap < least:
                             least = near.gap
                             first = vec2d(u, v)
+                            nearest_of_all = near
                             n = wp.quat_rotate(q, near.normal)
                             plane = beyond(p_a, x, q, n)
-        search = started(p_a, p_b, x, q, first, least, lowered, search)
+        search.steps = search.looks
         search.looks = 0
+        search = started(p_a, p_b, x, q, first, nearest_of_all, lowered, search)
         for i in range(cells_u):
             corner = position(p_b, u_0 + real(i) * step_u, v_0)
             for j in range(cells_v):
@@ -355,8 +367,8 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
                     search = divided(p_a, p_b, x, q, radius, i, j, lowered, search)
         if search.starts > STARTS and search.rest < search.best.near.gap:
             now, steps = polish(p_a, p_b, x, q, search.rest_u, lowered)
-            search.looks += steps
+            search.steps += steps
             search.best = now
-        return search.best, search.looks
+        return search.best, search.looks + search.steps
 
     return deepest

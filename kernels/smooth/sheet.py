@@ -34,6 +34,8 @@ LOWERINGS = wp.constant(wp.int32(8))
 MARGIN = wp.constant(real(0.02))
 # 4 to 6 are usual; where a contact lies on the end of a rounded edge, it takes hundreds.
 STEPS = wp.constant(wp.int32(1000))
+# Within a shape, of a search that ends where two ways out are as short: that is no contact.
+STEPS_INSIDE = wp.constant(wp.int32(100))
 HALVINGS = wp.constant(wp.int32(40))
 # Cosine between the normal of the shape and the tangents of the patch, at a contact.
 ALLOWED = wp.constant(real(1.0e-9))
@@ -201,7 +203,7 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         at = look(p_a, p_b, x, q, start, lowered)
         steps = wp.int32(0)
         going = wp.bool(True)
-        while going and steps < STEPS and at.lean > GOAL:
+        while going and steps < wp.where(at.near.gap < zero, STEPS_INSIDE, STEPS) and at.lean > GOAL:
             steps += 1
             step, bent, down, slope = newton(p_a, p_b, x, q, at, lowered)
             going = wp.bool(False)
