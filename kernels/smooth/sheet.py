@@ -1,8 +1,8 @@
 """Where a patch and a closed shape meet: the place of the patch that is deepest in the shape, or nearest to it.
 
-The signed distance D(u, v) of the patch from the shape is looked at over a grid that covers the patch, every time,
-as far as the shape's size leaves a place to be nearer than those known; from the best of them Newton's method goes
-on to where the normals face each other. The result depends on the pose alone, and on nothing that came before.
+The signed distance D(u, v) of the patch from the shape is looked at all over the patch, every time, until no other
+place can be nearer (``covering.py``). Newton's method goes on from there to where the normals face each other. The
+result depends on the pose alone, and on nothing that came before.
 
 The least D is the contact as long as the shape is less deep than its own middle. Deeper, the nearest way out of
 the shape is not the one back through the patch. The patch is then lowered along its normals by about the depth:
