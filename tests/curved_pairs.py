@@ -4,6 +4,8 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from convex_pairs import heights
+from scipy.ndimage import label
 from warpcontact.kernels.formula import coefficient_struct, parameter
 from warpcontact.kernels.smooth import curved, shapes
 from warpcontact.kernels.smooth.base import Meeting, Seed
@@ -116,6 +118,31 @@ def signed_distance(shape: Any, p):
     if isinstance(shape, Torus):
         return np.hypot(across - shape.major_radius, p[..., 2]) - shape.minor_radius
     raise TypeError(shape)
+
+
+def widest_way(ring, other, x, q, columns=96, rows=48):
+    """The gap of a torus and a convex body that its core pierces, by a grid of directions, of support functions.
+
+    The larger of two: that of the hull, the largest over all directions, and that of the ring around the body. Of
+    the latter the least level below which a path of cells leads from pole to pole.
+    """
+    angle = 2.0 * np.pi * np.arange(columns)[:, None] / columns
+    up = np.pi * ((np.arange(rows) + 0.5) / rows - 0.5)
+    level = np.cos(up) + 0.0 * angle
+    own = np.stack([level * np.cos(angle), level * np.sin(angle), np.sin(up) + 0.0 * angle], axis=-1)
+    n = rotated(q, own)
+    values = {name: np.array([value]) for name, value in other.parameters().items()}
+    between = n @ x - heights(type(other), values, n.reshape(1, -1, 3)).reshape(columns, rows)
+    hull = (between - ring.major_radius * level).max()
+    around = between + ring.major_radius * level
+    low, high = around.min(), around.max()
+    while high - low > 1e-5:
+        middle = 0.5 * (low + high)
+        # Three times around, so that paths cross where columns begin.
+        cells, _ = label(np.tile(around < middle, (3, 1)))
+        joined = (np.intersect1d(cells[:, 0], cells[:, -1]) > 0).any()
+        low, high = (low, middle) if joined else (middle, high)
+    return max(hull, low) - ring.minor_radius
 
 
 class Quadric(Patch):

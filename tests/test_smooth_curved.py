@@ -5,9 +5,16 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
-from convex_pairs import heights
-from curved_pairs import Quadric, backward, meetings, packed, random_rotations, rotated, signed_distance
-from scipy.ndimage import label
+from curved_pairs import (
+    Quadric,
+    backward,
+    meetings,
+    packed,
+    random_rotations,
+    rotated,
+    signed_distance,
+    widest_way,
+)
 from scipy.spatial import cKDTree
 from warpcontact.kernels.formula import coefficient_struct, parameter
 from warpcontact.kernels.smooth import curved, nearest, shapes
@@ -80,31 +87,6 @@ def test_a_torus_meets_solids_where_its_core_circle_is_deepest(other, device):
     assert check_ring(other, 1000, 4, device) == 0
 
 
-def widest_way(other, x, q, columns=96, rows=48):
-    """The gap of a torus and a convex body that its core pierces, by a grid of directions, of support functions.
-
-    The larger of two: that of the hull, the largest over all directions, and that of the ring around the body. Of
-    the latter the least level below which a path of cells leads from pole to pole.
-    """
-    angle = 2.0 * np.pi * np.arange(columns)[:, None] / columns
-    up = np.pi * ((np.arange(rows) + 0.5) / rows - 0.5)
-    level = np.cos(up) + 0.0 * angle
-    own = np.stack([level * np.cos(angle), level * np.sin(angle), np.sin(up) + 0.0 * angle], axis=-1)
-    n = rotated(q, own)
-    values = {name: np.array([value]) for name, value in other.parameters().items()}
-    between = n @ x - heights(type(other), values, n.reshape(1, -1, 3)).reshape(columns, rows)
-    hull = (between - RING.major_radius * level).max()
-    around = between + RING.major_radius * level
-    low, high = around.min(), around.max()
-    while high - low > 1e-5:
-        middle = 0.5 * (low + high)
-        # Three times around, so that paths cross where columns begin.
-        cells, _ = label(np.tile(around < middle, (3, 1)))
-        joined = (np.intersect1d(cells[:, 0], cells[:, -1]) > 0).any()
-        low, high = (low, middle) if joined else (middle, high)
-    return max(hull, low) - RING.minor_radius
-
-
 @pytest.mark.parametrize("other", [shape for shape in SOLIDS if type(shape) in PIERCED], **names)
 def test_a_ring_that_a_body_pierces_leaves_it_on_the_shortest_way(other, device):
     x, q, least = ring_case(other, 2000, 11)
@@ -114,7 +96,7 @@ def test_a_ring_that_a_body_pierces_leaves_it_on_the_shortest_way(other, device)
     # Where the way to the core's deepest place is not across the tube, the contact is another one.
     pierced = np.flatnonzero(met["gap"] < least - 3e-3)[:40]
     assert len(pierced) == 40
-    grid = [widest_way(other, x[i], q[i]) for i in pierced]
+    grid = [widest_way(RING, other, x[i], q[i]) for i in pierced]
     # Cells are 0.065 apart: of an edge of g, as steep as the body is wide, half of that is missed.
     np.testing.assert_allclose(met["gap"][pierced], grid, atol=0.012)
 

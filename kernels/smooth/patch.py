@@ -68,8 +68,8 @@ class Patch(Shape):
     #: Whether the surface closes over a range.
     u_periodic: ClassVar[bool] = False
     v_periodic: ClassVar[bool] = False
-    #: Into how many steps the ranges are cut where contacts are looked for; its bulges, and the corners of what
-    #: touches it, must be wider than these.
+    #: Into how many steps the ranges are cut where contacts are looked for; its bulges must be wider than these.
+    #: What touches it may be smaller: steps are cut again as long as another place may be nearer.
     scan: ClassVar[tuple[int, int]] = (48, 48)
     position: ClassVar[wp.Function]
 

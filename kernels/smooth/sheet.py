@@ -1,8 +1,8 @@
 """Where a patch and a closed shape meet: the place of the patch that is deepest in the shape, or nearest to it.
 
-The signed distance D(u, v) of the patch from the shape is looked at over a grid that covers the patch, every time,
-as far as the shape's size leaves a place to be nearer than those known; from the best of them Newton's method goes
-on to where the normals face each other. The result depends on the pose alone, and on nothing that came before.
+The signed distance D(u, v) of the patch from the shape is looked at all over the patch, every time, until no other
+place can be nearer (``covering.py``). Newton's method goes on from there to where the normals face each other. The
+result depends on the pose alone, and on nothing that came before.
 
 The least D is the contact as long as the shape is less deep than its own middle. Deeper, the nearest way out of
 the shape is not the one back through the patch. The patch is then lowered along its normals by about the depth:
@@ -17,44 +17,33 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Meeting, Nearest, Shape, half, one, real, vec3d, zero
+from warpcontact.kernels.smooth.base import Meeting, Shape, half, one, real, vec3d, zero
+from warpcontact.kernels.smooth.covering import Sight, covering
 from warpcontact.kernels.smooth.curvature import curvature
 from warpcontact.kernels.smooth.nearest import nearest
-from warpcontact.kernels.smooth.patch import Jet, Patch, jet_of_patch
+from warpcontact.kernels.smooth.patch import Patch, jet_of_patch
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
 vec2d = wp.vec2d
 mat22d = wp.mat22d
 
-#: Places that Newton's method starts from.
-STARTS = 4
 # How often a patch is lowered.
 LOWERINGS = wp.constant(wp.int32(8))
 # By how much more than it is deep, in terms of the shape's size.
 MARGIN = wp.constant(real(0.02))
 # 4 to 6 are usual; where a contact lies on the end of a rounded edge, it takes hundreds.
 STEPS = wp.constant(wp.int32(1000))
+# Within a shape, of a search that ends where two ways out are as short: that is no contact.
+STEPS_INSIDE = wp.constant(wp.int32(100))
 HALVINGS = wp.constant(wp.int32(40))
 # Cosine between the normal of the shape and the tangents of the patch, at a contact.
 ALLOWED = wp.constant(real(1.0e-9))
 # Part of the descent that a slope promises.
 ENOUGH = wp.constant(real(0.25))
+# What is no curvature, in terms of the other principal value.
+FLAT = wp.constant(real(1.0e-6))
 GOAL = wp.constant(real(1.0e-14))
-FAR = wp.constant(real(wp.inf))
-
-
-@wp.struct
-class Sight:
-    """The shape from one place of the patch, frame of b."""
-
-    u: vec2d
-    jet: Jet
-    normal: vec3d  # of the patch
-    place: vec3d  # on the lowered patch
-    near: Nearest  # of the shape from there
-    tilt: vec2d  # of the shape's normal against unit vectors along x_u and x_v
-    lean: real  # their length: cosine, 0 where the normals are parallel or facing
 
 
 @functools.cache
@@ -65,15 +54,6 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
     bounded = A is not Plane
     closed_u, closed_v = B.u_periodic, B.v_periodic
     u_0, u_1, v_0, v_1 = (wp.constant(real(value)) for value in (*B.u_range, *B.v_range))
-    nodes_u, nodes_v = (
-        wp.constant(wp.int32(count + (0 if closed else 1)))
-        for count, closed in zip(B.scan, (closed_u, closed_v), strict=True)
-    )
-    step_u, step_v = (
-        wp.constant(real((ends[1] - ends[0]) / count))
-        for count, ends in zip(B.scan, (B.u_range, B.v_range), strict=True)
-    )
-    Slots = wp.types.vector(STARTS, real)
 
     @wp.func
     def look(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, u: vec2d, lowered: real):
@@ -110,6 +90,15 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         return edge_u or edge_v
 
     @wp.func
+    def leads_out(u: vec2d, step: vec2d, axis: int):
+        """Whether a step from an edge of the patch is one across it."""
+        if axis == 0 and wp.static(not closed_u):
+            return (u[0] <= u_0 and step[0] < zero) or (u[0] >= u_1 and step[0] > zero)
+        if axis == 1 and wp.static(not closed_v):
+            return (u[1] <= v_0 and step[1] < zero) or (u[1] >= v_1 and step[1] > zero)
+        return wp.bool(False)
+
+    @wp.func
     def turn_of(p_a: Any, x: vec3d, q: wp.quatd, at: Sight, step: vec3d):
         """How the normal of the nearest point turns when the place moves by ``step``."""
         n = at.near.normal
@@ -135,8 +124,38 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         return one / radius
 
     @wp.func
+    def over_saddle(J: mat22d, values: vec2d, E: real, F: real, G: real):
+        """Newton's step with the principal values of the symmetric part of J taken as positive."""
+        # On unit vectors along x_u and across.
+        length = wp.sqrt(E)
+        along = F / E
+        wide = wp.sqrt(G - F * along)
+        cross = half * (J[0, 1] + J[1, 0])
+        uu = J[0, 0] / E
+        uv = (cross - along * J[0, 0]) / (length * wide)
+        vv = (J[1, 1] - real(2.0) * along * cross + along * along * J[0, 0]) / (wide * wide)
+        by_u = values[0] / length
+        by_v = (values[1] - along * values[0]) / wide
+        mean = half * (uu + vv)
+        apart = half * (uu - vv)
+        size = wp.sqrt(apart * apart + uv * uv)
+        angle = half * wp.atan2(uv, apart)
+        c = wp.cos(angle)
+        s = wp.sin(angle)
+        first = mean + size
+        second = mean - size
+        least = FLAT * wp.max(wp.abs(first), wp.abs(second))
+        if least == zero:
+            return vec2d()
+        first_step = -(c * by_u + s * by_v) / wp.max(wp.abs(first), least)
+        second_step = -(c * by_v - s * by_u) / wp.max(wp.abs(second), least)
+        on_u = c * first_step - s * second_step
+        on_v = s * first_step + c * second_step
+        return vec2d(on_u / length - along * on_v / wide, on_v / wide)
+
+    @wp.func
     def newton(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, at: Sight, lowered: real):
-        """Newton's step for the tangential parts of the normal, the way down, and the slope of the distance."""
+        """Newton's step for the tangential parts of the normal, one off a saddle, the way down, and the slope."""
         jet = at.jet
         n = at.normal
         m = at.near.normal
@@ -165,7 +184,18 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         step = down
         if determinant != zero:
             step = -(wp.inverse(J) * values)
-        return step, down, vec2d(wp.dot(m, z_u), wp.dot(m, z_v))
+        slope = vec2d(wp.dot(m, z_u), wp.dot(m, z_v))
+        bent = wp.where(determinant > zero and J[0, 0] > zero, step, over_saddle(J, values, E, F, G))
+        # Along an edge of the patch beyond which the distance falls on.
+        if leads_out(at.u, -slope, 0):
+            step = vec2d(zero, wp.where(J[1, 1] != zero, -values[1] / J[1, 1], zero))
+            bent = step
+            down[0] = zero
+        elif leads_out(at.u, -slope, 1):
+            step = vec2d(wp.where(J[0, 0] != zero, -values[0] / J[0, 0], zero), zero)
+            bent = step
+            down[1] = zero
+        return step, bent, down, slope
 
     @wp.func
     def polish(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec2d, lowered: real):
@@ -173,19 +203,23 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
         at = look(p_a, p_b, x, q, start, lowered)
         steps = wp.int32(0)
         going = wp.bool(True)
-        while going and steps < STEPS and at.lean > GOAL:
+        while going and steps < wp.where(at.near.gap < zero, STEPS_INSIDE, STEPS) and at.lean > GOAL:
             steps += 1
-            step, down, slope = newton(p_a, p_b, x, q, at, lowered)
+            step, bent, down, slope = newton(p_a, p_b, x, q, at, lowered)
             going = wp.bool(False)
-            # Newton's step if it leads down and nearer to a root; else, or if that fails, the way down.
-            for attempt in range(2):
+            # Newton's step if it leads down and nearer to a root; else, or if that fails, that with the curvatures
+            # taken as positive: down along a valley, whichever way it is bent; else the way down.
+            for attempt in range(3):
                 trial = step
                 if attempt == 1:
+                    trial = bent
+                elif attempt == 2:
                     trial = (wp.abs(at.near.gap) + wp.length(at.jet.u) * (u_1 - u_0)) * down
-                rise = wp.dot(slope, trial)
-                if rise < zero:
+                if wp.dot(slope, trial) < zero:
                     for _i in range(HALVINGS):
-                        now = look(p_a, p_b, x, q, inside(at.u + trial), lowered)
+                        to = inside(at.u + trial)
+                        rise = wp.min(wp.dot(slope, to - at.u), zero)
+                        now = look(p_a, p_b, x, q, to, lowered)
                         slack = GOAL * (wp.abs(at.near.gap) + wp.length(at.place - x))
                         # By a good part of what the slope promises: less is a jump across a valley.
                         lower = now.near.gap < at.near.gap + wp.min(ENOUGH * rise, -slack)
@@ -195,68 +229,11 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
                             going = wp.bool(True)
                             break
                         trial = half * trial
-                        rise = half * rise
                 if going:
                     break
         return at, steps
 
-    @wp.func
-    def deepest(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, lowered: real):
-        """The least distance over the patch."""
-        first_u = Slots()
-        first_v = Slots()
-        gaps = Slots()
-        for k in range(STARTS):
-            gaps[k] = FAR
-        radius = zero
-        middle = x
-        if wp.static(bounded):
-            radius = wp.length(A.extents(p_a))
-        steps = wp.int32(0)
-        for i in range(nodes_u):
-            for j in range(nodes_v):
-                u = vec2d(u_0 + real(i) * step_u, v_0 + real(j) * step_v)
-                jet = jet_of(p_b, 0, u[0], u[1])
-                place = jet.x - lowered * wp.normalize(wp.cross(jet.u, jet.v))
-                # No nearer than the sphere around the shape.
-                near_enough = wp.bool(True)
-                if wp.static(bounded):
-                    near_enough = wp.length(place - middle) - radius < gaps[STARTS - 1]
-                if near_enough:
-                    near = of_place(p_a, wp.quat_rotate_inv(q, place - x))
-                    steps += 1
-                    gap = near.gap
-                    # One start for neighbours: the best of them.
-                    slot = wp.int32(STARTS)
-                    for k in range(STARTS):
-                        beside_u = wp.abs(first_u[k] - u[0]) <= real(1.5) * step_u
-                        beside_v = wp.abs(first_v[k] - u[1]) <= real(1.5) * step_v
-                        if slot == STARTS and gaps[k] < FAR and beside_u and beside_v:
-                            slot = k
-                    if slot == STARTS and gap < gaps[STARTS - 1]:
-                        slot = wp.int32(STARTS - 1)
-                        gaps[slot] = FAR
-                    if slot < STARTS and gap < gaps[slot]:
-                        gaps[slot] = gap
-                        first_u[slot] = u[0]
-                        first_v[slot] = u[1]
-                        for k in range(STARTS - 1, 0, -1):
-                            if gaps[k] < gaps[k - 1]:
-                                gaps[k] = gaps[k - 1]
-                                gaps[k - 1] = gap
-                                first_u[k] = first_u[k - 1]
-                                first_u[k - 1] = u[0]
-                                first_v[k] = first_v[k - 1]
-                                first_v[k - 1] = u[1]
-        best = Sight()
-        best.near.gap = FAR
-        for k in range(STARTS):
-            if gaps[k] < FAR:
-                now, taken = polish(p_a, p_b, x, q, vec2d(first_u[k], first_v[k]), lowered)
-                steps += taken
-                if now.near.gap < best.near.gap:
-                    best = now
-        return best, steps
+    deepest = covering(A, B, of_place, polish)
 
     @wp.func
     def wrapped(u: vec2d):

@@ -1,0 +1,328 @@
+"""The least signed distance of a patch from a shape, independent of the solver: closed forms and a grid.
+
+Distances are looked at over a grid, and searched from each of its minima there, without derivatives. What is found
+is a place of the patch: where it is nearer than a contact, that is not the nearest.
+"""
+
+import functools
+
+import numpy as np
+import warp as wp
+from convex_pairs import packed
+from warpcontact.kernels.formula import coefficient_struct
+from warpcontact.kernels.smooth import shapes as S
+from warpcontact.kernels.smooth.torus import Torus
+
+vec5d = wp.types.vector(5, wp.float64)
+# Shapes whose distances are known in closed form, and their sizes in order.
+SIZES = {
+    S.Sphere: ("radius",), S.Plane: (), S.Ellipsoid: ("semi_axes",), S.Cylinder: ("radius", "half_length"),
+    S.Capsule: ("radius", "half_length"), S.Cone: ("radius", "height"), S.RoundedBox: ("half_extents", "radius"),
+    Torus: ("major_radius", "minor_radius"),
+}  # fmt: skip
+SPHERE, PLANE, ELLIPSOID, CYLINDER, CAPSULE, CONE, BOX, RING = (wp.constant(i) for i in range(len(SIZES)))
+
+# The grid: 0.02 apart on most patches, where the edges of the smallest shapes are 0.15 long.
+GRID = 96
+NODES = wp.constant(wp.int32(GRID + 1))
+CELLS = wp.constant(wp.float64(GRID))
+# Steps of the differences for normals, in terms of the parameters, and for slopes of distances [m].
+STEP = wp.constant(wp.float64(1e-5))
+SLOPE = wp.constant(wp.float64(1e-6))
+
+
+@wp.func
+def out_of_box(a: wp.float64, b: wp.float64, c: wp.float64):
+    """By how much each coordinate is beyond its half side: the distance from the box."""
+    zero = wp.float64(0.0)
+    out = wp.vec3d(wp.max(a, zero), wp.max(b, zero), wp.max(c, zero))
+    return wp.length(out) + wp.min(wp.max(a, wp.max(b, c)), zero)
+
+
+@wp.func
+def to_segment(x: wp.vec2d, a: wp.vec2d, b: wp.vec2d):
+    t = wp.clamp(wp.dot(x - a, b - a) / wp.dot(b - a, b - a), wp.float64(0.0), wp.float64(1.0))
+    return wp.length(x - a - t * (b - a))
+
+
+@wp.func
+def to_ellipsoid(axes: wp.vec3d, x: wp.vec3d):
+    """By t, counted from −a² of the shortest axis, of the nearest point a² x/(t + a²).
+
+    Halvings, then Newton's method. That does not overshoot from where the place is still beyond the surface: the
+    sum is convex and falls.
+    """
+    least = wp.min(wp.min(axes[0], axes[1]), axes[2])
+    low = wp.float64(0.0)
+    high = wp.length(wp.cw_mul(axes, x))
+    for i in range(22):
+        middle = wp.where(i < 14, wp.float64(0.5) * (low + high), low)
+        total = wp.float64(0.0)
+        steep = wp.float64(0.0)
+        for k in range(3):
+            off = middle + axes[k] * axes[k] - least * least
+            if off > wp.float64(0.0):
+                part = axes[k] * x[k] / off
+                total += part * part
+                steep += wp.float64(2.0) * part * part / off
+        if i < 14:
+            if total > wp.float64(1.0):
+                low = middle
+            else:
+                high = middle
+        elif total > wp.float64(1.0):
+            low += (total - wp.float64(1.0)) / steep
+    high = low
+    rest = wp.float64(1.0)
+    foot = wp.vec3d()
+    short = wp.int32(0)
+    for k in range(3):
+        if axes[k] == least:
+            short = k
+    for k in range(3):
+        if k != short:
+            foot[k] = axes[k] * axes[k] * x[k] / (high + axes[k] * axes[k] - least * least)
+            rest -= foot[k] * foot[k] / (axes[k] * axes[k])
+    # Near the middle of the shortest axis t is rounding: what is missing lies along it.
+    foot[short] = wp.sign(x[short]) * least * wp.sqrt(wp.max(rest, wp.float64(0.0)))
+    scaled = wp.cw_div(x, axes)
+    return wp.where(wp.dot(scaled, scaled) > wp.float64(1.0), wp.length(x - foot), -wp.length(x - foot))
+
+
+@wp.func
+def distance(kind: wp.int32, s: vec5d, x: wp.vec3d):
+    """The signed distance of a place from a shape, in its frame."""
+    zero = wp.float64(0.0)
+    far = wp.float64(-1e9)
+    across = wp.sqrt(x[0] * x[0] + x[1] * x[1])
+    if kind == SPHERE:
+        return wp.length(x) - s[0]
+    if kind == PLANE:
+        return x[2]
+    if kind == ELLIPSOID:
+        return to_ellipsoid(wp.vec3d(s[0], s[1], s[2]), x)
+    if kind == CYLINDER:
+        return out_of_box(across - s[0], wp.abs(x[2]) - s[1], far)
+    if kind == CAPSULE:
+        return wp.length(wp.vec2d(across, wp.max(wp.abs(x[2]) - s[1], zero))) - s[0]
+    if kind == CONE:
+        at = wp.vec2d(across, x[2])
+        rim = wp.vec2d(s[0], zero)
+        out = wp.min(to_segment(at, wp.vec2d(), rim), to_segment(at, rim, wp.vec2d(zero, s[1])))
+        inside = x[2] > zero and across / s[0] + x[2] / s[1] < wp.float64(1.0)
+        return wp.where(inside, -out, out)
+    if kind == BOX:
+        r = s[3]
+        return out_of_box(wp.abs(x[0]) - s[0] + r, wp.abs(x[1]) - s[1] + r, wp.abs(x[2]) - s[2] + r) - r
+    return wp.length(wp.vec2d(across - s[0], x[2])) - s[1]
+
+
+# The least distance over a patch
+
+
+@wp.struct
+class Least:
+    """The lowest place of a patch that was found."""
+
+    gap: wp.float64  # its distance; nothing was found below the bound if it is that [m]
+    u: wp.float64
+    v: wp.float64
+    tilt: wp.float64  # slope of the distance along the patch: 0 where normals are parallel
+    along: wp.float64  # slope of the distance along the normal of the patch: −1 where normals face each other
+
+
+@functools.cache
+def _kernels(P):
+    position = P.position
+    Of_b = coefficient_struct(P, wp.float64)
+    closed = P.u_periodic
+    u_0, u_1, v_0, v_1 = (wp.constant(wp.float64(value)) for value in (*P.u_range, *P.v_range))
+
+    @wp.func
+    def normal(p: Of_b, u: wp.float64, v: wp.float64):
+        by_u = position(p, u + STEP, v) - position(p, u - STEP, v)
+        by_v = position(p, u, v + STEP) - position(p, u, v - STEP)
+        return wp.normalize(wp.cross(by_u, by_v))
+
+    @wp.func
+    def apart(kind: wp.int32, s: vec5d, x: wp.vec3d, q: wp.quatd, place: wp.vec3d):
+        return distance(kind, s, wp.quat_rotate_inv(q, place - x))
+
+    @wp.func
+    def lowered(p: Of_b, u: wp.float64, v: wp.float64, by: wp.float64):
+        place = position(p, u, v)
+        if by != wp.float64(0.0):
+            place -= by * normal(p, u, v)
+        return place
+
+    @wp.func
+    def at(
+        kind: wp.int32, s: vec5d, p: Of_b, x: wp.vec3d, q: wp.quatd, u: wp.float64, v: wp.float64, by: wp.float64
+    ):
+        return apart(kind, s, x, q, lowered(p, u, v, by))
+
+    @wp.func
+    def within(u: wp.float64, v: wp.float64):
+        if wp.static(not closed):
+            u = wp.clamp(u, u_0, u_1)
+        return u, wp.clamp(v, v_0, v_1)
+
+    @wp.func
+    def searched(
+        kind: wp.int32, s: vec5d, p: Of_b, x: wp.vec3d, q: wp.quatd, u: wp.float64, v: wp.float64,
+        du: wp.float64, dv: wp.float64, by: wp.float64,
+    ):  # fmt: skip
+        """The minimum that a search with ever shorter steps comes to."""
+        best = Least()
+        best.u = u
+        best.v = v
+        best.gap = at(kind, s, p, x, q, u, v, by)
+        size = wp.float64(1.0)
+        for round_ in range(600):
+            if size < wp.float64(1e-8):
+                break
+            better = wp.bool(False)
+            angle = wp.float64(0.37) * wp.float64(round_)
+            far = size
+            for _k in range(10):
+                # Around, by turns near and far.
+                angle += wp.float64(0.628318530718)
+                far = wp.float64(1.4) * size - far
+                to_u = best.u + far * du * wp.cos(angle)
+                to_v = best.v + far * dv * wp.sin(angle)
+                # As long as it leads down, on and on.
+                for _i in range(20):
+                    at_u, at_v = within(to_u, to_v)
+                    gap = at(kind, s, p, x, q, at_u, at_v, by)
+                    if gap >= best.gap:
+                        break
+                    better = wp.bool(True)
+                    to_u = at_u + wp.float64(1.5) * (at_u - best.u)
+                    to_v = at_v + wp.float64(1.5) * (at_v - best.v)
+                    best.gap = gap
+                    best.u = at_u
+                    best.v = at_v
+            size = wp.where(better, size, wp.float64(0.5) * size)
+        return best
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def search(
+        kind: wp.int32,
+        s: wp.array(dtype=vec5d),
+        p: wp.array(dtype=Of_b),
+        x: wp.array(dtype=wp.vec3d),
+        q: wp.array(dtype=wp.quatd),
+        outer: wp.array(dtype=wp.float64),
+        by: wp.array(dtype=wp.float64),
+        bound: wp.array(dtype=wp.float64),
+        found: wp.array(dtype=Least),
+    ):
+        i = wp.tid()
+        du = (u_1 - u_0) / CELLS
+        dv = (v_1 - v_0) / CELLS
+        best = Least()
+        best.gap = bound[i]
+        for j in range(NODES):
+            for k in range(NODES):
+                u = u_0 + du * wp.float64(j)
+                v = v_0 + dv * wp.float64(k)
+                place = position(p[i], u, v)
+                near = wp.length(place - x[i]) - outer[i] - by[i]
+                # Half the diagonal of a cell, generously.
+                spare = wp.float64(0.6) * (
+                    wp.length(position(p[i], u + du, v) - place) + wp.length(position(p[i], u, v + dv) - place)
+                )
+                if near - spare < best.gap:
+                    gap = at(kind, s[i], p[i], x[i], q[i], u, v, by[i])
+                    if gap - spare < best.gap:
+                        least = wp.bool(True)
+                        side = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
+                        for _m in range(4):
+                            side = wp.vec2d(-side[1], side[0])
+                            if least:
+                                at_u, at_v = within(u + side[0] * du, v + side[1] * dv)
+                                least = at(kind, s[i], p[i], x[i], q[i], at_u, at_v, by[i]) >= gap
+                        if least:
+                            now = searched(kind, s[i], p[i], x[i], q[i], u, v, du, dv, by[i])
+                            if now.gap < best.gap:
+                                best = now
+        n = normal(p[i], best.u, best.v)
+        place = lowered(p[i], best.u, best.v, by[i])
+        slope = wp.vec3d()
+        for k in range(3):
+            step = wp.vec3d()
+            step[k] = SLOPE
+            slope[k] = (
+                apart(kind, s[i], x[i], q[i], place + step) - apart(kind, s[i], x[i], q[i], place - step)
+            ) / (wp.float64(2.0) * SLOPE)
+        best.along = wp.dot(slope, n)
+        best.tilt = wp.length(slope - best.along * n)
+        found[i] = best
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def look(
+        kind: wp.int32,
+        s: wp.array(dtype=vec5d),
+        p: wp.array(dtype=Of_b),
+        x: wp.array(dtype=wp.vec3d),
+        q: wp.array(dtype=wp.quatd),
+        u: wp.array(dtype=wp.vec2d),
+        by: wp.array(dtype=wp.float64),
+        place: wp.array(dtype=wp.vec3d),
+        gap: wp.array(dtype=wp.float64),
+    ):
+        i = wp.tid()
+        place[i] = lowered(p[i], u[i][0], u[i][1], by[i])
+        gap[i] = apart(kind, s[i], x[i], q[i], place[i])
+
+    return search, look
+
+
+class Reference:
+    """Pairs of a shape and a patch, and what can be asked of them.
+
+    Args:
+        A: Shape.
+        P: Patch.
+        a: Parameters of the shapes, by name.
+        b: Parameters of the patches.
+        x: Origins of the shapes, (n, 3).
+        q: Rotations of the shapes, (n, 4).
+        outer: Radii of balls around the origins that hold the shapes.
+        device: Warp device.
+    """
+
+    def __init__(self, A, P, a, b, x, q, outer, device="cpu"):
+        self.count, self.device = len(x), device
+        self.kernels = _kernels(P)
+        sizes = np.zeros((self.count, 5))
+        columns = [np.reshape(a[name], (self.count, -1)) for name in SIZES[A]]
+        if columns:
+            joined = np.concatenate(columns, axis=1)
+            sizes[:, : joined.shape[1]] = joined
+        self.given = [
+            list(SIZES).index(A),
+            wp.array(sizes, dtype=vec5d, device=device),
+            packed(P, b, self.count, device),
+            wp.array(x, dtype=wp.vec3d, device=device),
+            wp.array(q, dtype=wp.quatd, device=device),
+        ]
+        self.outer = self._array(outer)
+
+    def _array(self, values):
+        return wp.array(np.broadcast_to(values, self.count), dtype=wp.float64, device=self.device)
+
+    def least(self, lowered, bound):
+        """Returns the lowest places below bounds, of patches lowered along their normals."""
+        found = wp.zeros(self.count, dtype=Least, device=self.device)
+        inputs = [*self.given, self.outer, self._array(lowered), self._array(bound), found]
+        wp.launch(self.kernels[0], self.count, inputs=inputs, device=self.device)
+        return found.numpy()
+
+    def look(self, u, lowered):
+        """Returns places of patches, lowered along their normals, and their distances from the shapes."""
+        place = wp.zeros(self.count, dtype=wp.vec3d, device=self.device)
+        gap = wp.zeros(self.count, dtype=wp.float64, device=self.device)
+        inputs = [*self.given, wp.array(u, dtype=wp.vec2d, device=self.device), self._array(lowered), place, gap]
+        wp.launch(self.kernels[1], self.count, inputs=inputs, device=self.device)
+        return place.numpy(), gap.numpy()

@@ -1,0 +1,54 @@
+"""Random pairs of shapes and patches: none without an answer, none with a wrong one, none outside that is not."""
+
+import pytest
+from convex_pairs import solved
+from patch_pairs import PATCHES, Bore, Quadric, Tube, Waves, check_points, judged, random_pairs
+from patch_reference import SIZES
+from warpcontact.kernels.smooth import shapes as S
+from warpcontact.kernels.smooth.torus import Torus
+
+COMBINATIONS = [(A, P) for A in SIZES for P in PATCHES if A is not S.Plane]
+names = {"ids": lambda pair: "-".join(kind.__name__ for kind in pair)}
+
+
+def check(A, P, count, seed, device):
+    pairs = random_pairs(A, P, count, seed)
+    met = solved(A, P, *pairs[:4], device=device)
+    told = judged(A, P, pairs, met, device)
+    counts = {name: mask.sum() for name, mask in told.items()}
+    assert counts["wrong"] == counts["lost"] == counts["missed"] == 0, counts
+    check_points(A, P, pairs, met)
+    return counts
+
+
+@pytest.mark.parametrize(
+    "pair", [(S.RoundedBox, Quadric), (S.Cylinder, Bore), (Torus, Waves), (S.Cone, Tube)], **names
+)
+def test_contacts_of_shapes_and_patches_are_the_deepest_or_the_nearest(pair, device):
+    counts = check(*pair, 2000, 7, device)
+    assert counts["met"] > 1900
+    assert counts["deep"] > 800
+    # Most are deeper than their middle.
+    assert counts["lowered"] > 600
+
+
+@pytest.mark.parametrize("P", [Quadric, Waves], ids=lambda kind: kind.__name__)
+def test_planes_meet_patches_or_are_nearest_to_their_edges(P, device):
+    counts = check(S.Plane, P, 2000, 7, device)
+    assert counts["met"] > 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", COMBINATIONS, **names)
+def test_no_pair_of_25_000_is_wrong(pair, device):
+    """100 000 of each shape, on four patches."""
+    counts = check(*pair, 25_000, 100, device)
+    assert counts["met"] > 24_000
+    # Deeper than half the radius of curvature of the patch are a few.
+    assert counts["too deep"] < 0.03 * 25_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("P", [Quadric, Waves], ids=lambda kind: kind.__name__)
+def test_no_plane_of_50_000_is_wrong(P, device):
+    check(S.Plane, P, 50_000, 100, device)

@@ -1,0 +1,262 @@
+"""Rings and superellipsoids: no place of the core circle is nearer than told, by directions that bound distances.
+
+The signed distance of a place y from a convex body is the largest n·y − h(n) over all directions n, with the
+support function h. So one direction is enough to show that a place is not nearer than some distance, wherever it
+comes from.
+"""
+
+import numpy as np
+import pytest
+import warp as wp
+from convex_pairs import directions, heights, random_rotations, random_shapes, solved
+from curved_pairs import backward, rotated, widest_way
+from patch_pairs import support
+from warpcontact.kernels.smooth import shapes as S
+from warpcontact.kernels.smooth.torus import Torus
+from warpcontact.kernels.types import MET
+
+# Of the signed distance: beyond rounding of the support function, whose powers go to 20.
+TIE = 1e-9
+ANGLES = wp.constant(wp.int32(300))
+COUNT = 400
+AROUND = wp.constant(wp.int32(COUNT))
+BEST = wp.constant(wp.int32(4))
+
+
+@wp.func
+def norm(x: wp.float64, y: wp.float64, exponent: wp.float64):
+    longest = wp.max(x, y)
+    if longest == wp.float64(0.0):
+        return longest
+    sum_ = wp.float64(1.0) + wp.pow(wp.min(x, y) / longest, exponent)
+    return longest * wp.pow(sum_, wp.float64(1.0) / exponent)
+
+
+@wp.func
+def beyond(axes: wp.vec3d, exponents: wp.vec2d, n: wp.vec3d, y: wp.vec3d):
+    """How far y is beyond the plane across n that touches a superellipsoid: its support is the dual norm."""
+    two = wp.float64(2.0)
+    flat = norm(wp.abs(axes[0] * n[0]), wp.abs(axes[1] * n[1]), two / (two - exponents[1]))
+    return wp.dot(n, y) - norm(flat, wp.abs(axes[2] * n[2]), two / (two - exponents[0]))
+
+
+@wp.func
+def climbed(axes: wp.vec3d, exponents: wp.vec2d, start: wp.vec3d, y: wp.vec3d, enough: wp.float64):
+    """The largest value that a search with ever shorter steps comes to, or one that is enough; its direction."""
+    n = start
+    value = beyond(axes, exponents, n, y)
+    size = wp.float64(0.1)
+    turn = wp.float64(0.0)
+    while size > wp.float64(1e-8) and value < enough:
+        e_1 = wp.vec3d(wp.float64(0.0), n[2], -n[1])
+        if wp.abs(n[0]) > wp.float64(0.6):
+            e_1 = wp.vec3d(-n[2], wp.float64(0.0), n[0])
+        e_1 = wp.normalize(e_1)
+        e_2 = wp.cross(n, e_1)
+        best = n
+        turn += wp.float64(0.37)
+        angle = turn
+        for _i in range(8):
+            angle += wp.float64(wp.pi / 4.0)
+            m = wp.normalize(n + size * (wp.cos(angle) * e_1 + wp.sin(angle) * e_2))
+            now = beyond(axes, exponents, m, y)
+            if now > value:
+                value = now
+                best = m
+        # Along the edges of nearly sharp bodies, where a component of n is 0 or all but constant, and onto them.
+        for i in range(3):
+            axis = wp.vec3d()
+            axis[i] = wp.float64(1.0)
+            level = size * wp.cross(n, axis)
+            for k in range(3):
+                m = n - n[i] * axis
+                if k == 1:
+                    m = n + level
+                elif k == 2:
+                    m = n - level
+                if wp.length(m) > wp.float64(0.5):
+                    m = wp.normalize(m)
+                    now = beyond(axes, exponents, m, y)
+                    if now > value:
+                        value = now
+                        best = m
+        step = best - n
+        if wp.length(step) == wp.float64(0.0):
+            size = wp.float64(0.5) * size
+        n = best
+        # On and on, as long as that leads up.
+        while wp.length(step) > wp.float64(0.0):
+            m = wp.normalize(n + step)
+            now = beyond(axes, exponents, m, y)
+            if now > value:
+                value = now
+                step = wp.float64(1.5) * (m - n)
+                n = m
+            else:
+                step = wp.vec3d()
+    return value, n
+
+
+@wp.func
+def at_least(
+    axes: wp.vec3d,
+    exponents: wp.vec2d,
+    around: wp.array(dtype=wp.vec3d),
+    known: wp.vec3d,
+    y: wp.vec3d,
+    enough: wp.float64,
+):
+    """The signed distance of y, or a bound from below that is enough, and a direction that tells it."""
+    value, n = climbed(axes, exponents, known, y, enough)
+    last = wp.float64(wp.inf)
+    for _k in range(BEST):
+        if value < enough:
+            # The best of all directions, the next best, and so on.
+            top = wp.float64(-wp.inf)
+            start = known
+            for i in range(AROUND):
+                now = beyond(axes, exponents, around[i], y)
+                if now > top and now < last:
+                    top = now
+                    start = around[i]
+            last = top
+            now, m = climbed(axes, exponents, start, y, enough)
+            if now > value:
+                value = now
+                n = m
+    return value, n
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def look_around(
+    axes: wp.array(dtype=wp.vec3d),
+    exponents: wp.array(dtype=wp.vec2d),
+    radius: wp.array(dtype=wp.float64),
+    x: wp.array(dtype=wp.vec3d),
+    q: wp.array(dtype=wp.quatd),
+    around: wp.array(dtype=wp.vec3d),
+    normal: wp.array(dtype=wp.vec3d),
+    center: wp.array(dtype=wp.vec3d),
+    told: wp.array(dtype=wp.float64),
+    shortfall: wp.array(dtype=wp.float64),
+    there: wp.array(dtype=wp.float64),
+):
+    """By how much places of the core circle are nearer than ``told`` at most, and the distance of ``center``."""
+    i = wp.tid()
+    n = normal[i]
+    for k in range(ANGLES):
+        angle = wp.float64(2.0 * wp.pi) * wp.float64(k) / wp.float64(ANGLES)
+        y = x[i] + wp.quat_rotate(q[i], radius[i] * wp.vec3d(wp.cos(angle), wp.sin(angle), wp.float64(0.0)))
+        if beyond(axes[i], exponents[i], normal[i], y) < told[i]:
+            value, m = at_least(axes[i], exponents[i], around, n, y, told[i])
+            n = m
+            shortfall[i] = wp.max(shortfall[i], told[i] - value)
+    value, m = at_least(axes[i], exponents[i], around, normal[i], center[i], wp.float64(wp.inf))
+    there[i] = value
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def measure(
+    axes: wp.vec3d, exponents: wp.vec2d, around: wp.array(dtype=wp.vec3d), y: wp.array(dtype=wp.vec3d),
+    distance: wp.array(dtype=wp.float64),
+):  # fmt: skip
+    """Signed distances of places."""
+    i = wp.tid()
+    value, _n = at_least(axes, exponents, around, around[0], y[i], wp.float64(wp.inf))
+    distance[i] = value
+
+
+def random_poses(count, seed):
+    """Returns sizes, and poses: three in four from apart to overlap by hulls, else with near middles."""
+    random = np.random.default_rng(seed)
+    major = random.uniform(0.25, 1.0, count)
+    a = {"major_radius": major, "minor_radius": major * random.uniform(0.1, 0.9, count)}
+    b = random_shapes(S.Superellipsoid, count, random)
+    q = random_rotations(count, random)
+    n = random.normal(size=(count, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    reach = (
+        support(Torus, a, rotated(backward(q), -n)[:, None])[:, 0] + heights(S.Superellipsoid, b, n[:, None])[:, 0]
+    )
+    own = directions(64)[None]
+    size = 2.0 * np.minimum(support(Torus, a, own).mean(axis=1), heights(S.Superellipsoid, b, own).mean(axis=1))
+    gap = np.where(random.random(count) < 0.5, random.uniform(-0.6, 2.0, count), random.uniform(-0.6, 0.2, count))
+    out = np.where(np.arange(count) % 4 > 0, reach + gap * size, random.uniform(0.0, 0.5, count) * reach)
+    return a, b, out[:, None] * n, q
+
+
+def check(count, seed, device):
+    a, b, x, q = random_poses(count, seed)
+    met = solved(Torus, S.Superellipsoid, a, b, x, q, device=device)
+    assert (met["status"] == MET).all()
+    n, gap = met["normal"], met["gap"]
+    # On the surface of both: what touches the body across n, and what is r from the core circle, square to it.
+    along = np.sum(n * met["point_b"], axis=1) - heights(S.Superellipsoid, b, n[:, None])[:, 0]
+    np.testing.assert_allclose(along, 0.0, atol=TIE)
+    np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.sum(n * (met["point_a"] - met["point_b"]), axis=1), gap, atol=TIE)
+    center = met["point_a"] + a["minor_radius"][:, None] * n
+    local, m = rotated(backward(q), center - x), rotated(backward(q), n)
+    np.testing.assert_allclose(np.hypot(local[:, 0], local[:, 1]), a["major_radius"], atol=TIE)
+    np.testing.assert_allclose(local[:, 2], 0.0, atol=TIE)
+    np.testing.assert_allclose(local[:, 0] * m[:, 1], local[:, 1] * m[:, 0], atol=TIE)
+    # What rounding of the normal does to points goes by powers of it, to 1/19.
+    beside = met["point_a"] - met["point_b"] - gap[:, None] * n
+    assert np.abs(beside).max() < 1e-5
+
+    shortfall, there = (wp.zeros(count, dtype=wp.float64, device=device) for _ in range(2))
+    told = gap + a["minor_radius"]
+    numbers = [wp.array(values, dtype=wp.float64, device=device) for values in (a["major_radius"], told - TIE)]
+    vectors = [wp.array(values, dtype=wp.vec3d, device=device) for values in (x, directions(COUNT), n, center)]
+    inputs = [
+        wp.array(b["semi_axes"], dtype=wp.vec3d, device=device),
+        wp.array(b["exponents"], dtype=wp.vec2d, device=device),
+        numbers[0], vectors[0], wp.array(q, dtype=wp.quatd, device=device), *vectors[1:], numbers[1],
+        shortfall, there,
+    ]  # fmt: skip
+    wp.launch(look_around, count, inputs=inputs, device=device)
+    # No place of the circle is nearer, and the one that is told is as near as that; or farther, and pierced.
+    assert (shortfall.numpy() <= 0.0).all()
+    pierced = there.numpy() > told + TIE
+    assert (told[pierced] < 0.0).all()
+    assert 0.05 < pierced.mean() < 0.3
+    slopes = []
+    for i in np.flatnonzero(pierced)[:10]:
+        ring = Torus(a["major_radius"][i], a["minor_radius"][i])
+        body = S.Superellipsoid(tuple(b["semi_axes"][i]), tuple(b["exponents"][i]))
+        slopes.append(min(slopes_beside_the_least(ring, body, x[i], q[i], device)))
+        # Cells are 0.065 apart: of an edge of g, as steep as both are wide, half of that is missed.
+        steep = np.linalg.norm(body.semi_axes) + ring.major_radius
+        np.testing.assert_allclose(gap[i], widest_way(ring, body, x[i], q[i]), atol=0.033 * steep)
+    # There are two ways out of the body, neither of them across the circle: one may be so by little.
+    assert np.median(slopes) > 0.01
+    assert min(slopes) > 1e-5
+
+
+def slopes_beside_the_least(ring, body, x, q, device):
+    """Returns by how much the distance of the core circle grows to both sides of its least value, per length."""
+    middle, width = 0.0, np.pi
+    for count in (300, 60, 60):
+        angle = middle + width * np.linspace(-1.0, 1.0, count + 1)
+        circle = ring.major_radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
+        y = wp.array(x + rotated(q, circle), dtype=wp.vec3d, device=device)
+        distance = wp.zeros(count + 1, dtype=wp.float64, device=device)
+        around = wp.array(directions(COUNT), dtype=wp.vec3d, device=device)
+        sizes = [wp.vec3d(*body.semi_axes), wp.vec2d(*body.exponents)]
+        wp.launch(measure, count + 1, inputs=[*sizes, around, y, distance], device=device)
+        value = distance.numpy()
+        k = np.clip(value.argmin(), 1, count - 1)
+        step = angle[1] - angle[0]
+        middle, width = angle[k], step
+    return (value[[k - 1, k + 1]] - value[k]) / (step * ring.major_radius)
+
+
+def test_rings_meet_superellipsoids_where_their_core_circle_is_deepest(device):
+    check(500, 1, device)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10, 30))
+def test_no_ring_of_5_000_is_wrong(seed, device):
+    """100 000 in all."""
+    check(5_000, seed, device)
