@@ -4,23 +4,31 @@
 
 Runs of 1000 steps with a frame every ten of them, and without, in turn; the figures are of processor time, which
 other programs disturb less, and of all threads. Frames are copied on the host and no more is done with them.
+
+On a CPU then what it takes to keep them: experiments of ``--folder-envs`` environments of W1 with four outcomes,
+which write their results into a folder, with a series of 101 frames and without, in turn. Their figures are of all
+that ``Experiment.run`` does, but for the pictures of the results, in processor time and in time.
 """
 
 import argparse
 import statistics
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import warp as wp
 from result_file import default_path, write
-from works import WORKS
+from study import OUTCOMES, study
+from works import DT, WORKS
 
 import warpcontact as wc
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.simulation import simulation
 from warpcontact.crew import available_threads
+from warpcontact.experiment import execute
 from warpcontact.recorder import Recorder
 
 STEPS, EVERY = 1000, 10
@@ -72,6 +80,38 @@ def measure(name: str, envs: int, device: str, repeats: int) -> dict[str, Any]:
     return {"step_ns_per_env": 1e9 * statistics.median(alone) / (envs * STEPS), "frames": figures}
 
 
+def spent(experiment: wc.Experiment, parent: Path | None) -> tuple[float, float]:
+    """Returns what a run into a new folder takes of the processor, and of time [s]."""
+    with tempfile.TemporaryDirectory(dir=parent) as folder, mock.patch.object(execute, "_show"):
+        clocks = time.process_time(), time.perf_counter()
+        experiment.run(Path(folder, "run"), device="cpu", progress=False)
+        return time.process_time() - clocks[0], time.perf_counter() - clocks[1]
+
+
+def measure_folder(envs: int, repeats: int, parent: Path | None) -> dict[str, Any]:
+    """Returns what the series of runs into folders in ``parent`` takes beside the same without it."""
+    plain = study(envs, OUTCOMES)
+    recorded = plain | {"record": {"every": EVERY * DT, "series": True}, "output": {"usd_envs": 0}}
+    without, with_series = wc.Experiment(plain), wc.Experiment(recorded)
+    pairs = []
+    for number in range(-1, repeats):
+        # Whoever comes second finds other files to be removed on the disk.
+        both = {one: spent(one, parent) for one in (without, with_series)[:: 1 if number % 2 else -1]}
+        if number >= 0:
+            pairs.append((both[without], both[with_series]))
+    figures = {}
+    for kind, key in enumerate(("processor", "time")):
+        first, second = zip(*((a[kind], b[kind]) for a, b in pairs), strict=True)
+        shares = sorted(b / a - 1.0 for a, b in zip(first, second, strict=True))
+        figures[key] = {
+            "seconds_without_series": statistics.median(first),
+            "seconds_with_series": statistics.median(second),
+            "share": statistics.median(shares),
+            "quartiles_of_share": statistics.quantiles(shares)[::2],
+        }
+    return {"pairs": repeats, **figures}
+
+
 def main() -> None:
     """Prints a table and, if asked to, writes the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -79,6 +119,9 @@ def main() -> None:
     parser.add_argument("--envs", type=int, nargs="+", default=[1024])
     parser.add_argument("--works", nargs="+", choices=("W1", "W2p8", "W2p64"), default=["W1", "W2p8"])
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--folder-envs", type=int, nargs="*", default=[16384])
+    parser.add_argument("--folder-repeats", type=int, default=15)
+    parser.add_argument("--folder", type=Path, help="where runs write, on the disk that is to be measured")
     parser.add_argument("--write", action="store_true", help="keep the figures in benchmarks/results")
     parser.add_argument("--out", type=Path, help="or in this file")
     options = parser.parse_args()
@@ -92,10 +135,15 @@ def main() -> None:
             for kind, costs in result["frames"].items():
                 share, single = costs["share_of_steps"], costs["ns_per_env_and_frame"]
                 print(f"  frames of {kind}: {100 * share:.3g} % of the steps, {single:.3g} ns each", flush=True)
+    folders: dict[str, Any] = {}
+    for envs in options.folder_envs if options.device == "cpu" else []:
+        result = measure_folder(envs, options.folder_repeats, options.folder)
+        folders[str(envs)] = result
+        shares = (f"{100 * result[key]['share']:.3g} % of the {key}" for key in ("processor", "time"))
+        print(f"W1, {envs} environments into a folder: series take {' and '.join(shares)} of a run", flush=True)
     if options.write or options.out:
-        write(
-            options.out or default_path("recording", options.device, about), {"facts": about, "recording": found}
-        )
+        path = options.out or default_path("recording", options.device, about)
+        write(path, {"facts": about, "recording": found, "folder": folders})
 
 
 if __name__ == "__main__":
