@@ -30,6 +30,7 @@ from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
 from warpcontact.slices import Buffers, Frames, Stepper, Times
 from warpcontact.stepping import slice_sizes, stepping_footprint
+from warpcontact.taking import take_after, take_first
 from warpcontact.whole_steps import frame_count, recorded_steps
 
 # Labelled data, and what reads and writes it, takes as long to import as all the rest; who only steps has no need.
@@ -291,12 +292,13 @@ class Simulation:
             QuarantineError, RuntimeError: As ``step``.
         """
         count = _whole("frames", frames, least=0)
-        self._step_in_frames(count, Frames(_whole("every", every), known_needs(needs), take))
+        self.step_to_frames(count, Frames(_whole("every", every), known_needs(needs), take))
 
-    def _step_in_frames(self, count: int, frames: Frames) -> None:
+    def step_to_frames(self, count: int, frames: Frames) -> None:
+        """Takes steps to ``count`` frames, and looks at each."""
         self._attach()
         parts = self.model.parts
-        if self._looks_by_the_way(frames.needs):
+        if self.looks_by_slice(frames.needs):
             self._advance(count * frames.every, frames)
             return
         for number in range(frames.first, frames.first + count):
@@ -307,7 +309,7 @@ class Simulation:
             for part in parts:
                 frames.take(part, slice(0, part.envs), number)
 
-    def _looks_by_the_way(self, needs: frozenset[str]) -> bool:
+    def looks_by_slice(self, needs: frozenset[str]) -> bool:
         """Whether frames are looked at slice by slice."""
         parts = self.model.parts
         return self.watch.quarantine == "freeze" and all(in_parts(p.device, p.hard, needs) for p in parts)
@@ -323,7 +325,7 @@ class Simulation:
             part.untouched = False
             if buffers.hard is not None:
                 buffers.hard.wake()
-        crew = self._crew()
+        crew = self.crew()
         done = 0
         while done < count:
             some = count - done
@@ -342,8 +344,9 @@ class Simulation:
         if all(device.is_cpu for device in model.devices):
             model.check_piles()
 
-    def _crew(self) -> Crew:
+    def crew(self) -> Crew:
         """Returns who steps the environments as they are built now."""
+        self._attach()
         revisions = tuple(part.revision for part in self.model.parts)
         prepared, crew = self._prepared
         if crew is None or prepared != revisions:
@@ -462,7 +465,7 @@ class Simulation:
         queued = any(device.is_cuda for device in self.model.devices)
         pace = Pace(SHORTEST_PIECE, LONGEST_PIECE_QUEUED if queued else None)
         if done == taken * stride:
-            self._take_first(recorder, start + done * self.dt)
+            take_first(self, recorder, start + done * self.dt)
             taken, follows = taken + 1, alone
         while True:
             yield done
@@ -479,34 +482,10 @@ class Simulation:
                 # The first of a piece may be nearer than the others are apart.
                 most = min(recorder.room, (steps - done) // stride)
                 frames = max(1, pace.of(most * stride) // stride) if every == stride else 1
-                self._record(recorder, frames, every, start, done, follows)
+                take_after(self, recorder, frames, every, start, done, follows)
                 count, taken, follows = frames * every, taken + frames, alone
             pace.took(count, time.perf_counter() - begin)
             done += count
-
-    def _take_first(self, recorder: "Recorder", time: float) -> None:
-        """Takes a frame of the state that there is, at ``time`` [s]."""
-        recorder.require(1)
-        self._attach()
-        needs = frozenset(recorder.needs)
-        if not self._looks_by_the_way(needs):
-            recorder.take(time)
-            return
-        self._crew().look(Frames(1, needs, recorder.take_of, recorder.copies, recorder.taken))
-        recorder.count([time])
-
-    def _record(
-        self, recorder: "Recorder", count: int, every: int, start: float, done: int, follows: bool
-    ) -> None:
-        """Takes ``count`` times ``every`` steps after the first ``done``, and a frame after each of these.
-
-        ``follows``: whether they follow a frame, see ``Frames``.
-        """
-        recorder.require(count)
-        needs = frozenset(recorder.needs)
-        frames = Frames(every, needs, recorder.take_of, recorder.copies, recorder.taken, follows)
-        self._step_in_frames(count, frames)
-        recorder.count([start + (done + (number + 1) * every) * self.dt for number in range(count)])
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"
