@@ -9,6 +9,7 @@ import warpcontact as wc
 from warpcontact import crew, stepping
 from warpcontact.looks import IN_PARTS
 from warpcontact.recorder import Recorder
+from warpcontact.taking import take_after
 
 WATCHED = ["ball.position", "touch.gap", "touch.normal_force", "scene.kinetic_energy"]
 
@@ -218,8 +219,8 @@ def test_frames_of_many_chunks_have_their_numbers(options, device, in_slices):
     recorder = Recorder(sim.model, WATCHED, 60, poses=False)
     recorder.start()
     recorder.take(0.0)
-    sim._record(recorder, 7, 3, 0.0, 0, follows=False)
-    sim._record(recorder, 50, 3, 0.0, 21, follows=True)
+    take_after(sim, recorder, 7, 3, 0.0, 0, follows=False)
+    take_after(sim, recorder, 50, 3, 0.0, 21, follows=True)
     expected = read_by_stopping(device, 58, 3)
     for name, values in zip(WATCHED, expected, strict=True):
         np.testing.assert_array_equal(recorder.frames()[name], values, err_msg=name)
@@ -241,10 +242,10 @@ def test_frames_of_turns_are_what_one_reads_by_stopping(readings, device, in_sli
     recorder = Recorder(sim.model, [*readings, WATCHED[0]], 60, poses=False)
     recorder.start()
     recorder.take(0.0)
-    sim._record(recorder, 3, 3, 0.0, 0, follows=False)
+    take_after(sim, recorder, 3, 3, 0.0, 0, follows=False)
     sim._prepared[1]._pace.steps = 1000
     taken.clear()
-    sim._record(recorder, 54, 3, 0.0, 9, follows=True)
+    take_after(sim, recorder, 54, 3, 0.0, 9, follows=True)
     if sim.model.device.is_cpu:
         # 162 steps of three slices, in turns of 32 and more.
         assert sorted((turn.frame, len(turn.ways)) for turn in taken) == [
@@ -306,7 +307,7 @@ def test_no_more_frames_are_taken_than_there_is_room_for(device):
     recorder.take(0.0)
     frames = recorder.frames()
     with pytest.raises(RuntimeError, match=r"room for 2 of 3 frames, not for 3 more: .*rewind it"):
-        sim._record(recorder, 3, 1, 0.0, 0, follows=False)
+        take_after(sim, recorder, 3, 1, 0.0, 0, follows=False)
     assert (sim.steps, recorder.taken) == (0, 1)
     done = []
     with pytest.raises(RuntimeError, match=r"room for 0 of 3 frames, not for 1 more"):
