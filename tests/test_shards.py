@@ -331,13 +331,13 @@ print(told("VmHWM") - before, plan.footprint.host_bytes)
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="asks Linux how much memory a process has")
-@pytest.mark.parametrize("shard", [18432, 36864], ids=["shards", "at once"])
+@pytest.mark.parametrize("shard", [36864, 73728], ids=["shards", "at once"])
 def test_the_plan_of_an_experiment_is_what_its_run_takes(shard, tmp_path):
     """Within 15 %, from the start to the picture, of two shards as of one.
 
-    There are so many environments that what threads leave with the allocator, which varies by 10 MB, is little.
+    There are so many environments that what threads leave with the allocator, which varies by 15 MB, is little.
     """
-    words = [sys.executable, "-c", PEAK, str(EXAMPLE), str(tmp_path), "36864", str(shard)]
+    words = [sys.executable, "-c", PEAK, str(EXAMPLE), str(tmp_path), "73728", str(shard)]
     result = subprocess.run(words, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     took, planned = map(int, result.stdout.split()[-2:])
