@@ -80,11 +80,11 @@ def measure(name: str, envs: int, device: str, repeats: int) -> dict[str, Any]:
     return {"step_ns_per_env": 1e9 * statistics.median(alone) / (envs * STEPS), "frames": figures}
 
 
-def spent(experiment: wc.Experiment, parent: Path | None) -> tuple[float, float]:
-    """Returns what a run into a new folder takes of the processor, and of time [s]."""
-    with tempfile.TemporaryDirectory(dir=parent) as folder, mock.patch.object(execute, "_show"):
+def spent(experiment: wc.Experiment, folder: Path) -> tuple[float, float]:
+    """Returns what a run into ``folder``, which is not there, takes of the processor, and of time [s]."""
+    with mock.patch.object(execute, "_show"):
         clocks = time.process_time(), time.perf_counter()
-        experiment.run(Path(folder, "run"), device="cpu", progress=False)
+        experiment.run(folder, device="cpu", progress=False)
         return time.process_time() - clocks[0], time.perf_counter() - clocks[1]
 
 
@@ -94,11 +94,13 @@ def measure_folder(envs: int, repeats: int, parent: Path | None) -> dict[str, An
     recorded = plain | {"record": {"every": EVERY * DT, "series": True}, "output": {"usd_envs": 0}}
     without, with_series = wc.Experiment(plain), wc.Experiment(recorded)
     pairs = []
-    for number in range(-1, repeats):
-        # Whoever comes second finds other files to be removed on the disk.
-        both = {one: spent(one, parent) for one in (without, with_series)[:: 1 if number % 2 else -1]}
-        if number >= 0:
-            pairs.append((both[without], both[with_series]))
+    # What is removed from the disk costs who writes next.
+    with tempfile.TemporaryDirectory(dir=parent) as folder:
+        for number in range(-1, repeats):
+            order = (without, with_series)[:: 1 if number % 2 else -1]
+            both = {one: spent(one, Path(folder, f"{number}-{one is with_series}")) for one in order}
+            if number >= 0:
+                pairs.append((both[without], both[with_series]))
     figures = {}
     for kind, key in enumerate(("processor", "time")):
         first, second = zip(*((a[kind], b[kind]) for a, b in pairs), strict=True)
