@@ -37,7 +37,7 @@ UPRIGHT = wp.constant(real(1.0e-100))
 FLAT = wp.constant(real(3.0e-3))
 # Points and weights of Gauss over half of (−1, 1).
 GAUSS_POINT = wp.constant(real(np.sqrt(0.6)))
-GAUSS_MIDDLE, GAUSS_SIDE = wp.constant(real(wp.static(8.0 / 18.0))), wp.constant(real(wp.static(5.0 / 18.0)))
+GAUSS_MIDDLE, GAUSS_SIDE = wp.constant(real(8.0 / 18.0)), wp.constant(real(5.0 / 18.0))
 SQRT_24 = wp.constant(real(np.sqrt(24.0)))
 
 
@@ -67,26 +67,13 @@ def mean_slackness(h: real, v: real, weight: real):
     ratio = weight / total
     if ratio < real(0.1):
         q = ratio * ratio
-        series = one + q * (
-            real(wp.static(1.0 / 3.0))
-            + q
-            * (
-                real(0.2)
-                + q
-                * (
-                    real(wp.static(1.0 / 7.0))
-                    + q
-                    * (
-                        real(wp.static(1.0 / 9.0))
-                        + q
-                        * (
-                            real(wp.static(1.0 / 11.0))
-                            + q * (real(wp.static(1.0 / 13.0)) + q * real(wp.static(1.0 / 15.0)))
-                        )
-                    )
-                )
-            )
-        )
+        series = real(wp.static(1.0 / 13.0)) + q * real(wp.static(1.0 / 15.0))
+        series = real(wp.static(1.0 / 11.0)) + q * series
+        series = real(wp.static(1.0 / 9.0)) + q * series
+        series = real(wp.static(1.0 / 7.0)) + q * series
+        series = real(0.2) + q * series
+        series = real(wp.static(1.0 / 3.0)) + q * series
+        series = one + q * series
         return two * series / total
     rest_1 = t_1 + v
     if v < zero:
