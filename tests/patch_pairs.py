@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from convex_pairs import directions, heights, random_rotations, random_shapes
 from curved_pairs import Quadric, backward, rotated
-from patch_reference import Reference
+from patch_reference import GRID, Reference
 from warpcontact.kernels.formula import parameter
 from warpcontact.kernels.smooth import shapes as S
 from warpcontact.kernels.smooth.patch import Patch
@@ -145,6 +145,11 @@ def at_edge(P, place):
     return across if P.u_periodic else across | (np.abs(place["u"]) > 1.0 - BESIDE)
 
 
+def facing(P, place):
+    """Whether normals of shape and patch are opposite at a place that was found."""
+    return (place["tilt"] < LEVEL) & (place["along"] < -0.999) & ~at_edge(P, place)
+
+
 def judged(A, P, pairs, met, device="cpu"):
     """Returns masks of contacts by what they are, or what is wrong with them.
 
@@ -155,7 +160,8 @@ def judged(A, P, pairs, met, device="cpu"):
     gap, u = met["gap"], met["seed"]["u"][:, :2]
     good, outside = met["status"] == MET, met["status"] == OUTSIDE
     size = np.zeros(len(x)) if A is S.Plane else outer(A, a)
-    ask = Reference(A, P, a, b, x, q, np.inf if A is S.Plane else size, device)
+    ball = np.full(len(x), np.inf) if A is S.Plane else size
+    ask = Reference(A, P, a, b, x, q, ball, device)
     as_it_is = np.abs(ask.look(u, 0.0)[1] - gap) < TIE
     lowered = np.where(as_it_is, 0.0, 0.02 * size - gap)
     there = ask.look(u, lowered)[1] - lowered
@@ -163,7 +169,15 @@ def judged(A, P, pairs, met, device="cpu"):
     bound = np.where(as_it_is & good, gap - TIE, np.inf)
     bound_below = np.where(as_it_is, -np.inf, np.where(good, gap + lowered - TIE, np.inf))
     least, below = ask.least(0.0, bound), ask.least(lowered, bound_below)
-    faces = (least["tilt"] < LEVEL) & (least["along"] < -0.999) & ~at_edge(P, least)
+    faces = facing(P, least)
+    # Where two ways out are as short along a curve, the distance has a narrow valley: what is said to be the least
+    # is looked at more closely.
+    doubt = np.flatnonzero(~as_it_is & faces)
+    if doubt.size:
+        own = [{name: value[doubt] for name, value in sizes.items()} for sizes in (a, b)]
+        close = Reference(A, P, *own, x[doubt], q[doubt], ball[doubt], device, grid=8 * GRID)
+        least[doubt] = close.least(0.0, np.inf)
+        faces = facing(P, least)
     nearer = np.where(as_it_is, least["gap"] < bound, below["gap"] < bound_below)
     other = ~as_it_is & (faces | (least["gap"] >= 0.0) | (np.abs(there - gap) > TIE))
     # Beyond the edge is what is nearest to it, and what is in front of the patch from behind, or wholly behind.

@@ -24,8 +24,6 @@ SPHERE, PLANE, ELLIPSOID, CYLINDER, CAPSULE, CONE, BOX, RING = (wp.constant(i) f
 
 # The grid: 0.02 apart on most patches, where the edges of the smallest shapes are 0.15 long.
 GRID = 96
-NODES = wp.constant(wp.int32(GRID + 1))
-CELLS = wp.constant(wp.float64(GRID))
 # Steps of the differences for normals, in terms of the parameters, and for slopes of distances [m].
 STEP = wp.constant(wp.float64(1e-5))
 SLOPE = wp.constant(wp.float64(1e-6))
@@ -132,8 +130,9 @@ class Least:
 
 
 @functools.cache
-def _kernels(P):
+def _kernels(P, grid):
     position = P.position
+    nodes, cells = wp.constant(wp.int32(grid + 1)), wp.constant(wp.float64(grid))
     Of_b = coefficient_struct(P, wp.float64)
     closed = P.u_periodic
     u_0, u_1, v_0, v_1 = (wp.constant(wp.float64(value)) for value in (*P.u_range, *P.v_range))
@@ -218,12 +217,12 @@ def _kernels(P):
         found: wp.array(dtype=Least),
     ):
         i = wp.tid()
-        du = (u_1 - u_0) / CELLS
-        dv = (v_1 - v_0) / CELLS
+        du = (u_1 - u_0) / cells
+        dv = (v_1 - v_0) / cells
         best = Least()
         best.gap = bound[i]
-        for j in range(NODES):
-            for k in range(NODES):
+        for j in range(nodes):
+            for k in range(nodes):
                 u = u_0 + du * wp.float64(j)
                 v = v_0 + dv * wp.float64(k)
                 place = position(p[i], u, v)
@@ -290,11 +289,12 @@ class Reference:
         q: Rotations of the shapes, (n, 4).
         outer: Radii of balls around the origins that hold the shapes.
         device: Warp device.
+        grid: Cells that each parameter's range is cut into.
     """
 
-    def __init__(self, A, P, a, b, x, q, outer, device="cpu"):
+    def __init__(self, A, P, a, b, x, q, outer, device="cpu", grid=GRID):
         self.count, self.device = len(x), device
-        self.kernels = _kernels(P)
+        self.kernels = _kernels(P, grid)
         sizes = np.zeros((self.count, 5))
         columns = [np.reshape(a[name], (self.count, -1)) for name in SIZES[A]]
         if columns:

@@ -38,6 +38,34 @@ def test_kernels_do_not_import_the_host(file):
         assert not name.startswith("warpcontact") or name.startswith("warpcontact.kernels"), name
 
 
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(FOLDER)))
+def test_numbers_of_kernels_are_what_they_say(file):
+    """Warp computes 1/3 of two literals in single precision, whatever it is handed to: ``wp.static`` does not."""
+
+    def is_number(node):
+        if isinstance(node, ast.UnaryOp):
+            return is_number(node.operand)
+        if isinstance(node, ast.BinOp):
+            return is_number(node.left) and is_number(node.right)
+        if isinstance(node, ast.Attribute):
+            return ast.unparse(node) in ("wp.pi", "wp.e", "math.pi")
+        return isinstance(node, ast.Constant) and isinstance(node.value, float)
+
+    def computed(node):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "wp.static":
+            return
+        if isinstance(node, ast.BinOp) and is_number(node):
+            yield ast.unparse(node)
+        for inner in ast.iter_child_nodes(node):
+            yield from computed(inner)
+
+    for function in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(function, ast.FunctionDef):
+            marks = map(ast.unparse, function.decorator_list)
+            if any(mark.startswith(("wp.func", "wp.kernel")) for mark in marks):
+                assert not list(computed(function)), function.name
+
+
 def test_files_stay_short():
     host = Path(warpcontact.__file__).parent
     long = {

@@ -18,7 +18,7 @@ from curved_pairs import (
 from scipy.spatial import cKDTree
 from warpcontact.kernels.formula import coefficient_struct, parameter
 from warpcontact.kernels.smooth import curved, nearest, shapes
-from warpcontact.kernels.smooth.patch import Patch
+from warpcontact.kernels.smooth.patch import Patch, jet_of_patch
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
 
@@ -347,6 +347,9 @@ class Tube(Patch):
         return wp.vec3d(p.radius * wp.cos(u), p.radius * wp.sin(u), v)
 
 
+Bar, jet_of_bar = coefficient_struct(Tube, wp.float64), jet_of_patch(Tube)
+
+
 def test_a_closed_patch_has_no_seam_and_differences_do_for_derivatives(device):
     angle = np.linspace(-0.3, 0.3, 21)
     x = np.column_stack([1.1 * np.cos(angle), 1.1 * np.sin(angle), 0.3 * angle])
@@ -354,6 +357,33 @@ def test_a_closed_patch_has_no_seam_and_differences_do_for_derivatives(device):
     assert (met["status"] == MET).all()
     np.testing.assert_allclose(met["gap"], -0.1, atol=1e-12)
     np.testing.assert_allclose(met["normal"][:, :2], x[:, :2] / 1.1, atol=1e-9)
+
+
+@wp.kernel(enable_backward=False)
+def differences(radius: wp.float64, angle: wp.array(dtype=wp.float64), jets: wp.array2d(dtype=wp.vec3d)):
+    i = wp.tid()
+    p = Bar()
+    p.radius = radius
+    jet = jet_of_bar(p, 0, angle[i], wp.float64(0.3))
+    jets[i, 0] = jet.u
+    jets[i, 1] = jet.v
+    jets[i, 2] = jet.uu
+    jets[i, 3] = jet.uv
+    jets[i, 4] = jet.vv
+
+
+def test_differences_are_as_good_as_derivatives(device):
+    """To what is cut off and rounded at steps of 0.03 and 0.01: 1e-16/0.01² of the second ones."""
+    u = np.linspace(0.1, 6.0, 40)
+    jets = wp.zeros((40, 5), dtype=wp.vec3d, device=device)
+    wp.launch(differences, 40, inputs=[3.0, wp.array(u, dtype=wp.float64, device=device), jets], device=device)
+    round_ = np.stack([np.cos(u), np.sin(u), 0.0 * u], axis=-1)
+    forward = np.stack([-np.sin(u), np.cos(u), 0.0 * u], axis=-1)
+    straight = np.broadcast_to([0.0, 0.0, 1.0], (40, 3))
+    nothing = np.zeros((40, 3))
+    wanted = np.stack([3.0 * forward, straight, -3.0 * round_, nothing, nothing], axis=1)
+    np.testing.assert_allclose(jets.numpy()[:, :2], wanted[:, :2], atol=1e-12)
+    np.testing.assert_allclose(jets.numpy()[:, 2:], wanted[:, 2:], atol=1e-10)
 
 
 def test_wrong_contracts_are_told():

@@ -67,19 +67,13 @@ def mean_slackness(h: real, v: real, weight: real):
     ratio = weight / total
     if ratio < real(0.1):
         q = ratio * ratio
-        series = one + q * (
-            real(1.0 / 3.0)
-            + q
-            * (
-                real(0.2)
-                + q
-                * (
-                    real(1.0 / 7.0)
-                    + q
-                    * (real(1.0 / 9.0) + q * (real(1.0 / 11.0) + q * (real(1.0 / 13.0) + q * real(1.0 / 15.0))))
-                )
-            )
-        )
+        series = real(wp.static(1.0 / 13.0)) + q * real(wp.static(1.0 / 15.0))
+        series = real(wp.static(1.0 / 11.0)) + q * series
+        series = real(wp.static(1.0 / 9.0)) + q * series
+        series = real(wp.static(1.0 / 7.0)) + q * series
+        series = real(0.2) + q * series
+        series = real(wp.static(1.0 / 3.0)) + q * series
+        series = one + q * series
         return two * series / total
     rest_1 = t_1 + v
     if v < zero:

@@ -30,9 +30,10 @@ def shortfall(h: real, v: real):
     if v < SHALLOW * h:
         z = v / h
         q = z * z
-        series = real(1.0 / 6.0) - q * (
-            real(3.0 / 40.0) - q * (real(15.0 / 336.0) - q * (real(105.0 / 3456.0) - q * real(945.0 / 42240.0)))
-        )
+        series = real(wp.static(105.0 / 3456.0)) - q * real(wp.static(945.0 / 42240.0))
+        series = real(wp.static(15.0 / 336.0)) - q * series
+        series = real(wp.static(3.0 / 40.0)) - q * series
+        series = real(wp.static(1.0 / 6.0)) - q * series
         return v * q * series
     if h == zero:
         return v
@@ -50,7 +51,9 @@ def fall(h: real, hanging: vec2, give: real):
     z = v / h
     if z < SHALLOW:
         q = z * z
-        curved = z * q * (real(1.0 / 3.0) - q * (real(0.3) - q * (real(15.0 / 56.0) - q * real(35.0 / 144.0))))
+        curved = real(wp.static(15.0 / 56.0)) - q * real(wp.static(35.0 / 144.0))
+        curved = real(0.3) - q * curved
+        curved = z * q * (real(wp.static(1.0 / 3.0)) - q * curved)
     else:
         curved = wp.log(z + wp.sqrt(one + z * z)) - v / tension
     return curved - hanging[1] * hanging[1] / (v * tension * (one + tension * give))

@@ -42,7 +42,7 @@ def gradient_noise(column: int, row: int):
 @wp.func
 def srgb(x: float):
     """Linear light 0…1 as a byte of sRGB."""
-    encoded = 1.055 * wp.pow(x, 1.0 / 2.4) - 0.055
+    encoded = 1.055 * wp.pow(x, wp.static(1.0 / 2.4)) - 0.055
     if x <= 0.0031308:
         encoded = 12.92 * x
     return wp.uint8(wp.clamp(encoded * 255.0 + 0.5, 0.0, 255.0))

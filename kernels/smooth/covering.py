@@ -24,7 +24,7 @@ SMOOTH = 5
 LEVELS = 8
 #: Minima that are kept in mind, and how often Newton's method starts at most.
 KNOWN = 8
-STARTS = wp.constant(wp.int32(16))
+STARTS = wp.constant(wp.int32(32))
 #: Most cells that are looked at closely. Where distances are equal all along a curve, there is no end.
 MOST = wp.constant(wp.int32(3000))
 # What is taken as reach and bend of a cell, of what its middle tells.
@@ -76,6 +76,8 @@ class Search:
     known_v: Slots
     wide_u: Slots  # how far around a minimum starts lead to it
     wide_v: Slots
+    turned_u: Slots  # and those where another side of the shape is nearest than at the best place
+    turned_v: Slots
     rest: real  # the least distance where no start is left
     rest_u: vec2d
     count: wp.int32  # of the known
@@ -187,18 +189,26 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
         return wp.abs(difference)
 
     @wp.func
+    def wider(wide: real, off: real, fine: real):
+        """How far around a minimum starts lead to it, as one does that is so far off."""
+        if off <= wide:
+            return wide
+        return wp.min(off + half * fine, two * wp.max(wide, BESIDE * fine))
+
+    @wp.func
     def started(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, u: vec2d, near: Nearest, lowered: real, search: Search):
         """The search after Newton's method from u, unless a minimum that is known lies beside it."""
         fresh = wp.bool(True)
-        # However near, what is lower than all that is known is none of them, nor is what has another side of the
-        # shape nearest to it.
         same_side = wp.dot(near.normal, wp.quat_rotate_inv(q, search.best.near.normal)) > half
+        # However near, what is lower than all that is known is none of them.
         lower = near.gap < search.best.near.gap - TIE * wp.abs(search.best.near.gap)
         for k in range(KNOWN):
-            if k < search.count and same_side and not lower:
+            if k < search.count and not lower:
                 off_u = beside(search.known_u[k] - u[0], period_u, closed_u)
                 off_v = beside(search.known_v[k] - u[1], period_v, closed_v)
-                if off_u <= search.wide_u[k] and off_v <= search.wide_v[k]:
+                wide_u = wp.where(same_side, search.wide_u[k], search.turned_u[k])
+                wide_v = wp.where(same_side, search.wide_v[k], search.turned_v[k])
+                if off_u <= wide_u and off_v <= wide_v:
                     fresh = wp.bool(False)
         if fresh and search.starts >= STARTS:
             if search.starts == STARTS or near.gap < search.rest:
@@ -225,14 +235,19 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
                 search.known_v[same] = now.u[1]
                 search.wide_u[same] = BESIDE * fine_u
                 search.wide_v[same] = BESIDE * fine_v
+                # Beside what is nearest to one side there may be what is to another.
+                search.turned_u[same] = real(-1.0)
+                search.turned_v[same] = real(-1.0)
                 search.count += 1
             else:
                 off_u = beside(search.known_u[same] - u[0], period_u, closed_u)
                 off_v = beside(search.known_v[same] - u[1], period_v, closed_v)
-                if off_u > search.wide_u[same]:
-                    search.wide_u[same] = wp.min(off_u + half * fine_u, two * search.wide_u[same])
-                if off_v > search.wide_v[same]:
-                    search.wide_v[same] = wp.min(off_v + half * fine_v, two * search.wide_v[same])
+                if same_side:
+                    search.wide_u[same] = wider(search.wide_u[same], off_u, fine_u)
+                    search.wide_v[same] = wider(search.wide_v[same], off_v, fine_v)
+                else:
+                    search.turned_u[same] = wider(search.turned_u[same], off_u, fine_u)
+                    search.turned_v[same] = wider(search.turned_v[same], off_v, fine_v)
         return search
 
     @wp.func

@@ -140,19 +140,19 @@ def jet_of_patch(A: type[Patch]) -> wp.Function:
     def along(p: Any, x: vec3d, u: real, v: real, step_u: real, step_v: real):
         """First and second difference of sixth order along a step."""
         first = vec3d()
-        second = real(-49.0 / 18.0) * x
+        second = real(wp.static(-49.0 / 18.0)) * x
         for i in range(1, 4):
             k = real(i)
             after = position(p, u + k * step_u, v + k * step_v)
             before = position(p, u - k * step_u, v - k * step_v)
-            w_1 = real(3.0 / 4.0)
-            w_2 = real(3.0 / 2.0)
+            w_1 = real(wp.static(3.0 / 4.0))
+            w_2 = real(wp.static(3.0 / 2.0))
             if i == 2:
-                w_1 = real(-3.0 / 20.0)
-                w_2 = real(-3.0 / 20.0)
+                w_1 = real(wp.static(-3.0 / 20.0))
+                w_2 = real(wp.static(-3.0 / 20.0))
             elif i == 3:
-                w_1 = real(1.0 / 60.0)
-                w_2 = real(1.0 / 90.0)
+                w_1 = real(wp.static(1.0 / 60.0))
+                w_2 = real(wp.static(1.0 / 90.0))
             first += w_1 * (after - before)
             second += w_2 * (after + before)
         return first, second
