@@ -64,6 +64,8 @@ AZIMUTH = wp.constant(real(2.0 * math.pi / AZIMUTHS))
 NEAR_POLE = wp.constant(real(math.log(1.0e-3)))
 FAR_OFF = wp.constant(real(math.log(1.5)))
 STRIDE = 0.05
+# Steps to the height of a ridge.
+HONED = wp.constant(wp.int32(4))
 # By how much the grid is off, over R: usually, and at most.
 SAME = wp.constant(real(2.0e-3))
 UNSURE = wp.constant(real(0.02))
@@ -158,22 +160,43 @@ def functions(B: type[Shape]) -> SimpleNamespace:
 
     @wp.func
     def height(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, cell: wp.int32):
-        """The value of g in the middle of a cell, or on an edge of g that runs through it."""
+        """The value of g in the middle of a cell, or on a ridge or an edge of g that runs through it."""
         at = across(p_a, p_b, x, q, direction(q, cell))
         rate = wp.length(at.off)
         if rate == zero:
             return at.gap
         e = at.off / rate
-        n_A = wp.quat_rotate_inv(q, at.normal)
+        middle = at.normal
+        n_A = wp.quat_rotate_inv(q, middle)
         # Beyond a pole the center is another one.
-        within = wp.min(real(ROW), wp.length(vec3d(n_A[0], n_A[1], zero)))
-        beside = across(p_a, p_b, x, q, wp.normalize(at.normal + within * e))
-        other = -wp.dot(beside.off, e)
-        if other <= zero:
+        high = wp.min(real(ROW), wp.length(vec3d(n_A[0], n_A[1], zero)))
+        beside = across(p_a, p_b, x, q, wp.normalize(middle + high * e))
+        fall = -wp.dot(beside.off, e)
+        if fall <= zero:
             return at.gap
-        # Where both tangents cross.
-        on = wp.clamp((beside.gap - at.gap + within * other) / (rate + other), zero, within)
-        return wp.max(at.gap, at.gap + rate * on)
+        low = zero
+        low_gap = at.gap
+        high_gap = beside.gap
+        best = at.gap
+        for _ in range(HONED):
+            # Where both tangents cross: on an edge at once, and on a ridge from above.
+            on = wp.clamp((high_gap - low_gap + (high - low) * fall) / (rate + fall), zero, high - low)
+            bound = low_gap + rate * on
+            on += low
+            now = across(p_a, p_b, x, q, wp.normalize(middle + on * e))
+            best = wp.max(best, now.gap)
+            if bound - best <= half * SAME * p_a.major_radius:
+                break
+            slope = wp.dot(now.off, e)
+            if slope > zero:
+                low = on
+                low_gap = now.gap
+                rate = slope
+            else:
+                high = on
+                high_gap = now.gap
+                fall = -slope
+        return best
 
     @wp.func
     def between(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, low: Across, high: Across, along: vec3d):
