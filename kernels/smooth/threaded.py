@@ -13,7 +13,8 @@ the points have facing normals.
 
 That saddle is looked for on a grid of directions: those below a level, as bits, hold a path between the poles or
 do not. Next to the cell that joins them there may be several that are about as high: a finer grid around it, from
-side to side of the loop, tells them apart, and a finer one in that, as often as needed.
+side to side of the loop, tells them apart, and a finer one in that, as often as needed. Cells elsewhere that would
+join the poles at a level no higher than the grid tells are looked at likewise: the lowest of these saddles counts.
 """
 
 import functools
@@ -42,6 +43,8 @@ NONE = wp.constant(wp.uint32(0))
 REACH = wp.constant(real(0.2))
 NEARER = wp.constant(real(0.25))
 GRIDS = wp.constant(wp.int32(8))
+# Cells of the whole grid that finer ones are about.
+PASSES = wp.constant(wp.int32(4))
 # Of the distance to a pole: there the center turns around, and beyond it the loop passes once more.
 SHORT = wp.constant(real(0.7))
 # A cell of a finer grid, over its radius.
@@ -100,10 +103,10 @@ def joined(below: Words, whole: wp.bool):
 def functions(B: type[Shape]) -> SimpleNamespace:
     """Returns the device functions of a torus and a convex body, each for an ``Across`` and whether there is one.
 
-    - ``threaded(p_a, p_b, x, q, least, most)``: where the largest loop is least, if that is above ``least`` [m] but
-      not above ``most`` [m]; where the grid has one that is not found to the last digit, ``off`` is infinite.
-    - ``beside_pole(p_a, p_b, x, q, pole, least, most)``: likewise on a loop around a pole, so near that the grid does
-      not see it; there g is ``least``.
+    - ``threaded(p_a, p_b, x, q, least, most)``: where the largest loop is least, if that is above ``least`` [m].
+      It is not above ``most`` [m]. Where the grid has one that is not found to the last digit, ``off`` is infinite.
+    - ``beside_pole(p_a, p_b, x, q, pole, least, most)``: likewise on a loop around a pole, so near that the grid
+      does not see it; there g is ``least``.
     """
     rows = wp.constant(wp.int32(ROWS))
     of_body = saddle.functions(B)
@@ -131,8 +134,8 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         return height(p_a, p_b, x, q, direction(q, grid, cell), within)
 
     @wp.func
-    def joining(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, grid: Grid, floor: real):
-        """The cell that joins the first row to the last at the least level, and that; −1 below a floor."""
+    def joining(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, grid: Grid, floor: real, ceiling: real, closed: Words):
+        """The cell that joins the first row to the last at the least level between two, or −1; that."""
         columns = wp.where(grid.whole, wp.int32(COLUMNS), wp.int32(ROWS))
         level = floor
         below = Words()
@@ -140,13 +143,18 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         count = wp.int32(0)
         for i in range(columns):
             for j in range(rows):
-                under = wp.bool(False)
+                bit = BIT << wp.uint32(j)
                 if grid.whole:
-                    under = value(p_a, p_b, x, q, grid, i * rows + j) < floor
-                if under:
-                    below[i] = below[i] | (BIT << wp.uint32(j))
+                    g = value(p_a, p_b, x, q, grid, i * rows + j)
+                    if (closed[i] & bit) != NONE:
+                        g = real(wp.inf)
+                    if g < floor:
+                        below[i] = below[i] | bit
+                    elif g < ceiling:
+                        open[i] = open[i] | bit
+                        count += 1
                 else:
-                    open[i] = open[i] | (BIT << wp.uint32(j))
+                    open[i] = open[i] | bit
                     count += 1
         pass_at = wp.int32(-1)
         if joined(below, grid.whole):
@@ -201,53 +209,92 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         return at, there and near and facing(p_a, at)
 
     @wp.func
+    def looked_at(q: wp.quatd, grid: Grid, closed: Words):
+        """The cells of the whole grid that are, with those that a finer one is about."""
+        whole = Grid()
+        whole.whole = wp.bool(True)
+        columns = wp.int32(COLUMNS)
+        cells = Words()
+        for i in range(columns):
+            cells[i] = closed[i]
+            for j in range(rows):
+                if wp.length(direction(q, whole, i * rows + j) - grid.middle) <= grid.radius:
+                    cells[i] = cells[i] | (BIT << wp.uint32(j))
+        return cells
+
+    @wp.func
+    def finer(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, radius: real):
+        """The grid around a direction, in which a loop next to it runs from side to side."""
+        n_A = wp.quat_rotate_inv(q, n)
+        grid = Grid()
+        grid.radius = wp.min(radius, SHORT * wp.length(vec3d(n_A[0], n_A[1], zero)))
+        grid.middle = n
+        grid.e_1 = loop_way(p_a, p_b, x, q, n, grid.radius)
+        grid.e_2 = wp.cross(n, grid.e_1)
+        return grid
+
+    @wp.func
     def threaded(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, least: real, most: real):
         size = p_a.major_radius
         best = Across()
-        grid = Grid()
-        grid.whole = wp.bool(True)
-        cell, level = joining(p_a, p_b, x, q, grid, least - UNSURE * size)
-        if cell < 0:
+        closed = Words()
+        whole = Grid()
+        whole.whole = wp.bool(True)
+        first, rough = joining(p_a, p_b, x, q, whole, least - UNSURE * size, real(wp.inf), closed)
+        if first < 0:
             return best, wp.bool(False)
-        rough = level
         # From there paths begin: no loop is as high, or a small one.
-        at_pole = cell % rows == 0 or cell % rows == LAST_ROW
-        pole = wp.quat_rotate(q, vec3d(zero, zero, wp.where(2 * (cell % rows) > LAST_ROW, one, -one)))
-        n = direction(q, grid, cell)
-        radius = real(REACH)
+        at_pole = first % rows == 0 or first % rows == LAST_ROW
         found = wp.bool(False)
-        count = wp.int32(0)
-        going = wp.bool(True)
-        while going:
-            at = smooth(p_a, p_b, x, q, n)
-            hit = suits(p_a, at, n, radius, level, most)
-            # Of an edge; bisection costs more than another grid.
-            if not hit and (at_pole or count > 0):
-                at = sharp(p_a, p_b, x, q, n, radius)
+        # The lowest of those looked at.
+        lowest = real(wp.inf)
+        cell = first
+        level = rough
+        passes = wp.int32(0)
+        while cell >= 0:
+            n = direction(q, whole, cell)
+            radius = real(REACH)
+            known = wp.bool(False)
+            count = wp.int32(0)
+            going = wp.bool(True)
+            while going:
+                at = smooth(p_a, p_b, x, q, n)
                 hit = suits(p_a, at, n, radius, level, most)
-            # The lower of two that the first grid does not tell apart.
-            if hit and (not found or at.gap < best.gap):
-                best = at
-                found = wp.bool(True)
-            count += 1
-            # Where it is no better it is not missed.
-            lower = level <= least - SAME * size and rough <= least
-            going = not at_pole and not lower and count < GRIDS and (not found or count < 2)
-            if going:
-                n_A = wp.quat_rotate_inv(q, n)
-                grid.whole = wp.bool(False)
-                grid.radius = wp.min(radius, SHORT * wp.length(vec3d(n_A[0], n_A[1], zero)))
-                grid.middle = n
-                grid.e_1 = loop_way(p_a, p_b, x, q, n, grid.radius)
-                grid.e_2 = wp.cross(n, grid.e_1)
-                cell, level = joining(p_a, p_b, x, q, grid, real(-wp.inf))
-                n = direction(q, grid, cell)
-                row = cell % rows
-                column = cell // rows
-                if wp.min(row, LAST_ROW - row) >= INSIDE and wp.min(column, LAST_ROW - column) >= INSIDE:
-                    radius = NEARER * grid.radius
+                # Of an edge; bisection costs more than another grid.
+                if not hit and (at_pole or count > 0):
+                    at = sharp(p_a, p_b, x, q, n, radius)
+                    hit = suits(p_a, at, n, radius, level, most)
+                # The lower of two that the first grid does not tell apart.
+                if hit and (not found or at.gap < best.gap):
+                    best = at
+                    found = wp.bool(True)
+                known = known or hit
+                count += 1
+                # Where it is no better it is not missed.
+                lower = level <= least - SAME * size and rough <= least
+                going = not at_pole and not lower and count < GRIDS and (not known or count < 2)
+                if going:
+                    grid = finer(p_a, p_b, x, q, n, radius)
+                    if count == 1:
+                        closed = looked_at(q, grid, closed)
+                    at_cell, at_level = joining(p_a, p_b, x, q, grid, zero, zero, closed)
+                    level = at_level
+                    n = direction(q, grid, at_cell)
+                    row = at_cell % rows
+                    column = at_cell // rows
+                    if wp.min(row, LAST_ROW - row) >= INSIDE and wp.min(column, LAST_ROW - column) >= INSIDE:
+                        radius = NEARER * grid.radius
+            lowest = wp.min(lowest, level)
+            if found:
+                lowest = wp.min(lowest, best.gap)
+            passes += 1
+            cell = wp.int32(-1)
+            if passes < PASSES and count > 1:
+                # Another that is elsewhere, but about as high.
+                cell, level = joining(p_a, p_b, x, q, whole, rough, lowest + SAME * size, closed)
         if not found:
             # No direction of the grid is near enough to a small loop.
+            pole = wp.quat_rotate(q, vec3d(zero, zero, wp.where(2 * (first % rows) > LAST_ROW, one, -one)))
             at, there = around_pole(p_a, p_b, x, q, pole)
             same = wp.abs(at.gap - rough) <= UNSURE * size and at.gap <= most
             if there and same and facing(p_a, at):
