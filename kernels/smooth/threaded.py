@@ -103,10 +103,10 @@ def joined(below: Words, whole: wp.bool):
 def functions(B: type[Shape]) -> SimpleNamespace:
     """Returns the device functions of a torus and a convex body, each for an ``Across`` and whether there is one.
 
-    - ``threaded(p_a, p_b, x, q, least, most)``: where the largest loop is least, if that is above ``least`` [m].
-      It is not above ``most`` [m]. Where the grid has one that is not found to the last digit, ``off`` is infinite.
-    - ``beside_pole(p_a, p_b, x, q, pole, least, most)``: likewise on a loop around a pole, so near that the grid
-      does not see it; there g is ``least``.
+    - ``threaded(p_a, p_b, x, q, least, most)``: where the largest loop is least, if that is above ``least`` and
+      not above ``most`` [m]; where the grid has one that is not found to the last digit, ``off`` is infinite.
+    - ``beside_pole(p_a, p_b, x, q, pole, least, most)``: the same of a loop around a pole, where g is ``least``,
+      so near that the grid does not see it.
     """
     rows = wp.constant(wp.int32(ROWS))
     of_body = saddle.functions(B)
