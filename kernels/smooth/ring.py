@@ -42,8 +42,6 @@ CROSSED = wp.constant(real(1.0e-9))
 ASLANT = wp.constant(real(1.0e-3))
 # By how much f is lower beyond rounding, over R.
 LOWER = wp.constant(real(1.0e-14))
-# How near to the axis a loop is looked for that the grid does not see [rad].
-BESIDE = wp.constant(real(0.03))
 
 
 @wp.struct
@@ -67,10 +65,10 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
     """Returns the device function of a torus and a closed shape; arguments as in ``meet.py``."""
     of_place = nearest(B)
     convex_b = B.convex and B is not Plane
-    around_hull = threaded_on = next_to = Of_hull = None
+    around_hull = threaded_on = beside_pole = Of_hull = None
     if convex_b:
         of_body = threaded.functions(B)
-        around_hull, threaded_on, next_to = convex.meet(Hull, B), of_body.threaded, of_body.follow
+        around_hull, threaded_on, beside_pole = convex.meet(Hull, B), of_body.threaded, of_body.beside_pole
         Of_hull = coefficient_struct(Hull, real)
     places = wp.constant(wp.int32(PLACES))
     parts = wp.constant(wp.int32(PARTS))
@@ -136,7 +134,7 @@ def meet(A: type[Torus], B: type[Shape]) -> wp.Function:
             if flat and not found:
                 # Its loop is so near around the axis that the grid does not see it.
                 met.residual = one
-                loop, found = next_to(p_a, p_b, x, q, met.normal, least, least, most, BESIDE)
+                loop, found = beside_pole(p_a, p_b, x, q, met.normal, least, most)
             if found:
                 met.normal = loop.normal
                 met.gap = loop.gap - p_a.minor_radius

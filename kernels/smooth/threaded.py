@@ -12,8 +12,9 @@ as well the largest g on the path from one pole to the other where that is least
 the points have facing normals.
 
 That saddle is looked for on a grid of directions: those below a level, as bits, hold a path between the poles or
-do not. From its cell Newton's method goes on, or, as g has edges where the body has faces and edges, bisection:
-the least along the loop of the largest across it. The point on a face is between those of both sides.
+do not. Next to the cell that joins them there may be several that are about as high: a finer grid around it, from
+side to side of the loop, tells them apart, and a finer one in that, as often as needed. Cells elsewhere that would
+join the poles at a level no higher than the grid tells are looked at likewise: the lowest of these saddles counts.
 """
 
 import functools
@@ -22,10 +23,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth import bracket
+from warpcontact.kernels.smooth import saddle
 from warpcontact.kernels.smooth.base import Shape, half, one, real, vec3d, zero
+from warpcontact.kernels.smooth.saddle import Across
 
-#: Directions around the axis, and between the poles: bits of a word.
+#: Directions around the axis, and between the poles: bits of a word. Finer grids have as many columns as rows.
 COLUMNS = 64
 ROWS = 32
 COLUMN = wp.constant(real(2.0 * math.pi / COLUMNS))
@@ -37,33 +39,19 @@ QUARTER = wp.constant(real(0.5 * math.pi))
 BIT = wp.constant(wp.uint32(1))
 LAST = wp.constant(wp.uint32(1 << (ROWS - 1)))
 NONE = wp.constant(wp.uint32(0))
-# Directions beside one, by which the way of the loop is found.
-BESIDE = wp.constant(wp.int32(16))
-TURN = wp.constant(real(2.0 * math.pi / 16))
-# How often that is done.
-ROUNDS = wp.constant(wp.int32(4))
-# Two directions this near to each other are one.
-ONE = wp.constant(real(1.0e-12))
-# The tangential distance of the two points, over R, at which it is found.
-GOAL = wp.constant(real(1.0e-12))
-# Newton's method: steps, their halvings, the longest, the side of differences, and what it ends at, over R.
-TURNS = wp.constant(wp.int32(30))
-HALVINGS = wp.constant(wp.int32(20))
-LONGEST = wp.constant(real(0.2))
-ASIDE = wp.constant(real(1.0e-7))
-SMALL = wp.constant(real(1.0e-15))
-# Directions beside a cell to start from, and how far.
-STARTS = 40
-TRIES = wp.constant(wp.int32(2 * STARTS + 2))
-SPIRAL = wp.constant(real(math.pi * (3.0 - math.sqrt(5.0))))
+# How far from the cell the saddle may be [rad], and how much of that from one of a finer grid; number of grids.
 REACH = wp.constant(real(0.2))
-# Azimuths at which the rim of a pole is looked at first, from an angle to it, up to the largest, by its logarithm,
-# and the first stride of that.
-AZIMUTHS = 32
-AZIMUTH = wp.constant(real(2.0 * math.pi / AZIMUTHS))
-NEAR_POLE = wp.constant(real(math.log(1.0e-3)))
-FAR_OFF = wp.constant(real(math.log(1.5)))
-STRIDE = 0.05
+NEARER = wp.constant(real(0.25))
+GRIDS = wp.constant(wp.int32(8))
+# Cells of the whole grid that finer ones are about.
+PASSES = wp.constant(wp.int32(4))
+# Of the distance to a pole: there the center turns around, and beyond it the loop passes once more.
+SHORT = wp.constant(real(0.7))
+# A cell of a finer grid, over its radius.
+WIDE = wp.constant(real(2.0 / ROWS))
+# A cell that is nearer to the border of a grid is not well inside.
+INSIDE = wp.constant(wp.int32(3))
+LAST_ROW = wp.constant(wp.int32(ROWS - 1))
 # By how much the grid is off, over R: usually, and at most.
 SAME = wp.constant(real(2.0e-3))
 UNSURE = wp.constant(real(0.02))
@@ -72,28 +60,32 @@ Words = wp.types.vector(COLUMNS, wp.uint32)
 
 
 @wp.struct
-class Across:
-    """Both surfaces along one direction, frame of b."""
+class Grid:
+    """Directions: all, or those around one, in columns from side to side of the loop."""
 
-    normal: vec3d  # out of b
-    center: vec3d  # of the core circle [m]
-    point: vec3d  # of b [m]
-    gap: real  # from b to the center [m]
-    off: vec3d  # from the point to the center, less what is along the normal [m]
+    whole: wp.bool
+    middle: vec3d
+    e_1: vec3d  # along the loop
+    e_2: vec3d  # across
+    radius: real
 
 
 @wp.func
-def joined(below: Words):
-    """Whether the bits hold a path from the first row to the last, from side to side of cells."""
+def joined(below: Words, whole: wp.bool):
+    """Whether the bits hold a path from the first row to the last; the whole grid is closed around the axis."""
     reached = Words()
-    columns = wp.int32(COLUMNS)
+    columns = wp.where(whole, wp.int32(COLUMNS), wp.int32(ROWS))
     for i in range(columns):
         reached[i] = below[i] & BIT
     going = wp.bool(True)
     while going:
         going = wp.bool(False)
         for i in range(columns):
-            word = reached[i] | reached[(i + 1) % columns] | reached[(i + columns - 1) % columns]
+            word = reached[i]
+            if whole or i > 0:
+                word = word | reached[(i + columns - 1) % columns]
+            if whole or i < columns - 1:
+                word = word | reached[(i + 1) % columns]
             word = word & below[i]
             spread = word | ((word << BIT | word >> BIT) & below[i])
             while spread != word:
@@ -107,301 +99,67 @@ def joined(below: Words):
     return wp.bool(False)
 
 
-@wp.func
-def crossing(a: real, b: real, f_a: real, f_b: real):
-    """Where a straight line is zero."""
-    return a + (b - a) * (f_a / (f_a - f_b))
-
-
 @functools.cache
 def functions(B: type[Shape]) -> SimpleNamespace:
     """Returns the device functions of a torus and a convex body, each for an ``Across`` and whether there is one.
 
-    ``threaded(p_a, p_b, x, q, least, most)``: where the largest loop is least, if that is above ``least`` [m];
-    where the grid has one that is not found to the last digit, ``off`` is infinite. Of several that the grid does
-    not tell apart, one that is not above ``most`` [m] is taken.
-
-    ``follow(p_a, p_b, x, q, start, level, above, most, reach)``: likewise the saddle next to a direction that is
-    about as high as ``level`` and higher than ``above`` [m], from starts within ``reach`` and about the poles.
+    - ``threaded(p_a, p_b, x, q, least, most)``: where the largest loop is least, if that is above ``least`` and
+      not above ``most`` [m]; where the grid has one that is not found to the last digit, ``off`` is infinite.
+    - ``beside_pole(p_a, p_b, x, q, pole, least, most)``: the same of a loop around a pole, where g is ``least``,
+      so near that the grid does not see it.
     """
-    columns = wp.constant(wp.int32(COLUMNS))
     rows = wp.constant(wp.int32(ROWS))
-    azimuths = wp.constant(wp.int32(AZIMUTHS))
-    # Every other step is a halving: g has edges.
-    search_of = bracket.functions(Across, crossing, cycle=2, most=110, narrow=1.0e-16)
-    begin, closed, told = search_of.begin, search_of.closed, search_of.told
-    going, place = search_of.going, search_of.place
-    out_of = bracket.functions(Across, crossing, cycle=2, most=110, narrow=1.0e-16, first=STRIDE)
-    begin_out, closed_out, told_out = out_of.begin, out_of.closed, out_of.told
-    going_out, place_out = out_of.going, out_of.place
+    of_body = saddle.functions(B)
+    height, loop_way, facing = of_body.height, of_body.loop_way, of_body.facing
+    smooth, sharp, around_pole = of_body.smooth, of_body.sharp, of_body.around_pole
 
     @wp.func
-    def across(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d):
-        at = Across()
-        at.normal = n
-        n_A = wp.quat_rotate_inv(q, n)
-        level = wp.normalize(vec3d(n_A[0], n_A[1], zero))
-        at.center = x + wp.quat_rotate(q, p_a.major_radius * level)
-        at.point = B.support(p_b, n)
-        apart = at.center - at.point
-        at.gap = wp.dot(n, apart)
-        at.off = apart - at.gap * n
-        return at
+    def direction(q: wp.quatd, grid: Grid, cell: wp.int32):
+        column = real(cell // rows)
+        row = real(cell % rows) + half
+        if grid.whole:
+            azimuth = column * COLUMN
+            up = row * ROW / QUARTER - one
+            latitude = QUARTER * up * (one + DENSER * (one - up * up))
+            level = wp.cos(latitude)
+            return wp.quat_rotate(q, vec3d(level * wp.cos(azimuth), level * wp.sin(azimuth), wp.sin(latitude)))
+        along = grid.radius * (WIDE * (column + half) - one)
+        aside = grid.radius * (WIDE * row - one)
+        return wp.normalize(grid.middle + along * grid.e_1 + aside * grid.e_2)
 
     @wp.func
-    def direction(q: wp.quatd, cell: wp.int32):
-        azimuth = real(cell // rows) * COLUMN
-        up = (real(cell % rows) + half) * ROW / QUARTER - one
-        latitude = QUARTER * up * (one + DENSER * (one - up * up))
-        level = wp.cos(latitude)
-        return wp.quat_rotate(q, vec3d(level * wp.cos(azimuth), level * wp.sin(azimuth), wp.sin(latitude)))
+    def value(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, grid: Grid, cell: wp.int32):
+        """The value of g in a cell."""
+        within = wp.where(grid.whole, real(ROW), WIDE * grid.radius)
+        return height(p_a, p_b, x, q, direction(q, grid, cell), within)
 
     @wp.func
-    def height(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, cell: wp.int32):
-        """The value of g in the middle of a cell, or on an edge of g that runs through it."""
-        at = across(p_a, p_b, x, q, direction(q, cell))
-        rate = wp.length(at.off)
-        if rate == zero:
-            return at.gap
-        e = at.off / rate
-        n_A = wp.quat_rotate_inv(q, at.normal)
-        # Beyond a pole the center is another one.
-        within = wp.min(real(ROW), wp.length(vec3d(n_A[0], n_A[1], zero)))
-        beside = across(p_a, p_b, x, q, wp.normalize(at.normal + within * e))
-        other = -wp.dot(beside.off, e)
-        if other <= zero:
-            return at.gap
-        # Where both tangents cross.
-        on = wp.clamp((beside.gap - at.gap + within * other) / (rate + other), zero, within)
-        return wp.max(at.gap, at.gap + rate * on)
-
-    @wp.func
-    def between(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, low: Across, high: Across, along: vec3d):
-        """Of one direction from two sides: the point on the face that is across from the center."""
-        at = low
-        if wp.length(low.normal - high.normal) > ONE:
-            return across(p_a, p_b, x, q, wp.normalize(low.normal + high.normal))
-        a = wp.dot(low.off, along)
-        b = wp.dot(high.off, along)
-        if a != b:
-            t = wp.clamp(a / (a - b), zero, one)
-            at.point = low.point + t * (high.point - low.point)
-            at.center = low.center + t * (high.center - low.center)
-            at.off = low.off + t * (high.off - low.off)
-            at.gap = low.gap + t * (high.gap - low.gap)
-            at.normal = wp.normalize(low.normal + t * (high.normal - low.normal))
-        return at
-
-    @wp.func
-    def top(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, middle: vec3d, e: vec3d, start: real):
-        """The largest g on middle + u e next to u = ``start``, that u, and whether there is one."""
-        first = across(p_a, p_b, x, q, wp.normalize(middle + start * e))
-        search = begin(first, start, -wp.dot(first.off, e), first, start, -wp.dot(first.off, e))
-        while going(search):
-            at = place(search)
-            now = across(p_a, p_b, x, q, wp.normalize(middle + at * e))
-            search = told(search, at, -wp.dot(now.off, e), now)
-        return between(p_a, p_b, x, q, search.low, search.high, e), half * (search.a + search.b), closed(search)
-
-    @wp.func
-    def saddle(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, e_1: vec3d, e_2: vec3d):
-        """The least along e_1 of the largest along e_2, down from a direction; whether there is one."""
-        first, u, found = top(p_a, p_b, x, q, n, e_2, zero)
-        search = begin(first, zero, wp.dot(first.off, e_1), first, zero, wp.dot(first.off, e_1))
-        while found and going(search):
-            at = place(search)
-            now, u, found = top(p_a, p_b, x, q, n + at * e_1, e_2, u)
-            search = told(search, at, wp.dot(now.off, e_1), now)
-        return between(p_a, p_b, x, q, search.low, search.high, e_1), found and closed(search)
-
-    @wp.func
-    def smooth(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec3d):
-        """Where Newton's method for facing normals leads to; ``off`` is infinite if that is no saddle."""
-        at = across(p_a, p_b, x, q, start)
-        sign = zero
-        for _i in range(TURNS):
-            n = at.normal
-            t_1 = wp.normalize(wp.cross(n, vec3d(n[1], n[2], n[0])))
-            t_2 = wp.cross(n, t_1)
-            by_1 = across(p_a, p_b, x, q, wp.normalize(n + ASIDE * t_1)).off - at.off
-            by_2 = across(p_a, p_b, x, q, wp.normalize(n + ASIDE * t_2)).off - at.off
-            J = wp.mat22d(wp.dot(by_1, t_1), wp.dot(by_2, t_1), wp.dot(by_1, t_2), wp.dot(by_2, t_2)) / ASIDE
-            sign = wp.determinant(J)
-            size = wp.length(at.off)
-            if size <= SMALL * p_a.major_radius:
-                break
-            step = -(wp.inverse(J) * wp.vec2d(wp.dot(at.off, t_1), wp.dot(at.off, t_2)))
-            step = step * wp.min(one, LONGEST / wp.length(step))
-            for _j in range(HALVINGS):
-                now = across(p_a, p_b, x, q, wp.normalize(n + step[0] * t_1 + step[1] * t_2))
-                if wp.length(now.off) < size:
-                    at = now
-                    break
-                step = half * step
-            if wp.length(at.off) >= size:
-                break
-        if sign >= zero:
-            # No saddle.
-            at.off = vec3d(real(wp.inf))
-        return at
-
-    @wp.func
-    def loop_way(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, radius: real):
-        """The unit vector at n along which g is most like a valley, by its values on a circle around n."""
-        t_1 = wp.normalize(wp.cross(n, vec3d(n[1], n[2], n[0])))
-        t_2 = wp.cross(n, t_1)
-        even = zero
-        odd = zero
-        for k in range(BESIDE):
-            angle = TURN * real(k)
-            t = wp.cos(angle) * t_1 + wp.sin(angle) * t_2
-            g = across(p_a, p_b, x, q, wp.normalize(n + radius * t)).gap
-            even += g * wp.cos(real(2.0) * angle)
-            odd += g * wp.sin(real(2.0) * angle)
-        angle = half * wp.atan2(odd, even)
-        return wp.cos(angle) * t_1 + wp.sin(angle) * t_2
-
-    @wp.func
-    def sharp(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec3d):
-        """The saddle next to a direction that lies on an edge of g, or what comes near to one."""
-        best = across(p_a, p_b, x, q, start)
-        n = start
-        radius = real(ROW)
-        for _ in range(ROUNDS):
-            e_1 = loop_way(p_a, p_b, x, q, n, radius)
-            ridge, _u, on_top = top(p_a, p_b, x, q, n, wp.cross(n, e_1), zero)
-            if on_top:
-                n = ridge.normal
-            radius = half * half * radius
-            e_1 = loop_way(p_a, p_b, x, q, n, radius)
-            now, found = saddle(p_a, p_b, x, q, n, e_1, wp.cross(n, e_1))
-            if found and wp.length(now.off) < wp.length(best.off):
-                best = now
-                n = best.normal
-            if wp.length(best.off) <= GOAL * p_a.major_radius:
-                break
-        return best
-
-    @wp.func
-    def about(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d, azimuth: real, logarithm: real):
-        """Both surfaces along a direction, by the logarithm of its angle to a pole, and how g rises with it.
-
-        However small that angle is, the azimuth is known to the last digit.
-        """
-        angle = wp.exp(wp.min(logarithm, FAR_OFF))
-        e = wp.quat_rotate(q, vec3d(wp.cos(azimuth), wp.sin(azimuth), zero))
-        at = Across()
-        at.normal = wp.normalize(wp.cos(angle) * pole + wp.sin(angle) * e)
-        at.center = x + p_a.major_radius * e
-        at.point = B.support(p_b, at.normal)
-        apart = at.center - at.point
-        at.gap = wp.dot(at.normal, apart)
-        at.off = apart - at.gap * at.normal
-        return at, wp.dot(at.off, wp.cos(angle) * e - wp.sin(angle) * pole)
-
-    @wp.func
-    def rim(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d, azimuth: real, start: real):
-        """The largest g on the way out from a pole, the logarithm of that angle, and whether there is one."""
-        first, rise = about(p_a, p_b, x, q, pole, azimuth, start)
-        search = begin_out(first, start, -rise, first, start, -rise)
-        while going_out(search):
-            at = place_out(search)
-            now, rise = about(p_a, p_b, x, q, pole, azimuth, at)
-            search = told_out(search, at, -rise, now)
-        along = wp.quat_rotate(q, vec3d(wp.cos(azimuth), wp.sin(azimuth), zero))
-        return between(p_a, p_b, x, q, search.low, search.high, along), search.b, closed_out(search)
-
-    @wp.func
-    def around_pole(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d):
-        """The saddle on a loop around a pole, however small, where the rim is lowest; whether there is one.
-
-        Beside the pole g rises by R + d·e along e, with the distance d of the middle of the ring from the point of
-        b across the pole: the least to the side of −d. Where d is nearly R, only there the rim is near.
-        """
-        e_1 = wp.quat_rotate(q, vec3d(one, zero, zero))
-        e_2 = wp.quat_rotate(q, vec3d(zero, one, zero))
-        d = x - B.support(p_b, pole)
-        least = wp.atan2(-wp.dot(d, e_2), -wp.dot(d, e_1))
-        first, u, found = rim(p_a, p_b, x, q, pole, least, NEAR_POLE)
-        # The point of an edge or a corner may be another one a little beside the pole.
-        for k in range(azimuths):
-            azimuth = real(k) * AZIMUTH
-            now, at, there = rim(p_a, p_b, x, q, pole, azimuth, NEAR_POLE)
-            if there and (not found or now.gap < first.gap):
-                first = now
-                u = at
-                found = wp.bool(True)
-                least = azimuth
-        aside = wp.cos(least) * e_2 - wp.sin(least) * e_1
-        search = begin(first, zero, wp.dot(first.off, aside), first, zero, wp.dot(first.off, aside))
-        while found and going(search):
-            at = place(search)
-            now, u, found = rim(p_a, p_b, x, q, pole, least + at, u)
-            aside = wp.cos(least + at) * e_2 - wp.sin(least + at) * e_1
-            search = told(search, at, wp.dot(now.off, aside), now)
-        return between(p_a, p_b, x, q, search.low, search.high, aside), found and closed(search)
-
-    @wp.func
-    def follow(
-        p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec3d, level: real, above: real, most: real, reach: real
-    ):
-        """The saddle next to a direction that is about as high as ``level``, and whether there is one."""
-        best = across(p_a, p_b, x, q, start)
-        error = real(wp.inf)
-        below = wp.bool(False)
-        t_1 = wp.normalize(wp.cross(start, vec3d(start[1], start[2], start[0])))
-        t_2 = wp.cross(start, t_1)
-        for k in range(TRIES + 2):
-            n = start
-            turn = k // 2
-            if turn > 0 and k < TRIES:
-                # A spiral out.
-                angle = SPIRAL * real(turn)
-                radius = reach * wp.sqrt(real(turn) / real(wp.static(STARTS)))
-                n = wp.normalize(n + radius * (wp.cos(angle) * t_1 + wp.sin(angle) * t_2))
-            now = Across()
-            if k >= TRIES:
-                # No direction from which to start is near enough to a loop that is small.
-                axis = wp.quat_rotate(q, vec3d(zero, zero, wp.where(k == TRIES, one, -one)))
-                now, there = around_pole(p_a, p_b, x, q, axis)
-                if not there:
-                    now.off = vec3d(real(wp.inf))
-            elif k % 2 == 0:
-                now = smooth(p_a, p_b, x, q, n)
-            else:
-                now = sharp(p_a, p_b, x, q, n)
-            off = wp.abs(now.gap - level)
-            facing = wp.length(now.off) <= GOAL * p_a.major_radius
-            if facing and off <= UNSURE * p_a.major_radius and now.gap > above:
-                under = now.gap <= most
-                # One that is not above what there may be comes first, and then the nearest to the level.
-                if (under and not below) or (under == below and off < error):
-                    error = off
-                    best = now
-                    below = under
-            if below and error <= SAME * p_a.major_radius:
-                break
-        return best, error <= UNSURE * p_a.major_radius
-
-    @wp.func
-    def threaded(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, least: real, most: real):
-        floor = least - UNSURE * p_a.major_radius
+    def joining(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, grid: Grid, floor: real, ceiling: real, closed: Words):
+        """The cell that joins the first row to the last at the least level between two, or −1; that."""
+        columns = wp.where(grid.whole, wp.int32(COLUMNS), wp.int32(ROWS))
         level = floor
         below = Words()
         open = Words()
         count = wp.int32(0)
         for i in range(columns):
             for j in range(rows):
-                cell = i * rows + j
-                if height(p_a, p_b, x, q, cell) < floor:
-                    below[i] = below[i] | (BIT << wp.uint32(j))
+                bit = BIT << wp.uint32(j)
+                if grid.whole:
+                    g = value(p_a, p_b, x, q, grid, i * rows + j)
+                    if (closed[i] & bit) != NONE:
+                        g = real(wp.inf)
+                    if g < floor:
+                        below[i] = below[i] | bit
+                    elif g < ceiling:
+                        open[i] = open[i] | bit
+                        count += 1
                 else:
-                    open[i] = open[i] | (BIT << wp.uint32(j))
+                    open[i] = open[i] | bit
                     count += 1
-        if joined(below):
-            return Across(), wp.bool(False)
-        # The level at which the poles are joined: open cells are halved by the value of one of them.
         pass_at = wp.int32(-1)
+        if joined(below, grid.whole):
+            count = wp.int32(0)
+        # Open cells are halved by the value of one of them.
         while count > 0 and pass_at < 0:
             skip = count // 2
             pivot = wp.int32(-1)
@@ -411,7 +169,7 @@ def functions(B: type[Shape]) -> SimpleNamespace:
                         if skip == 0:
                             pivot = i * rows + j
                         skip -= 1
-            level = height(p_a, p_b, x, q, pivot)
+            level = value(p_a, p_b, x, q, grid, pivot)
             lower = Words()
             lower_count = wp.int32(0)
             trial = Words()
@@ -420,32 +178,131 @@ def functions(B: type[Shape]) -> SimpleNamespace:
                 for j in range(rows):
                     cell = i * rows + j
                     if (open[i] >> wp.uint32(j) & BIT) != NONE and cell != pivot:  # noqa: SIM102  Warp computes both
-                        if height(p_a, p_b, x, q, cell) < level:
+                        if value(p_a, p_b, x, q, grid, cell) < level:
                             lower[i] = lower[i] | (BIT << wp.uint32(j))
                             lower_count += 1
                 trial[i] = trial[i] | lower[i]
-            if joined(trial):
+            if joined(trial, grid.whole):
                 open = lower
                 count = lower_count
             else:
                 own = BIT << wp.uint32(pivot % rows)
                 trial[pivot // rows] = trial[pivot // rows] | own
-                if joined(trial):
+                if joined(trial, grid.whole):
                     pass_at = pivot
                 below = trial
                 for i in range(columns):
                     open[i] = open[i] & ~trial[i]
                 count -= lower_count + 1
-        if pass_at < 0:
-            return Across(), wp.bool(False)
-        found, good = follow(p_a, p_b, x, q, direction(q, pass_at), level, real(-wp.inf), most, REACH)
-        if not good:
-            # Where it is no better it is not missed.
-            found.off = vec3d(real(wp.inf))
-            return found, level > least
-        if found.gap > most and level <= least:
-            # Another saddle, where the grid has none above that either.
-            return found, wp.bool(False)
-        return found, found.gap > least
+        return pass_at, level
 
-    return SimpleNamespace(threaded=threaded, follow=follow)
+    @wp.func
+    def suits(p_a: Any, at: Across, n: vec3d, radius: real, level: real, most: real):
+        """Whether that is the saddle next to a direction that is as high as the level: others are elsewhere."""
+        same = wp.abs(at.gap - level) <= SAME * p_a.major_radius and at.gap <= most
+        return same and facing(p_a, at) and wp.length(at.normal - n) <= radius
+
+    @wp.func
+    def beside_pole(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, pole: vec3d, least: real, most: real):
+        at, there = around_pole(p_a, p_b, x, q, pole)
+        near = at.gap > least and at.gap <= wp.min(most, least + UNSURE * p_a.major_radius)
+        return at, there and near and facing(p_a, at)
+
+    @wp.func
+    def looked_at(q: wp.quatd, grid: Grid, closed: Words):
+        """The cells of the whole grid that are, with those that a finer one is about."""
+        whole = Grid()
+        whole.whole = wp.bool(True)
+        columns = wp.int32(COLUMNS)
+        cells = Words()
+        for i in range(columns):
+            cells[i] = closed[i]
+            for j in range(rows):
+                if wp.length(direction(q, whole, i * rows + j) - grid.middle) <= grid.radius:
+                    cells[i] = cells[i] | (BIT << wp.uint32(j))
+        return cells
+
+    @wp.func
+    def finer(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, n: vec3d, radius: real):
+        """The grid around a direction, in which a loop next to it runs from side to side."""
+        n_A = wp.quat_rotate_inv(q, n)
+        grid = Grid()
+        grid.radius = wp.min(radius, SHORT * wp.length(vec3d(n_A[0], n_A[1], zero)))
+        grid.middle = n
+        grid.e_1 = loop_way(p_a, p_b, x, q, n, grid.radius)
+        grid.e_2 = wp.cross(n, grid.e_1)
+        return grid
+
+    @wp.func
+    def threaded(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, least: real, most: real):
+        size = p_a.major_radius
+        best = Across()
+        closed = Words()
+        whole = Grid()
+        whole.whole = wp.bool(True)
+        first, rough = joining(p_a, p_b, x, q, whole, least - UNSURE * size, real(wp.inf), closed)
+        if first < 0:
+            return best, wp.bool(False)
+        # From there paths begin: no loop is as high, or a small one.
+        at_pole = first % rows == 0 or first % rows == LAST_ROW
+        found = wp.bool(False)
+        # The lowest of those looked at.
+        lowest = real(wp.inf)
+        cell = first
+        level = rough
+        passes = wp.int32(0)
+        while cell >= 0:
+            n = direction(q, whole, cell)
+            radius = real(REACH)
+            known = wp.bool(False)
+            count = wp.int32(0)
+            going = wp.bool(True)
+            while going:
+                at = smooth(p_a, p_b, x, q, n)
+                hit = suits(p_a, at, n, radius, level, most)
+                # Of an edge; bisection costs more than another grid.
+                if not hit and (at_pole or count > 0):
+                    at = sharp(p_a, p_b, x, q, n, radius)
+                    hit = suits(p_a, at, n, radius, level, most)
+                # The lower of two that the first grid does not tell apart.
+                if hit and (not found or at.gap < best.gap):
+                    best = at
+                    found = wp.bool(True)
+                known = known or hit
+                count += 1
+                # Where it is no better it is not missed.
+                lower = level <= least - SAME * size and rough <= least
+                going = not at_pole and not lower and count < GRIDS and (not known or count < 2)
+                if going:
+                    grid = finer(p_a, p_b, x, q, n, radius)
+                    if count == 1:
+                        closed = looked_at(q, grid, closed)
+                    at_cell, at_level = joining(p_a, p_b, x, q, grid, zero, zero, closed)
+                    level = at_level
+                    n = direction(q, grid, at_cell)
+                    row = at_cell % rows
+                    column = at_cell // rows
+                    if wp.min(row, LAST_ROW - row) >= INSIDE and wp.min(column, LAST_ROW - column) >= INSIDE:
+                        radius = NEARER * grid.radius
+            lowest = wp.min(lowest, level)
+            if found:
+                lowest = wp.min(lowest, best.gap)
+            passes += 1
+            cell = wp.int32(-1)
+            if passes < PASSES and count > 1:
+                # Another that is elsewhere, but about as high.
+                cell, level = joining(p_a, p_b, x, q, whole, rough, lowest + SAME * size, closed)
+        if not found:
+            # No direction of the grid is near enough to a small loop.
+            pole = wp.quat_rotate(q, vec3d(zero, zero, wp.where(2 * (first % rows) > LAST_ROW, one, -one)))
+            at, there = around_pole(p_a, p_b, x, q, pole)
+            same = wp.abs(at.gap - rough) <= UNSURE * size and at.gap <= most
+            if there and same and facing(p_a, at):
+                best = at
+                found = wp.bool(True)
+        if not found:
+            best.off = vec3d(real(wp.inf))
+            return best, rough > least
+        return best, best.gap > least
+
+    return SimpleNamespace(threaded=threaded, beside_pole=beside_pole)
