@@ -66,6 +66,26 @@ def test_numbers_of_kernels_are_what_they_say(file):
                 assert not list(computed(function)), function.name
 
 
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(FOLDER)))
+def test_variables_of_kernels_are_no_constants(file):
+    """After ``x = real(C)`` of a constant of that type Warp lets loops change C with x; ``x = C`` is a copy."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    cast = ("real", "wp.float64")
+    constants = set()
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith(
+            tuple(f"wp.constant({name}(" for name in cast)
+        ):
+            constants |= {name.id for name in node.targets if isinstance(name, ast.Name)}
+    for node in ast.walk(tree):
+        if (
+            isinstance(node, ast.Assign)
+            and isinstance(node.value, ast.Call)
+            and ast.unparse(node.value.func) in cast
+        ):
+            assert not constants.intersection(map(ast.unparse, node.value.args)), ast.unparse(node)
+
+
 def test_files_stay_short():
     host = Path(warpcontact.__file__).parent
     long = {

@@ -330,11 +330,11 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
         if wp.static(bounded):
             radius = wp.length(A.extents(p_a))
         search = Search()
-        least = real(FAR)
+        least = FAR
         first = vec2d()
         nearest_of_all = Nearest()
         n = vec3d()
-        plane = real(FAR)
+        plane = FAR
         for i in range(cells_u):
             for j in range(cells_v):
                 u = u_0 + (real(i) + half) * step_u

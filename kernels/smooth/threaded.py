@@ -197,9 +197,9 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         return pass_at, level
 
     @wp.func
-    def suits(p_a: Any, at: Across, n: vec3d, radius: real, level: real, most: real):
+    def suits(p_a: Any, at: Across, n: vec3d, radius: real, level: real, off: real, most: real):
         """Whether that is the saddle next to a direction that is as high as the level: others are elsewhere."""
-        same = wp.abs(at.gap - level) <= SAME * p_a.major_radius and at.gap <= most
+        same = wp.abs(at.gap - level) <= off * p_a.major_radius and at.gap <= most
         return same and facing(p_a, at) and wp.length(at.normal - n) <= radius
 
     @wp.func
@@ -253,17 +253,24 @@ def functions(B: type[Shape]) -> SimpleNamespace:
         passes = wp.int32(0)
         while cell >= 0:
             n = direction(q, whole, cell)
-            radius = real(REACH)
+            radius = REACH
             known = wp.bool(False)
+            spare = Across()
+            error = real(wp.inf)
             count = wp.int32(0)
             going = wp.bool(True)
             while going:
                 at = smooth(p_a, p_b, x, q, n)
-                hit = suits(p_a, at, n, radius, level, most)
+                hit = suits(p_a, at, n, radius, level, SAME, most)
                 # Of an edge; bisection costs more than another grid.
                 if not hit and (at_pole or count > 0):
                     at = sharp(p_a, p_b, x, q, n, radius)
-                    hit = suits(p_a, at, n, radius, level, most)
+                    hit = suits(p_a, at, n, radius, level, SAME, most)
+                # Along a flat loop it may be farther off, and at a pole there is no finer grid.
+                likely = suits(p_a, at, n, REACH, level, wp.where(at_pole, UNSURE, SAME), most)
+                if likely and wp.abs(at.gap - level) < error:
+                    error = wp.abs(at.gap - level)
+                    spare = at
                 # The lower of two that the first grid does not tell apart.
                 if hit and (not found or at.gap < best.gap):
                     best = at
@@ -284,6 +291,9 @@ def functions(B: type[Shape]) -> SimpleNamespace:
                     column = at_cell // rows
                     if wp.min(row, LAST_ROW - row) >= INSIDE and wp.min(column, LAST_ROW - column) >= INSIDE:
                         radius = NEARER * grid.radius
+            if not known and error < real(wp.inf) and (not found or spare.gap < best.gap):
+                best = spare
+                found = wp.bool(True)
             lowest = wp.min(lowest, level)
             if found:
                 lowest = wp.min(lowest, best.gap)
