@@ -1,5 +1,7 @@
 """The least signed distance of a patch from a shape, independent of the solver: closed forms and a grid.
 
+Superellipsoids have no closed form: theirs are found by directions that bound distances from below.
+
 Distances are looked at over a grid, and searched from each of its minima there, without derivatives. What is found
 is a place of the patch: where it is nearer than a contact, that is not the nearest.
 """
@@ -9,24 +11,27 @@ import functools
 import numpy as np
 import warp as wp
 from convex_pairs import packed
+from superellipsoid_distance import at_least
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.smooth import shapes as S
 from warpcontact.kernels.smooth.torus import Torus
 
 vec5d = wp.types.vector(5, wp.float64)
-# Shapes whose distances are known in closed form, and their sizes in order.
+# Shapes whose distances are known, and their sizes in order.
 SIZES = {
     S.Sphere: ("radius",), S.Plane: (), S.Ellipsoid: ("semi_axes",), S.Cylinder: ("radius", "half_length"),
     S.Capsule: ("radius", "half_length"), S.Cone: ("radius", "height"), S.RoundedBox: ("half_extents", "radius"),
-    Torus: ("major_radius", "minor_radius"),
+    S.Superellipsoid: ("semi_axes", "exponents"), Torus: ("major_radius", "minor_radius"),
 }  # fmt: skip
-SPHERE, PLANE, ELLIPSOID, CYLINDER, CAPSULE, CONE, BOX, RING = (wp.constant(i) for i in range(len(SIZES)))
+SPHERE, PLANE, ELLIPSOID, CYLINDER, CAPSULE, CONE, BOX, SUPER, RING = (wp.constant(i) for i in range(len(SIZES)))
 
 # The grid: 0.02 apart on most patches, where the edges of the smallest shapes are 0.15 long.
 GRID = 96
 # Steps of the differences for normals, in terms of the parameters, and for slopes of distances [m].
 STEP = wp.constant(wp.float64(1e-5))
 SLOPE = wp.constant(wp.float64(1e-6))
+# No slope that is known.
+NOWHERE = wp.constant(wp.vec3d(0.0, 0.0, 1.0))
 
 
 @wp.func
@@ -88,31 +93,64 @@ def to_ellipsoid(axes: wp.vec3d, x: wp.vec3d):
 
 
 @wp.func
-def distance(kind: wp.int32, s: vec5d, x: wp.vec3d):
-    """The signed distance of a place from a shape, in its frame."""
+def to_superellipsoid(s: vec5d, x: wp.vec3d, enough: wp.float64, known: wp.vec3d):
+    """The signed distance, or a bound of it that is enough, and its slope; tried first is ``known``."""
+    return at_least(wp.vec3d(s[0], s[1], s[2]), wp.vec2d(s[3], s[4]), known, x, enough)
+
+
+@wp.func
+def distance(kind: wp.int32, s: vec5d, x: wp.vec3d, enough: wp.float64, known: wp.vec3d):
+    """The signed distance of a place from a shape, in its frame, and its slope if that is needed to know it.
+
+    Args:
+        kind: Of the shape.
+        s: Its sizes.
+        x: The place [m].
+        enough: If the distance is more than that, at least that is returned [m].
+        known: Slope somewhere near.
+    """
     zero = wp.float64(0.0)
     far = wp.float64(-1e9)
     across = wp.sqrt(x[0] * x[0] + x[1] * x[1])
     if kind == SPHERE:
-        return wp.length(x) - s[0]
+        return wp.length(x) - s[0], known
     if kind == PLANE:
-        return x[2]
+        return x[2], known
     if kind == ELLIPSOID:
-        return to_ellipsoid(wp.vec3d(s[0], s[1], s[2]), x)
+        return to_ellipsoid(wp.vec3d(s[0], s[1], s[2]), x), known
     if kind == CYLINDER:
-        return out_of_box(across - s[0], wp.abs(x[2]) - s[1], far)
+        return out_of_box(across - s[0], wp.abs(x[2]) - s[1], far), known
     if kind == CAPSULE:
-        return wp.length(wp.vec2d(across, wp.max(wp.abs(x[2]) - s[1], zero))) - s[0]
+        return wp.length(wp.vec2d(across, wp.max(wp.abs(x[2]) - s[1], zero))) - s[0], known
     if kind == CONE:
         at = wp.vec2d(across, x[2])
         rim = wp.vec2d(s[0], zero)
         out = wp.min(to_segment(at, wp.vec2d(), rim), to_segment(at, rim, wp.vec2d(zero, s[1])))
         inside = x[2] > zero and across / s[0] + x[2] / s[1] < wp.float64(1.0)
-        return wp.where(inside, -out, out)
+        return wp.where(inside, -out, out), known
+    if kind == SUPER:
+        return to_superellipsoid(s, x, enough, known)
     if kind == BOX:
         r = s[3]
-        return out_of_box(wp.abs(x[0]) - s[0] + r, wp.abs(x[1]) - s[1] + r, wp.abs(x[2]) - s[2] + r) - r
-    return wp.length(wp.vec2d(across - s[0], x[2])) - s[1]
+        return out_of_box(wp.abs(x[0]) - s[0] + r, wp.abs(x[1]) - s[1] + r, wp.abs(x[2]) - s[2] + r) - r, known
+    return wp.length(wp.vec2d(across - s[0], x[2])) - s[1], known
+
+
+@wp.func
+def slope(kind: wp.int32, s: vec5d, x: wp.vec3d):
+    """The gradient of the signed distance."""
+    far = wp.float64(wp.inf)
+    by = wp.vec3d()
+    if kind == SUPER:
+        _value, by = to_superellipsoid(s, x, far, NOWHERE)
+        return by
+    for k in range(3):
+        step = wp.vec3d()
+        step[k] = SLOPE
+        ahead, _n = distance(kind, s, x + step, far, NOWHERE)
+        behind, _m = distance(kind, s, x - step, far, NOWHERE)
+        by[k] = (ahead - behind) / (wp.float64(2.0) * SLOPE)
+    return by
 
 
 # The least distance over a patch
@@ -144,10 +182,6 @@ def _kernels(P, grid):
         return wp.normalize(wp.cross(by_u, by_v))
 
     @wp.func
-    def apart(kind: wp.int32, s: vec5d, x: wp.vec3d, q: wp.quatd, place: wp.vec3d):
-        return distance(kind, s, wp.quat_rotate_inv(q, place - x))
-
-    @wp.func
     def lowered(p: Of_b, u: wp.float64, v: wp.float64, by: wp.float64):
         place = position(p, u, v)
         if by != wp.float64(0.0):
@@ -156,9 +190,10 @@ def _kernels(P, grid):
 
     @wp.func
     def at(
-        kind: wp.int32, s: vec5d, p: Of_b, x: wp.vec3d, q: wp.quatd, u: wp.float64, v: wp.float64, by: wp.float64
-    ):
-        return apart(kind, s, x, q, lowered(p, u, v, by))
+        kind: wp.int32, s: vec5d, p: Of_b, x: wp.vec3d, q: wp.quatd, u: wp.float64, v: wp.float64, by: wp.float64,
+        enough: wp.float64, known: wp.vec3d,
+    ):  # fmt: skip
+        return distance(kind, s, wp.quat_rotate_inv(q, lowered(p, u, v, by) - x), enough, known)
 
     @wp.func
     def within(u: wp.float64, v: wp.float64):
@@ -169,13 +204,14 @@ def _kernels(P, grid):
     @wp.func
     def searched(
         kind: wp.int32, s: vec5d, p: Of_b, x: wp.vec3d, q: wp.quatd, u: wp.float64, v: wp.float64,
-        du: wp.float64, dv: wp.float64, by: wp.float64,
+        du: wp.float64, dv: wp.float64, by: wp.float64, known: wp.vec3d,
     ):  # fmt: skip
         """The minimum that a search with ever shorter steps comes to."""
         best = Least()
         best.u = u
         best.v = v
-        best.gap = at(kind, s, p, x, q, u, v, by)
+        least, n = at(kind, s, p, x, q, u, v, by, wp.float64(wp.inf), known)
+        best.gap = least
         size = wp.float64(1.0)
         for round_ in range(600):
             if size < wp.float64(1e-8):
@@ -192,7 +228,7 @@ def _kernels(P, grid):
                 # As long as it leads down, on and on.
                 for _i in range(20):
                     at_u, at_v = within(to_u, to_v)
-                    gap = at(kind, s, p, x, q, at_u, at_v, by)
+                    gap, n = at(kind, s, p, x, q, at_u, at_v, by, best.gap, n)
                     if gap >= best.gap:
                         break
                     better = wp.bool(True)
@@ -221,6 +257,24 @@ def _kernels(P, grid):
         dv = (v_1 - v_0) / cells
         best = Least()
         best.gap = bound[i]
+        known = NOWHERE
+        if outer[i] < wp.float64(wp.inf):
+            # From the node nearest to the middle of the shape: what is found tells which others need no search.
+            nearest = wp.float64(wp.inf)
+            u_near = wp.float64(0.0)
+            v_near = wp.float64(0.0)
+            for j in range(nodes):
+                for k in range(nodes):
+                    u = u_0 + du * wp.float64(j)
+                    v = v_0 + dv * wp.float64(k)
+                    near = wp.length(position(p[i], u, v) - x[i])
+                    if near < nearest:
+                        nearest = near
+                        u_near = u
+                        v_near = v
+            now = searched(kind, s[i], p[i], x[i], q[i], u_near, v_near, du, dv, by[i], known)
+            if now.gap < best.gap:
+                best = now
         for j in range(nodes):
             for k in range(nodes):
                 u = u_0 + du * wp.float64(j)
@@ -232,7 +286,7 @@ def _kernels(P, grid):
                     wp.length(position(p[i], u + du, v) - place) + wp.length(position(p[i], u, v + dv) - place)
                 )
                 if near - spare < best.gap:
-                    gap = at(kind, s[i], p[i], x[i], q[i], u, v, by[i])
+                    gap, known = at(kind, s[i], p[i], x[i], q[i], u, v, by[i], best.gap + spare, known)
                     if gap - spare < best.gap:
                         least = wp.bool(True)
                         side = wp.vec2d(wp.float64(1.0), wp.float64(0.0))
@@ -240,22 +294,17 @@ def _kernels(P, grid):
                             side = wp.vec2d(-side[1], side[0])
                             if least:
                                 at_u, at_v = within(u + side[0] * du, v + side[1] * dv)
-                                least = at(kind, s[i], p[i], x[i], q[i], at_u, at_v, by[i]) >= gap
+                                beside, _n = at(kind, s[i], p[i], x[i], q[i], at_u, at_v, by[i], gap, known)
+                                least = beside >= gap
                         if least:
-                            now = searched(kind, s[i], p[i], x[i], q[i], u, v, du, dv, by[i])
+                            now = searched(kind, s[i], p[i], x[i], q[i], u, v, du, dv, by[i], known)
                             if now.gap < best.gap:
                                 best = now
         n = normal(p[i], best.u, best.v)
         place = lowered(p[i], best.u, best.v, by[i])
-        slope = wp.vec3d()
-        for k in range(3):
-            step = wp.vec3d()
-            step[k] = SLOPE
-            slope[k] = (
-                apart(kind, s[i], x[i], q[i], place + step) - apart(kind, s[i], x[i], q[i], place - step)
-            ) / (wp.float64(2.0) * SLOPE)
-        best.along = wp.dot(slope, n)
-        best.tilt = wp.length(slope - best.along * n)
+        grows = wp.quat_rotate(q[i], slope(kind, s[i], wp.quat_rotate_inv(q[i], place - x[i])))
+        best.along = wp.dot(grows, n)
+        best.tilt = wp.length(grows - best.along * n)
         found[i] = best
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -272,7 +321,8 @@ def _kernels(P, grid):
     ):
         i = wp.tid()
         place[i] = lowered(p[i], u[i][0], u[i][1], by[i])
-        gap[i] = apart(kind, s[i], x[i], q[i], place[i])
+        apart, _n = distance(kind, s[i], wp.quat_rotate_inv(q[i], place[i] - x[i]), wp.float64(wp.inf), NOWHERE)
+        gap[i] = apart
 
     return search, look
 

@@ -7,7 +7,7 @@ from patch_reference import SIZES
 from warpcontact.kernels.smooth import shapes as S
 from warpcontact.kernels.smooth.torus import Torus
 
-COMBINATIONS = [(A, P) for A in SIZES for P in PATCHES if A is not S.Plane]
+COMBINATIONS = [(A, P) for A in SIZES for P in PATCHES if A not in (S.Plane, S.Superellipsoid)]
 names = {"ids": lambda pair: "-".join(kind.__name__ for kind in pair)}
 
 
@@ -52,3 +52,13 @@ def test_no_pair_of_25_000_is_wrong(pair, device):
 @pytest.mark.parametrize("P", [Quadric, Waves], ids=lambda kind: kind.__name__)
 def test_no_plane_of_50_000_is_wrong(P, device):
     check(S.Plane, P, 50_000, 100, device)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("P", PATCHES, ids=lambda kind: kind.__name__)
+def test_no_superellipsoid_on_a_patch_is_wrong(P, device):
+    """Each takes half a second on a core, half of it for the reference."""
+    counts = check(S.Superellipsoid, P, 100, 100, device)
+    assert counts["met"] > 95
+    assert counts["deep"] > 30
+    assert counts["lowered"] > 25

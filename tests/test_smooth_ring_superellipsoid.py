@@ -1,9 +1,4 @@
-"""Rings and superellipsoids: no place of the core circle is nearer than told, by directions that bound distances.
-
-The signed distance of a place y from a convex body is the largest n·y − h(n) over all directions n, with the
-support function h. So one direction is enough to show that a place is not nearer than some distance, wherever it
-comes from.
-"""
+"""Rings and superellipsoids: no place of the core circle is nearer than told, by bounds of distances."""
 
 import numpy as np
 import pytest
@@ -11,120 +6,15 @@ import warp as wp
 from convex_pairs import directions, heights, random_rotations, random_shapes, solved
 from curved_pairs import backward, rotated, widest_way
 from patch_pairs import support
+from superellipsoid_distance import at_least, beyond
 from warpcontact.kernels.smooth import shapes as S
 from warpcontact.kernels.smooth.torus import Torus
 from warpcontact.kernels.types import MET
 
 # Of the signed distance: beyond rounding of the support function, whose powers go to 20.
 TIE = 1e-9
+UP = wp.constant(wp.vec3d(0.0, 0.0, 1.0))
 ANGLES = wp.constant(wp.int32(300))
-COUNT = 400
-AROUND = wp.constant(wp.int32(COUNT))
-BEST = wp.constant(wp.int32(4))
-
-
-@wp.func
-def norm(x: wp.float64, y: wp.float64, exponent: wp.float64):
-    longest = wp.max(x, y)
-    if longest == wp.float64(0.0):
-        return longest
-    sum_ = wp.float64(1.0) + wp.pow(wp.min(x, y) / longest, exponent)
-    return longest * wp.pow(sum_, wp.float64(1.0) / exponent)
-
-
-@wp.func
-def beyond(axes: wp.vec3d, exponents: wp.vec2d, n: wp.vec3d, y: wp.vec3d):
-    """How far y is beyond the plane across n that touches a superellipsoid: its support is the dual norm."""
-    two = wp.float64(2.0)
-    flat = norm(wp.abs(axes[0] * n[0]), wp.abs(axes[1] * n[1]), two / (two - exponents[1]))
-    return wp.dot(n, y) - norm(flat, wp.abs(axes[2] * n[2]), two / (two - exponents[0]))
-
-
-@wp.func
-def climbed(axes: wp.vec3d, exponents: wp.vec2d, start: wp.vec3d, y: wp.vec3d, enough: wp.float64):
-    """The largest value that a search with ever shorter steps comes to, or one that is enough; its direction."""
-    n = start
-    value = beyond(axes, exponents, n, y)
-    size = wp.float64(0.1)
-    turn = wp.float64(0.0)
-    while size > wp.float64(1e-8) and value < enough:
-        e_1 = wp.vec3d(wp.float64(0.0), n[2], -n[1])
-        if wp.abs(n[0]) > wp.float64(0.6):
-            e_1 = wp.vec3d(-n[2], wp.float64(0.0), n[0])
-        e_1 = wp.normalize(e_1)
-        e_2 = wp.cross(n, e_1)
-        best = n
-        turn += wp.float64(0.37)
-        angle = turn
-        for _i in range(8):
-            angle += wp.float64(wp.pi / 4.0)
-            m = wp.normalize(n + size * (wp.cos(angle) * e_1 + wp.sin(angle) * e_2))
-            now = beyond(axes, exponents, m, y)
-            if now > value:
-                value = now
-                best = m
-        # Along the edges of nearly sharp bodies, where a component of n is 0 or all but constant, and onto them.
-        for i in range(3):
-            axis = wp.vec3d()
-            axis[i] = wp.float64(1.0)
-            level = size * wp.cross(n, axis)
-            for k in range(3):
-                m = n - n[i] * axis
-                if k == 1:
-                    m = n + level
-                elif k == 2:
-                    m = n - level
-                if wp.length(m) > wp.float64(0.5):
-                    m = wp.normalize(m)
-                    now = beyond(axes, exponents, m, y)
-                    if now > value:
-                        value = now
-                        best = m
-        step = best - n
-        if wp.length(step) == wp.float64(0.0):
-            size = wp.float64(0.5) * size
-        n = best
-        # On and on, as long as that leads up.
-        while wp.length(step) > wp.float64(0.0):
-            m = wp.normalize(n + step)
-            now = beyond(axes, exponents, m, y)
-            if now > value:
-                value = now
-                step = wp.float64(1.5) * (m - n)
-                n = m
-            else:
-                step = wp.vec3d()
-    return value, n
-
-
-@wp.func
-def at_least(
-    axes: wp.vec3d,
-    exponents: wp.vec2d,
-    around: wp.array(dtype=wp.vec3d),
-    known: wp.vec3d,
-    y: wp.vec3d,
-    enough: wp.float64,
-):
-    """The signed distance of y, or a bound from below that is enough, and a direction that tells it."""
-    value, n = climbed(axes, exponents, known, y, enough)
-    last = wp.float64(wp.inf)
-    for _k in range(BEST):
-        if value < enough:
-            # The best of all directions, the next best, and so on.
-            top = wp.float64(-wp.inf)
-            start = known
-            for i in range(AROUND):
-                now = beyond(axes, exponents, around[i], y)
-                if now > top and now < last:
-                    top = now
-                    start = around[i]
-            last = top
-            now, m = climbed(axes, exponents, start, y, enough)
-            if now > value:
-                value = now
-                n = m
-    return value, n
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -134,7 +24,6 @@ def look_around(
     radius: wp.array(dtype=wp.float64),
     x: wp.array(dtype=wp.vec3d),
     q: wp.array(dtype=wp.quatd),
-    around: wp.array(dtype=wp.vec3d),
     normal: wp.array(dtype=wp.vec3d),
     center: wp.array(dtype=wp.vec3d),
     told: wp.array(dtype=wp.float64),
@@ -148,21 +37,20 @@ def look_around(
         angle = wp.float64(2.0 * wp.pi) * wp.float64(k) / wp.float64(ANGLES)
         y = x[i] + wp.quat_rotate(q[i], radius[i] * wp.vec3d(wp.cos(angle), wp.sin(angle), wp.float64(0.0)))
         if beyond(axes[i], exponents[i], normal[i], y) < told[i]:
-            value, m = at_least(axes[i], exponents[i], around, n, y, told[i])
+            value, m = at_least(axes[i], exponents[i], n, y, told[i])
             n = m
             shortfall[i] = wp.max(shortfall[i], told[i] - value)
-    value, m = at_least(axes[i], exponents[i], around, normal[i], center[i], wp.float64(wp.inf))
+    value, m = at_least(axes[i], exponents[i], normal[i], center[i], wp.float64(wp.inf))
     there[i] = value
 
 
 @wp.kernel(module="unique", enable_backward=False)
 def measure(
-    axes: wp.vec3d, exponents: wp.vec2d, around: wp.array(dtype=wp.vec3d), y: wp.array(dtype=wp.vec3d),
-    distance: wp.array(dtype=wp.float64),
-):  # fmt: skip
+    axes: wp.vec3d, exponents: wp.vec2d, y: wp.array(dtype=wp.vec3d), distance: wp.array(dtype=wp.float64)
+):
     """Signed distances of places."""
     i = wp.tid()
-    value, _n = at_least(axes, exponents, around, around[0], y[i], wp.float64(wp.inf))
+    value, _n = at_least(axes, exponents, UP, y[i], wp.float64(wp.inf))
     distance[i] = value
 
 
@@ -207,7 +95,7 @@ def check(count, seed, device):
     shortfall, there = (wp.zeros(count, dtype=wp.float64, device=device) for _ in range(2))
     told = gap + a["minor_radius"]
     numbers = [wp.array(values, dtype=wp.float64, device=device) for values in (a["major_radius"], told - TIE)]
-    vectors = [wp.array(values, dtype=wp.vec3d, device=device) for values in (x, directions(COUNT), n, center)]
+    vectors = [wp.array(values, dtype=wp.vec3d, device=device) for values in (x, n, center)]
     inputs = [
         wp.array(b["semi_axes"], dtype=wp.vec3d, device=device),
         wp.array(b["exponents"], dtype=wp.vec2d, device=device),
@@ -241,9 +129,8 @@ def slopes_beside_the_least(ring, body, x, q, device):
         circle = ring.major_radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
         y = wp.array(x + rotated(q, circle), dtype=wp.vec3d, device=device)
         distance = wp.zeros(count + 1, dtype=wp.float64, device=device)
-        around = wp.array(directions(COUNT), dtype=wp.vec3d, device=device)
         sizes = [wp.vec3d(*body.semi_axes), wp.vec2d(*body.exponents)]
-        wp.launch(measure, count + 1, inputs=[*sizes, around, y, distance], device=device)
+        wp.launch(measure, count + 1, inputs=[*sizes, y, distance], device=device)
         value = distance.numpy()
         k = np.clip(value.argmin(), 1, count - 1)
         step = angle[1] - angle[0]
