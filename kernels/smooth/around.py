@@ -12,6 +12,8 @@ import functools
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.smooth.base import Shape, mat33d, one, real, vec3d, zero
+from warpcontact.kernels.smooth.sphere import Sphere
+from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
 
 #: How often a cell is divided into four at most, and for cells to start from where there is no bound.
 LEVELS = 20
@@ -98,6 +100,8 @@ def not_between(at: wp.vec4d, to: wp.vec4d, most: real):
 def function(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function ``next_direction`` of a pair."""
     Of_a, Of_b = coefficient_struct(A, real), coefficient_struct(B, real)
+    # A body with three planes of symmetry ends nearest to a place on the same sides of them.
+    mirrored = A is Sphere and B is Superellipsoid
 
     @wp.func
     def next_direction(
@@ -151,6 +155,9 @@ def function(A: type[Shape], B: type[Shape]) -> wp.Function:
             spare = inner - depth
             allowed = wp.where(spare > zero, spare * cosine, spare)
             left = farthest > allowed
+            if wp.static(mirrored):
+                for k in range(3):
+                    left = left and (level == 0 or n[k] * apart[k] >= zero)
             if left:
                 c = x + R * A.support(p_a, -(n * R)) - B.support(p_b, n)
                 at = wp.vec4d(wp.dot(corner_1, c), wp.dot(corner_2, c), wp.dot(corner_3, c), wp.dot(corner_4, c))
