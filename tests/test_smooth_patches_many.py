@@ -57,7 +57,7 @@ def test_no_plane_of_50_000_is_wrong(P, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("P", PATCHES, ids=lambda kind: kind.__name__)
 def test_no_superellipsoid_on_a_patch_is_wrong(P, device):
-    """Each takes half a second on a core, half of it for the reference."""
+    """A pair takes half a second of a core, half of it for the reference."""
     counts = check(S.Superellipsoid, P, 100, 100, device)
     assert counts["met"] > 95
     assert counts["deep"] > 30
