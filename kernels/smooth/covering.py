@@ -12,7 +12,7 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Nearest, Shape, half, real, two, vec3d, zero
+from warpcontact.kernels.smooth.base import Nearest, Shape, half, one, real, two, vec3d, zero
 from warpcontact.kernels.smooth.patch import Jet, Patch, jet_of_patch
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.smooth.torus import Torus
@@ -84,6 +84,7 @@ class Search:
     starts: wp.int32
     looks: wp.int32  # at cells
     steps: wp.int32  # of Newton's method
+    beside: vec3d  # normal of the last look, frame of the shape
     plane: real  # what touches the shape across the normal of the best
 
 
@@ -103,7 +104,7 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
     Args:
         A: The closed shape.
         B: The patch.
-        of_place: ``(p, x)`` → the ``Nearest`` point of A.
+        of_place: That of ``nearest_within``.
         polish: ``(p_a, p_b, x, q, start, lowered)`` → the minimum that Newton's method comes to, and its steps.
     """
     jet_of, position = jet_of_patch(B), B.position
@@ -174,6 +175,12 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
     def bulge_of(at: Element, a: real, b: real):
         """How far the patch may be from its tangent plane."""
         return half * a * a * wp.length(at.uu) + a * b * wp.length(at.uv) + half * b * b * wp.length(at.vv)
+
+    @wp.func
+    def floor_of(at: Element, n: vec3d, gap: real, a: real, b: real, bulge: real):
+        """What no place of a cell is nearer than, if its middle is so far beyond a plane with the normal n."""
+        across = wp.abs(wp.dot(n, at.u)) * a + wp.abs(wp.dot(n, at.v)) * b
+        return gap - across - falls(at, n, a, b) - SPARE * bulge
 
     @wp.func
     def beyond(p_a: Any, x: vec3d, q: wp.quatd, n: vec3d):
@@ -290,20 +297,18 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
                 # Beyond the plane that touches the shape where it is nearest to the best place, or the sphere
                 # around it.
                 m = search.best.near.normal
-                across = wp.abs(wp.dot(m, at.u)) * a + wp.abs(wp.dot(m, at.v)) * b
-                floor = wp.dot(m, at.z) - search.plane - across - falls(at, m, a, b) - SPARE * bulge
-                left = floor < limit
+                left = floor_of(at, m, wp.dot(m, at.z) - search.plane, a, b, bulge) < limit
                 if wp.static(bounded):
                     left = left and wp.length(at.z - x) - radius - reach < limit
             if left:
-                near = of_place(p_a, wp.quat_rotate_inv(q, at.z - x))
+                place = wp.quat_rotate_inv(q, at.z - x)
+                near = of_place(p_a, place, search.beside, limit)
                 search.looks += 1
+                search.beside = near.normal
                 n = wp.quat_rotate(q, near.normal)
-                floor = near.gap - wp.abs(wp.dot(n, at.u)) * a - wp.abs(wp.dot(n, at.v)) * b
-                floor = floor - falls(at, n, a, b) - SPARE * bulge
+                floor = floor_of(at, n, near.gap, a, b, bulge)
                 if wp.static(ring):
                     # The distance from a circle falls away from its tangent plane around the axis.
-                    place = wp.quat_rotate_inv(q, at.z - x)
                     inmost = wp.sqrt(place[0] * place[0] + place[1] * place[1]) - reach
                     if inmost > zero:
                         floor = wp.max(floor - half * reach * reach / inmost, near.gap - reach)
@@ -334,6 +339,7 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
         first = vec2d()
         nearest_of_all = Nearest()
         n = vec3d()
+        search.beside = vec3d(zero, zero, one)
         plane = FAR
         for i in range(cells_u):
             for j in range(cells_v):
@@ -349,7 +355,8 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
                         at = element(p_b, u, v, lowered)
                         place = at.z
                     if wp.dot(n, place) - plane < least:
-                        near = of_place(p_a, wp.quat_rotate_inv(q, place - x))
+                        near = of_place(p_a, wp.quat_rotate_inv(q, place - x), search.beside, least)
+                        search.beside = near.normal
                         search.looks += 1
                         if near.gap < least:
                             least = near.gap

@@ -5,10 +5,11 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth import convex
+from warpcontact.kernels.smooth import ascent, convex
 from warpcontact.kernels.smooth.base import Nearest, Seed, Shape, one, real, vec3d, zero
 from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
 from warpcontact.kernels.smooth.sphere import Sphere
+from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
 
 # Newton's method for the distance from an ellipsoid ends when a step is rounding; 5 to 8 are usual.
 STEPS = wp.constant(wp.int32(60))
@@ -76,6 +77,11 @@ def from_ellipsoid(p: Any, x: vec3d):
     return found
 
 
+def searched(A: type[Shape]) -> bool:
+    """Whether the point of a shape that is nearest to a place is searched over all directions, at some cost."""
+    return not hasattr(A, "nearest") and A is not Ellipsoid
+
+
 @functools.cache
 def nearest(A: type[Shape]) -> wp.Function:
     """Returns ``(p, x)``: the ``Nearest`` point of a closed shape, in its frame."""
@@ -97,3 +103,40 @@ def nearest(A: type[Shape]) -> wp.Function:
         return found
 
     return from_place
+
+
+@functools.cache
+def nearest_within(A: type[Shape]) -> wp.Function:
+    """Returns ``(p, x, start, enough)``: the ``Nearest`` point of a place that is nearer than ``enough`` [m].
+
+    Of others the gap may be less than the distance, but no less than ``enough``, and the normal is that of the plane
+    that tells so. ``start`` is a normal to try first.
+    """
+    if not searched(A):
+        exact = nearest(A)
+
+        @wp.func
+        def at_once(p: Any, x: vec3d, start: vec3d, enough: real):
+            return exact(p, x)
+
+        return at_once
+    exact, climb = nearest(A), ascent.functions(Sphere, A).climb
+    Point = coefficient_struct(Sphere, real)
+
+    @wp.func
+    def from_start(p: Any, x: vec3d, start: vec3d, enough: real):
+        n = start
+        if wp.static(A is Superellipsoid):
+            # The best is on the same sides of its planes of symmetry.
+            for k in range(3):
+                n[k] = wp.where(x[k] < zero, -wp.abs(n[k]), wp.abs(n[k]))
+        size = wp.length(x) + wp.max(A.extents(p))
+        top = climb(Point(), p, x, wp.identity(n=3, dtype=real), n, size)
+        found = Nearest()
+        found.gap = top.value - A.margin(p)
+        found.normal = top.normal
+        if found.gap < enough:
+            found = exact(p, x)
+        return found
+
+    return from_start

@@ -17,10 +17,10 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Meeting, Shape, half, one, real, vec3d, zero
+from warpcontact.kernels.smooth.base import Meeting, Shape, half, one, real, two, vec3d, zero
 from warpcontact.kernels.smooth.covering import Sight, covering
 from warpcontact.kernels.smooth.curvature import curvature
-from warpcontact.kernels.smooth.nearest import nearest
+from warpcontact.kernels.smooth.nearest import nearest_within
 from warpcontact.kernels.smooth.patch import Patch, jet_of_patch
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
@@ -43,26 +43,28 @@ ALLOWED = wp.constant(real(1.0e-9))
 ENOUGH = wp.constant(real(0.25))
 # What is no curvature, in terms of the other principal value.
 FLAT = wp.constant(real(1.0e-6))
+UP = wp.constant(vec3d(0.0, 0.0, 1.0))
+INFINITY = wp.constant(real(wp.inf))
 GOAL = wp.constant(real(1.0e-14))
 
 
 @functools.cache
 def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
     """Returns the device function of a closed shape and a patch; arguments as in ``meet.py``."""
-    of_place, bent = nearest(A), curvature(A)
+    of_place, bent = nearest_within(A), curvature(A)
     jet_of = jet_of_patch(B)
     bounded = A is not Plane
     closed_u, closed_v = B.u_periodic, B.v_periodic
     u_0, u_1, v_0, v_1 = (wp.constant(real(value)) for value in (*B.u_range, *B.v_range))
 
     @wp.func
-    def look(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, u: vec2d, lowered: real):
+    def look(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, u: vec2d, lowered: real, start: vec3d, enough: real):
         at = Sight()
         at.u = u
         at.jet = jet_of(p_b, 0, u[0], u[1])
         at.normal = wp.normalize(wp.cross(at.jet.u, at.jet.v))
         at.place = at.jet.x - lowered * at.normal
-        at.near = of_place(p_a, wp.quat_rotate_inv(q, at.place - x))
+        at.near = of_place(p_a, wp.quat_rotate_inv(q, at.place - x), wp.quat_rotate_inv(q, start), enough)
         at.near.normal = wp.quat_rotate(q, at.near.normal)
         at.near.point = x + wp.quat_rotate(q, at.near.point)
         at.tilt = vec2d(
@@ -200,7 +202,8 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
     @wp.func
     def polish(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec2d, lowered: real):
         """The minimum of the distance that Newton's method comes to, within the domain."""
-        at = look(p_a, p_b, x, q, start, lowered)
+        at = look(p_a, p_b, x, q, start, lowered, UP, INFINITY)
+        beside = at.near.normal
         steps = wp.int32(0)
         going = wp.bool(True)
         while going and steps < wp.where(at.near.gap < zero, STEPS_INSIDE, STEPS) and at.lean > GOAL:
@@ -219,8 +222,9 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
                     for _i in range(HALVINGS):
                         to = inside(at.u + trial)
                         rise = wp.min(wp.dot(slope, to - at.u), zero)
-                        now = look(p_a, p_b, x, q, to, lowered)
                         slack = GOAL * (wp.abs(at.near.gap) + wp.length(at.place - x))
+                        now = look(p_a, p_b, x, q, to, lowered, beside, at.near.gap + two * slack)
+                        beside = now.near.normal
                         # By a good part of what the slope promises: less is a jump across a valley.
                         lower = now.near.gap < at.near.gap + wp.min(ENOUGH * rise, -slack)
                         settled = now.near.gap <= at.near.gap + slack and now.lean < half * at.lean
