@@ -36,7 +36,10 @@ def climbed(
     axes: wp.vec3d, exponents: wp.vec2d, start: wp.vec3d, y: wp.vec3d, longest: wp.float64, shortest: wp.float64,
     enough: wp.float64,
 ):  # fmt: skip
-    """The largest value that a search with ever shorter steps comes to, or one that is enough; its direction."""
+    """The largest value that a search with ever shorter steps comes to, or one that is enough; its direction.
+
+    Coordinates of y are not negative, nor are those of the direction.
+    """
     n = start
     value = beyond(axes, exponents, n, y)
     size = longest
@@ -88,6 +91,9 @@ def climbed(
                 n = m
             else:
                 step = wp.vec3d()
+        # Beyond a plane of symmetry there may be a summit, lower than its image.
+        n = wp.vec3d(wp.abs(n[0]), wp.abs(n[1]), wp.abs(n[2]))
+        value = beyond(axes, exponents, n, y)
     return value, n
 
 

@@ -209,6 +209,9 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
         last = real(wp.inf)
         stalls = wp.int32(0)
         climbing = wp.bool(True)
+        sharp = real(wp.inf)
+        sharpest = vec3d()
+        way = wp.int32(0)
         slid_a = vec3d()
         slid_b = vec3d()
         while climbing:
@@ -270,7 +273,25 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
             if wp.static(steep):  # noqa: SIM102
                 # Nothing to gain, and yet the points are not across from each other: n is as good as it can be
                 # rounded, and one of them slides along a face that is flat for all that n tells.
-                if slope < SLIDES * size:
+                if slope < SLIDES * size and result.residual > TARGET:
+                    # g is flat for rounding. The residual tells whether Newton's step is a good one, or the normal
+                    # where the point stays.
+                    if result.residual < half * sharp:
+                        sharp = result.residual
+                        sharpest = n
+                        way = 0
+                    elif result.residual != sharp:
+                        n = sharpest
+                        view = look(p_a, p_b, x, R, n)
+                        continue
+                    if way < 2 and tied == 0:
+                        turn = d
+                        if way == 1:
+                            turn = rho / view.value
+                        way += 1
+                        n = wp.normalize(n + turn[0] * e_1 + turn[1] * e_2)
+                        view = look(p_a, p_b, x, R, n)
+                        continue
                     rest = rho[0] * e_1 + rho[1] * e_2
                     if wp.static(A.steep):
                         on_a = view.point_a - rest

@@ -77,6 +77,16 @@ def from_ellipsoid(p: Any, x: vec3d):
     return found
 
 
+@wp.func
+def facing(n: vec3d, x: vec3d):
+    """The direction n on the same sides of three planes of symmetry as a place, where the best is."""
+    return vec3d(
+        wp.where(x[0] < zero, -wp.abs(n[0]), wp.abs(n[0])),
+        wp.where(x[1] < zero, -wp.abs(n[1]), wp.abs(n[1])),
+        wp.where(x[2] < zero, -wp.abs(n[2]), wp.abs(n[2])),
+    )
+
+
 def searched(A: type[Shape]) -> bool:
     """Whether the point of a shape that is nearest to a place is searched over all directions, at some cost."""
     return not hasattr(A, "nearest") and A is not Ellipsoid
@@ -89,6 +99,7 @@ def nearest(A: type[Shape]) -> wp.Function:
         return A.nearest
     if A is Ellipsoid:
         return from_ellipsoid
+    mirrored = A is Superellipsoid
     # As a sphere without radius sees it.
     of_pair = convex.meet(Sphere, A)
     Point = coefficient_struct(Sphere, real)
@@ -100,6 +111,12 @@ def nearest(A: type[Shape]) -> wp.Function:
         found.gap = met.gap
         found.normal = met.normal
         found.point = met.point_b
+        if wp.static(mirrored):
+            # Where a component is next to nothing, the climb may end on the other side.
+            n = facing(met.normal, x)
+            if wp.dot(n, x) > wp.dot(met.normal, x):
+                found.normal = n
+                found.gap = wp.dot(n, x - A.support(p, n))
         return found
 
     return from_place
@@ -109,7 +126,7 @@ def nearest(A: type[Shape]) -> wp.Function:
 def nearest_within(A: type[Shape]) -> wp.Function:
     """Returns ``(p, x, start, enough)``: the ``Nearest`` point of a place that is nearer than ``enough`` [m].
 
-    Of others the gap may be less than the distance, but no less than ``enough``, and the normal is that of the plane
+    Of others the gap may be less than the distance, but no less than ``enough``; the normal is that of the plane
     that tells so. ``start`` is a normal to try first.
     """
     if not searched(A):
@@ -127,9 +144,7 @@ def nearest_within(A: type[Shape]) -> wp.Function:
     def from_start(p: Any, x: vec3d, start: vec3d, enough: real):
         n = start
         if wp.static(A is Superellipsoid):
-            # The best is on the same sides of its planes of symmetry.
-            for k in range(3):
-                n[k] = wp.where(x[k] < zero, -wp.abs(n[k]), wp.abs(n[k]))
+            n = facing(start, x)
         size = wp.length(x) + wp.max(A.extents(p))
         top = climb(Point(), p, x, wp.identity(n=3, dtype=real), n, size)
         found = Nearest()
