@@ -92,8 +92,11 @@ def climbed(
             else:
                 step = wp.vec3d()
         # Beyond a plane of symmetry there may be a summit, lower than its image.
-        n = wp.vec3d(wp.abs(n[0]), wp.abs(n[1]), wp.abs(n[2]))
-        value = beyond(axes, exponents, n, y)
+        m = wp.vec3d(wp.abs(n[0]), wp.abs(n[1]), wp.abs(n[2]))
+        now = beyond(axes, exponents, m, y)
+        if now > value:
+            value = now
+            n = m
     return value, n
 
 
