@@ -57,7 +57,7 @@ def test_no_plane_of_50_000_is_wrong(P, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("P", PATCHES, ids=lambda kind: kind.__name__)
 def test_no_superellipsoid_on_a_patch_is_wrong(P, device):
-    """The reference takes 0.4 s of a core for a pair, 20 times the solver: 25 000 were judged once, none was wrong."""
+    """The reference takes 0.4 s of a core for a pair, 20 times the solver. 25 000 were judged once: none wrong."""
     counts = check(S.Superellipsoid, P, 100, 100, device)
     assert counts["met"] > 95
     assert counts["deep"] > 30
