@@ -9,7 +9,7 @@ On a CPU then what it takes to keep them: experiments of ``--folder-envs`` envir
 which write their results into a folder, with a series of 101 frames and without, in turn. Their figures are of all
 that ``Experiment.run`` does, but for the pictures of the results, in processor time and in time. Files are written
 into memory first. What a virtual machine never used of it, its host finds page by page at the first write: on
-the machine of the figures 9 µs each, twenty times as long as a page takes to copy. So much is used once before.
+the machine of the figures 9 µs each, ten times what a page takes that was used. So much is used once before.
 """
 
 import argparse
