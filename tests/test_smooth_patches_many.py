@@ -6,6 +6,7 @@ from patch_pairs import PATCHES, Bore, Quadric, Tube, Waves, check_points, judge
 from patch_reference import SIZES
 from warpcontact.kernels.smooth import shapes as S
 from warpcontact.kernels.smooth.torus import Torus
+from warpcontact.kernels.types import MET
 
 COMBINATIONS = [(A, P) for A in SIZES for P in PATCHES if A not in (S.Plane, S.Superellipsoid)]
 names = {"ids": lambda pair: "-".join(kind.__name__ for kind in pair)}
@@ -30,6 +31,19 @@ def test_contacts_of_shapes_and_patches_are_the_deepest_or_the_nearest(pair, dev
     assert counts["deep"] > 800
     # Most are deeper than their middle.
     assert counts["lowered"] > 600
+
+
+@pytest.mark.parametrize(("P", "row"), [(Quadric, 1096), (Quadric, 14853), (Waves, 3301), (Bore, 16094)])
+def test_normals_of_superellipsoids_are_exact_where_distances_tell_no_more(P, row):
+    """Where a step changes the distance by less than rounding, normals were off by 6e-10 to 9e-8."""
+    a, b, x, q, _ = random_pairs(S.Superellipsoid, P, 25_000, 100)
+    own = slice(row, row + 1)
+    a, b = ({name: value[own] for name, value in sizes.items()} for sizes in (a, b))
+    met = solved(S.Superellipsoid, P, a, b, x[own], q[own])
+    assert met["status"] == MET
+    # Cosine with the tangents: rounding of the place, over the distance.
+    assert met["residual"] < 1e-13
+    check_points(S.Superellipsoid, P, (a, b), met)
 
 
 @pytest.mark.parametrize("P", [Quadric, Waves], ids=lambda kind: kind.__name__)

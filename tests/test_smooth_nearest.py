@@ -1,0 +1,53 @@
+"""Distances of places from shapes, or bounds of them where no more is asked."""
+
+import numpy as np
+import warp as wp
+from convex_pairs import random_shapes
+from warpcontact.kernels.formula import coefficient_struct
+from warpcontact.kernels.smooth import shapes as S
+from warpcontact.kernels.smooth.nearest import nearest, nearest_within
+
+
+def test_distances_from_superellipsoids_are_exact_where_they_are_asked():
+    """Of places that are farther than asked any normal is enough that tells so."""
+    count, random = 2000, np.random.default_rng(3)
+    sizes = random_shapes(S.Superellipsoid, count, random)
+    x = random.uniform(-1.0, 1.0, (count, 3)) * sizes["semi_axes"]
+    start = random.normal(size=(count, 3))
+    start /= np.linalg.norm(start, axis=1, keepdims=True)
+    enough = random.uniform(-0.5, 0.5, count) * sizes["semi_axes"].min(axis=1)
+    Of = coefficient_struct(S.Superellipsoid, wp.float64)
+    of_place, within = nearest(S.Superellipsoid), nearest_within(S.Superellipsoid)
+
+    @wp.kernel(module="unique")
+    def ask(
+        axes: wp.array(dtype=wp.vec3d),
+        exponents: wp.array(dtype=wp.vec2d),
+        x: wp.array(dtype=wp.vec3d),
+        start: wp.array(dtype=wp.vec3d),
+        enough: wp.array(dtype=wp.float64),
+        gap: wp.array2d(dtype=wp.float64),
+        plane: wp.array(dtype=wp.float64),
+    ):
+        i = wp.tid()
+        p = Of()
+        p.semi_axes = axes[i]
+        p.exponents = exponents[i]
+        exact = of_place(p, x[i])
+        found = within(p, x[i], start[i], enough[i])
+        gap[i, 0] = exact.gap
+        gap[i, 1] = found.gap
+        plane[i] = wp.dot(found.normal, x[i] - S.Superellipsoid.support(p, found.normal))
+
+    gap, plane = (wp.zeros(shape, dtype=wp.float64, device="cpu") for shape in ((count, 2), count))
+    inputs = [(sizes["semi_axes"], wp.vec3d), (sizes["exponents"], wp.vec2d), (x, wp.vec3d), (start, wp.vec3d)]
+    arrays = [wp.array(values, dtype=kind, device="cpu") for values, kind in [*inputs, (enough, wp.float64)]]
+    wp.launch(ask, count, arrays, [gap, plane], device="cpu")
+    exact, found = gap.numpy().T
+    near = exact < enough
+    assert 500 < near.sum() < 1500
+    np.testing.assert_array_equal(found[near], exact[near])
+    assert (found[~near] >= enough[~near]).all()
+    # Rounding of products with a place no farther than the semi-axes.
+    assert (found <= exact + 1e-14).all()
+    np.testing.assert_allclose(plane.numpy(), found, atol=1e-14)
