@@ -287,7 +287,9 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
                     if way < 2 and tied == 0:
                         turn = d
                         if way == 1:
-                            turn = rho / view.value
+                            # The points are to be apart for that.
+                            apart = steepness < half * wp.abs(view.value)
+                            turn = wp.where(apart, rho / view.value, vec2d())
                         way += 1
                         n = wp.normalize(n + turn[0] * e_1 + turn[1] * e_2)
                         view = look(p_a, p_b, x, R, n)
