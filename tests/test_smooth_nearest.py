@@ -8,7 +8,7 @@ from warpcontact.kernels.smooth import shapes as S
 from warpcontact.kernels.smooth.nearest import nearest, nearest_within
 
 
-def test_distances_from_superellipsoids_are_exact_where_they_are_asked():
+def test_distances_from_superellipsoids_are_exact_where_they_are_asked(device):
     """Of places that are farther than asked any normal is enough that tells so."""
     count, random = 2000, np.random.default_rng(3)
     sizes = random_shapes(S.Superellipsoid, count, random)
@@ -39,10 +39,10 @@ def test_distances_from_superellipsoids_are_exact_where_they_are_asked():
         gap[i, 1] = found.gap
         plane[i] = wp.dot(found.normal, x[i] - S.Superellipsoid.support(p, found.normal))
 
-    gap, plane = (wp.zeros(shape, dtype=wp.float64, device="cpu") for shape in ((count, 2), count))
+    gap, plane = (wp.zeros(shape, dtype=wp.float64, device=device) for shape in ((count, 2), count))
     inputs = [(sizes["semi_axes"], wp.vec3d), (sizes["exponents"], wp.vec2d), (x, wp.vec3d), (start, wp.vec3d)]
-    arrays = [wp.array(values, dtype=kind, device="cpu") for values, kind in [*inputs, (enough, wp.float64)]]
-    wp.launch(ask, count, arrays, [gap, plane], device="cpu")
+    arrays = [wp.array(values, dtype=kind, device=device) for values, kind in [*inputs, (enough, wp.float64)]]
+    wp.launch(ask, count, arrays, [gap, plane], device=device)
     exact, found = gap.numpy().T
     near = exact < enough
     assert 500 < near.sum() < 1500

@@ -96,12 +96,16 @@ def not_between(at: wp.vec4d, to: wp.vec4d, most: real):
     return first > last
 
 
+def mirrored(A: type[Shape], B: type[Shape]) -> bool:
+    """Whether bodies come apart soonest on the sides of the planes of symmetry of B where the middle of A is."""
+    return A is Sphere and B is Superellipsoid
+
+
 @functools.cache
 def function(A: type[Shape], B: type[Shape]) -> wp.Function:
     """Returns the device function ``next_direction`` of a pair."""
     Of_a, Of_b = coefficient_struct(A, real), coefficient_struct(B, real)
-    # A body with three planes of symmetry ends nearest to a place on the same sides of them.
-    mirrored = A is Sphere and B is Superellipsoid
+    one_octant = mirrored(A, B)
 
     @wp.func
     def next_direction(
@@ -155,7 +159,7 @@ def function(A: type[Shape], B: type[Shape]) -> wp.Function:
             spare = inner - depth
             allowed = wp.where(spare > zero, spare * cosine, spare)
             left = farthest > allowed
-            if wp.static(mirrored):
+            if wp.static(one_octant):
                 for k in range(3):
                     left = left and (level == 0 or n[k] * apart[k] >= zero)
             if left:

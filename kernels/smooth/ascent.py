@@ -273,7 +273,7 @@ def functions(A: type[Shape], B: type[Shape]) -> SimpleNamespace:
             if wp.static(steep):  # noqa: SIM102
                 # Nothing to gain, and yet the points are not across from each other: n is as good as it can be
                 # rounded, and one of them slides along a face that is flat for all that n tells.
-                if slope < SLIDES * size and result.residual > TARGET:
+                if slope < SLIDES * size:
                     # g is flat for rounding. The residual tells whether Newton's step is a good one, or the normal
                     # where the point stays.
                     if result.residual < half * sharp:

@@ -12,7 +12,8 @@ import functools
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels.smooth.base import Nearest, Shape, half, one, real, two, vec3d, zero
+from warpcontact.kernels.smooth.base import Nearest, Shape, half, real, two, vec3d, zero
+from warpcontact.kernels.smooth.nearest import UP
 from warpcontact.kernels.smooth.patch import Jet, Patch, jet_of_patch
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.smooth.torus import Torus
@@ -339,7 +340,7 @@ def covering(A: type[Shape], B: type[Patch], of_place: wp.Function, polish: wp.F
         first = vec2d()
         nearest_of_all = Nearest()
         n = vec3d()
-        search.beside = vec3d(zero, zero, one)
+        search.beside = UP
         plane = FAR
         for i in range(cells_u):
             for j in range(cells_v):

@@ -5,15 +5,16 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct
-from warpcontact.kernels.smooth import ascent, convex
+from warpcontact.kernels.smooth import around, ascent, convex
 from warpcontact.kernels.smooth.base import Nearest, Seed, Shape, one, real, vec3d, zero
 from warpcontact.kernels.smooth.ellipsoid import Ellipsoid
 from warpcontact.kernels.smooth.sphere import Sphere
-from warpcontact.kernels.smooth.superellipsoid import Superellipsoid
 
 # Newton's method for the distance from an ellipsoid ends when a step is rounding; 5 to 8 are usual.
 STEPS = wp.constant(wp.int32(60))
 ROUNDING = wp.constant(real(1.0e-15))
+# A normal to start from where none is known.
+UP = wp.constant(vec3d(0.0, 0.0, 1.0))
 
 
 @wp.func
@@ -99,7 +100,7 @@ def nearest(A: type[Shape]) -> wp.Function:
         return A.nearest
     if A is Ellipsoid:
         return from_ellipsoid
-    mirrored = A is Superellipsoid
+    mirrored = around.mirrored(Sphere, A)
     # As a sphere without radius sees it.
     of_pair = convex.meet(Sphere, A)
     Point = coefficient_struct(Sphere, real)
@@ -138,12 +139,13 @@ def nearest_within(A: type[Shape]) -> wp.Function:
 
         return at_once
     exact, climb = nearest(A), ascent.functions(Sphere, A).climb
+    mirrored = around.mirrored(Sphere, A)
     Point = coefficient_struct(Sphere, real)
 
     @wp.func
     def from_start(p: Any, x: vec3d, start: vec3d, enough: real):
         n = start
-        if wp.static(A is Superellipsoid):
+        if wp.static(mirrored):
             n = facing(start, x)
         size = wp.length(x) + wp.max(A.extents(p))
         top = climb(Point(), p, x, wp.identity(n=3, dtype=real), n, size)

@@ -18,9 +18,9 @@ from typing import Any
 
 import warp as wp
 from warpcontact.kernels.smooth.base import Meeting, Shape, half, one, real, two, vec3d, zero
-from warpcontact.kernels.smooth.covering import Sight, covering
+from warpcontact.kernels.smooth.covering import FAR, Sight, covering
 from warpcontact.kernels.smooth.curvature import curvature
-from warpcontact.kernels.smooth.nearest import nearest_within
+from warpcontact.kernels.smooth.nearest import UP, nearest_within
 from warpcontact.kernels.smooth.patch import Patch, jet_of_patch
 from warpcontact.kernels.smooth.plane import Plane
 from warpcontact.kernels.types import MET, NOT_CONVERGED, OUTSIDE
@@ -43,8 +43,6 @@ ALLOWED = wp.constant(real(1.0e-9))
 ENOUGH = wp.constant(real(0.25))
 # What is no curvature, in terms of the other principal value.
 FLAT = wp.constant(real(1.0e-6))
-UP = wp.constant(vec3d(0.0, 0.0, 1.0))
-INFINITY = wp.constant(real(wp.inf))
 GOAL = wp.constant(real(1.0e-14))
 
 
@@ -202,7 +200,7 @@ def meet(A: type[Shape], B: type[Patch]) -> wp.Function:
     @wp.func
     def polish(p_a: Any, p_b: Any, x: vec3d, q: wp.quatd, start: vec2d, lowered: real):
         """The minimum of the distance that Newton's method comes to, within the domain."""
-        at = look(p_a, p_b, x, q, start, lowered, UP, INFINITY)
+        at = look(p_a, p_b, x, q, start, lowered, UP, FAR)
         beside = at.near.normal
         steps = wp.int32(0)
         going = wp.bool(True)
