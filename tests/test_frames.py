@@ -74,7 +74,7 @@ def test_forces_alone_are_those_of_a_look_at_everything(name, device):
     names = names_of(model, NEUTRAL)
 
     def check():
-        model.prepare({"contacts"})
+        model.prepare({"contacts", "wrenches"})
         seen = [model.measured(name) for name in names]
         afresh(model)
         assert_equal(model, names, seen)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 #: Needs of readings that tell of surfaces that are far away as well.
 OF_FAR = ("distances", "points", "contact_couplings", *SMOOTH)
 #: Needs that can be computed of some environments apart from the others, and in every step.
-IN_PARTS = frozenset(("contacts", "distances", *measures.OF_BODIES, "points", "coordinates"))
+IN_PARTS = frozenset(("contacts", "wrenches", "distances", *measures.OF_BODIES, "points", "coordinates"))
 
 #: All needs.
 KNOWN = IN_PARTS.union(OF_FAR, ("reactions", "piles"))
@@ -74,7 +74,9 @@ def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> l
     a = span.model.arrays
     launches = []
     if shows(needs):
-        launches += force_stages(span, a.state, no_step, all_active)
+        # On a GPU what adds up empties queues as well.
+        by_block = span.model.device.is_cpu and "wrenches" not in needs
+        launches += force_stages(span, a.state, no_step, all_active, by_block=by_block)
     return launches + measure_stages(span, needs, a.state, all_active)
 
 

@@ -95,11 +95,11 @@ class Reading:
         unit: SI unit.
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
-        needs: What has to be computed first: ``"contacts"`` and wrenches, of bodies ``"positions"``,
-            ``"energies"`` and ``"momenta"``, contact ``"points"``, ``"distances"`` of what is far away, of motions
-            ``"reactions"`` and ``"coordinates"``, the forces of ``"contact_couplings"``, of smooth contacts
-            ``"smooth_points"``, ``"smooth_curvatures"`` and ``"smooth_gradients"``, or what is measured of
-            ``"piles"``.
+        needs: What has to be computed first: ``"contacts"``, and the ``"wrenches"`` on bodies; of these
+            ``"positions"``, ``"energies"`` and ``"momenta"``; contact ``"points"``, ``"distances"`` of what is
+            far away; of motions ``"reactions"`` and ``"coordinates"``; the forces of ``"contact_couplings"``; of
+            smooth contacts ``"smooth_points"``, ``"smooth_curvatures"`` and ``"smooth_gradients"``; or what is
+            measured of ``"piles"``.
         items: Number of items of a set, 0 if there is no item axis.
         total: Whether the item axis is summed over.
         codes: What its numbers stand for.
@@ -195,14 +195,14 @@ def readings_of(
         for key, (attribute, unit, meaning) in _BODY_STATE.items():
             add_column(f"{body.name}.{key}", unit, meaning, "state", attribute, own, items=several)
         for key, (attribute, unit, meaning) in _BODY_WRENCH.items():
-            options = {"needs": ("contacts",), "items": several}
+            options = {"needs": ("contacts", "wrenches"), "items": several}
             add_column(f"{body.name}.{key}", unit, meaning, "wrenches", attribute, own, **options)
         for key, (need, unit, meaning) in _BODY_MEASURE.items():
             options = {"needs": (need,), "items": several}
             add_column(f"{body.name}.{key}", unit, meaning, need, key, own, **options)
         for key, (need, attribute, unit, meaning) in motion_readings(body.motion).items():
-            needs = ("contacts", need) if need == "reactions" else (need,)
-            options = {"needs": needs, "items": several}
+            before = ("contacts", "wrenches") if need == "reactions" else ()
+            options = {"needs": (*before, need), "items": several}
             add_column(f"{body.name}.{key}", unit, meaning, need, attribute, own, **options)
     for contact in scene.contacts:
         single = contact.points.single

@@ -102,7 +102,7 @@ class Candidates:
         if scene.smooth_contacts:
             self._needs.add("smooth_points")
         if any(body.motion.kind == DRIVEN for body in scene.bodies):
-            self._needs.add("reactions")
+            self._needs |= {"wrenches", "reactions"}
         model.make_measures(self._needs)
         self._views: tuple[int, dict[str, Array]] = (-1, {})
 
