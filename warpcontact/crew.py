@@ -61,7 +61,12 @@ class _Turn:
     """
 
     frame: int
-    ways: Sequence[Way]
+    ways: tuple[Way, ...]
+
+    def pieces(self, stepper: Stepper, frames: Frames | None) -> list[tuple[Way, ...]]:
+        """Returns ways that ``stepper`` takes at once: one by one if frames are handed on after each."""
+        whole = frames is None or stepper.takes(frames)
+        return [self.ways] if whole else [(way,) for way in self.ways]
 
 
 class Crew:
@@ -109,8 +114,9 @@ class Crew:
             for stepper in self._steppers:
                 if frames is not None:
                     stepper.ready_look(frames)
-                for way in {way for turn in turns for way in turn.ways}:
-                    stepper.capture(way)
+                for turn in turns:
+                    for ways in turn.pieces(stepper, frames):
+                        stepper.capture(ways)
             start = time.perf_counter()
             with _uninterrupted():
                 self._step_all(some, turns, frames)
@@ -122,10 +128,10 @@ class Crew:
 
     def look(self, frames: Frames) -> None:
         """Takes a frame of the state that there is, the first of ``frames``."""
-        turns = [_Turn(frames.first, [Way(0, looks=True)])]
+        turns = [_Turn(frames.first, (Way(0, looks=True),))]
         for stepper in self._steppers:
             stepper.ready_look(frames)
-            stepper.capture(turns[0].ways[0])
+            stepper.capture(turns[0].ways)
         with _uninterrupted():
             self._step_all(1, turns, frames)
 
@@ -140,7 +146,7 @@ class Crew:
         length = -(-length // grain) * grain
         turns: list[_Turn] = []
         if frames is None:
-            return [_Turn(0, [Way(min(length, some - first))]) for first in range(0, some, length)]
+            return [_Turn(0, (Way(min(length, some - first)),)) for first in range(0, some, length)]
         own: list[Way] = []
         frame, size = frames.first + done // frames.every, 0
         for count in frames.cut(done, some):
@@ -149,9 +155,9 @@ class Crew:
             own.append(Way(count, known, looks))
             size, known = size + count, looks
             if size >= length:
-                turns.append(_Turn(frame, own))
+                turns.append(_Turn(frame, tuple(own)))
                 frame, own, size = frames.first + done // frames.every, [], 0
-        return [*turns, _Turn(frame, own)] if own else turns
+        return [*turns, _Turn(frame, tuple(own))] if own else turns
 
     def _step_all(self, count: int, turns: Sequence[_Turn], frames: Frames | None) -> None:
         _step_each(0, _waiting(self._queued), turns, frames)
@@ -199,14 +205,13 @@ def _step_each(
 
 def _step(stepper: Stepper, turn: _Turn, frames: Frames | None) -> None:
     """Takes a turn in a slice, and looks at it wherever a frame is due."""
-    if frames is None:
-        for way in turn.ways:
-            stepper.step(way)
+    if frames is None or stepper.takes(frames):
+        stepper.go_to_frame(turn.frame)
+        stepper.step(turn.ways)
         return
     frame = turn.frame
-    stepper.go_to_frame(frame)
     for way in turn.ways:
-        stepper.step(way)
+        stepper.step((way,))
         if way.looks:
             stepper.hand_on(frames, frame)
             frame += 1

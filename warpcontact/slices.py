@@ -217,8 +217,8 @@ class Stepper:
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
         # With what a look at their end is for. All are kept: few sets of needs come up in a simulation.
         self._graphs: dict[tuple[Way, frozenset[str]], wp.Graph] = {}
-        # Of those, by what is asked for, which it is made up of.
-        self._ways: dict[tuple[Way, frozenset[str]], list[wp.Graph]] = {}
+        # Of those, which make up ways that are taken one after the other; by what else decides that.
+        self._sequences: dict[tuple[tuple[Way, ...], frozenset[str], bool], list[wp.Graph]] = {}
         # By what is needed; what is now, and whether it tells steps what is near; and what takes frames.
         self._looks: dict[frozenset[str], list[wp.Launch]] = {}
         self._needs: frozenset[str] = frozenset()
@@ -290,44 +290,41 @@ class Stepper:
         if way.looks:
             yield Way(0, looks=True)
 
-    def capture(self, way: Way) -> None:
+    def capture(self, ways: tuple[Way, ...]) -> None:
         """Captures what ``step`` will replay. Not while other threads step."""
-        way = self._told(way)
-        if not self.captured or self._key(way) in self._ways:
+        sequence = ways, self._needs, self._tells
+        if not self.captured or sequence in self._sequences:
             return
         graphs = []
-        for one in self._graphs_of(way):
-            key = self._key(one)
-            if key not in self._graphs:
-                self._graphs[key] = self._captured(self.graph(one))
-            graphs.append(self._graphs[key])
-        self._ways[self._key(way)] = graphs
-
-    def _told(self, way: Way) -> Way:
-        """Returns a way that knows no more than looks tell."""
-        return way if self._tells or not way.known else replace(way, known=False)
-
-    def _key(self, way: Way) -> tuple[Way, frozenset[str]]:
-        return way, self._needs if way.looks else frozenset()
+        for way in ways:
+            # It knows no more than looks tell.
+            for one in self._graphs_of(replace(way, known=way.known and self._tells)):
+                key = one, self._needs if one.looks else frozenset()
+                if key not in self._graphs:
+                    self._graphs[key] = self._captured(self.graph(one))
+                graphs.append(self._graphs[key])
+        self._sequences[sequence] = graphs
 
     def _captured(self, launches: list[wp.Launch]) -> wp.Graph:
         with capturing(), wp.ScopedCapture(device=self.device) as capture:
             _launch(launches)
         return capture.graph
 
-    def step(self, way: Way) -> None:
-        """Takes steps, captured ones, and looks; the state is in the model's buffer before and after."""
+    def step(self, ways: tuple[Way, ...]) -> None:
+        """Takes steps, captured ones, and looks; the state is in the model's buffer before and after each way."""
         if self.captured:
-            for graph in self._ways[self._key(self._told(way))]:
+            # Looked up once: Python is slow where steps drive it out of the cache of a core.
+            for graph in self._sequences[ways, self._needs, self._tells]:
                 wp.capture_launch(graph)
             return
         with beside_captures():
-            for number in range(way.steps):
-                self._take(number % 2)
-            if way.steps % 2:
-                _launch(self._steps[0].back)
-            if way.looks:
-                _launch(self._looks[self._needs])
+            for way in ways:
+                for number in range(way.steps):
+                    self._take(number % 2)
+                if way.steps % 2:
+                    _launch(self._steps[0].back)
+                if way.looks:
+                    _launch(self._looks[self._needs])
 
     def ready_look(self, frames: Frames) -> None:
         """Prepares looks, for ways from now on. Not while other threads step."""
@@ -356,10 +353,13 @@ class Stepper:
         if self._taking is not None:
             self._taking.go_to(number)
 
+    def takes(self, frames: Frames) -> bool:
+        """Whether launches take frames where they are looked at, and nobody has to hand them on."""
+        return self._span.model in frames.copies
+
     def hand_on(self, frames: Frames, number: int) -> None:
-        """Hands on frame ``number`` of its environments, which was looked at, where launches do not take it."""
-        if self._span.model not in frames.copies:
-            frames.take(self._span.model, self.slice, number)
+        """Hands on frame ``number`` of its environments, which was looked at."""
+        frames.take(self._span.model, self.slice, number)
 
     def _take(self, way: int) -> None:
         """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""
