@@ -76,11 +76,9 @@ def sync_file(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def sync(files: Iterable[Path], root: Path) -> None:
-    """Waits until files are on the disk, and the names of them and of all folders from ``root`` on."""
-    paths = list(files)
-    _wait_for(sync_file, paths)
-    sync_names({path.parent for path in paths}, root)
+def sync_files(paths: Iterable[Path]) -> None:
+    """Waits until the contents of files are on the disk; their names may not be yet."""
+    _wait_for(sync_file, list(paths))
 
 
 def sync_names(folders: Iterable[Path], root: Path) -> None:

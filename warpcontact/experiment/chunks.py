@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.direct import DirectFile
 from warpcontact.experiment.records import StoreError
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class Chunk:
     def write(self, path: Path) -> tuple[int, str]:
         """Writes the file, in a folder that there is; returns its size [bytes] and SHA-256."""
         size, sha = 0, hashlib.sha256()
-        with path.open("wb") as file:
+        with DirectFile(path) as file:
             for part in self.array.encoded(self.values):
                 file.write(part)
                 sha.update(part)

@@ -106,7 +106,6 @@ class ShardRunner:
         # Told here, once for each kind, with the numbers of environments among all.
         self.simulation.advised = True
         self.ledger = Ledger(folder)
-        self._recorder: Recorder | None = None
         self._said: set[str] = set()
 
     @property

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.crew import available_threads
-from warpcontact.durable import PARTIAL, sync, sync_folder, sync_names, write_json
+from warpcontact.durable import PARTIAL, sync_files, sync_folder, sync_names, write_json
 from warpcontact.experiment.chunks import Chunk, Chunks, compressors
 from warpcontact.experiment.records import (
     COMMITS,
@@ -157,7 +157,8 @@ def create(
         for key, variable in template.data_vars.items():
             _create_array(group, str(key), variable, sizes, template.sizes["env"], block)
     files = [one for one in partial.rglob("*") if one.is_file()]
-    sync(files, partial)
+    sync_files(files)
+    sync_names({one.parent for one in files}, partial)
     names = sorted(one.relative_to(partial).as_posix() for one in files)
     write_json(path.parent / COMMITS / MADE, {"files": measured(partial, names)})
     partial.rename(path)
@@ -311,7 +312,7 @@ class Staging:
             process.
 
     Attributes:
-        written: The files that are there, and on the disk, since the last ``clear``.
+        written: The files that are there, with their contents on the disk, since the last ``clear``.
     """
 
     def __init__(self, folder: Path, shard: Shard, threads: int | None = None) -> None:
@@ -348,7 +349,7 @@ class Staging:
         Raises:
             OSError: If what was begun before could not be written.
         """
-        self.wait()
+        self._end()
         self._begun = self._beside.submit(self._write, group, values, first_frame)
 
     def wait(self) -> None:
@@ -357,6 +358,11 @@ class Staging:
         Raises:
             OSError: If it could not be.
         """
+        self._end()
+        sync_names({(self._root / name).parent for name in self.written}, self._root.parent)
+
+    def _end(self) -> None:
+        """Waits until what was begun is written."""
         begun, self._begun = self._begun, None
         if begun is not None:
             begun.result()
@@ -370,7 +376,7 @@ class Staging:
         for folder in {(self._root / name).parent for name in chunks}:
             folder.mkdir(parents=True, exist_ok=True)
         written = dict(self._writers.map(self._put, chunks.items()))
-        sync([self._root / name for name in written], self._root.parent)
+        sync_files(self._root / name for name in written)
         self.written |= written
 
     def _put(self, item: tuple[str, Chunk]) -> tuple[str, tuple[int, str]]:

@@ -1,0 +1,109 @@
+"""Files that are written past the memory of the system hold what was written, however much that is."""
+
+import os
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warpcontact.direct import BLOCK, PIECE, DirectFile
+
+SIZES = (0, 1, BLOCK - 1, BLOCK, BLOCK + 1, PIECE - 1, PIECE, PIECE + 1, 3 * PIECE + 2 * BLOCK + 7)
+
+
+def content_of(size, seed=0):
+    return np.random.default_rng(seed).bytes(size)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_file_holds_what_was_written(size, tmp_path):
+    content = content_of(size)
+    with DirectFile(tmp_path / "file") as file:
+        file.write(content)
+    assert (tmp_path / "file").read_bytes() == content
+
+
+def test_parts_follow_each_other(tmp_path):
+    parts = [content_of(size, size) for size in SIZES]
+    with DirectFile(tmp_path / "file") as file:
+        for part in parts:
+            file.write(part)
+    assert (tmp_path / "file").read_bytes() == b"".join(parts)
+
+
+def test_a_longer_file_is_replaced(tmp_path):
+    (tmp_path / "file").write_bytes(content_of(3 * PIECE))
+    with DirectFile(tmp_path / "file") as file:
+        file.write(b"short")
+    assert (tmp_path / "file").read_bytes() == b"short"
+
+
+def test_its_rights_are_those_of_other_files(tmp_path):
+    (tmp_path / "other").write_bytes(b"")
+    with DirectFile(tmp_path / "file"):
+        pass
+    assert (tmp_path / "file").stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
+def test_threads_write_their_own_files(tmp_path):
+    contents = [content_of(2 * PIECE + number, number) for number in range(4)]
+    begun = threading.Barrier(len(contents))
+
+    def write(number):
+        with DirectFile(tmp_path / str(number)) as file:
+            begun.wait()
+            for start in range(0, len(contents[number]), 1000):
+                file.write(contents[number][start : start + 1000])
+
+    threads = [threading.Thread(target=write, args=(number,)) for number in range(len(contents))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [(tmp_path / str(number)).read_bytes() for number in range(len(contents))] == contents
+
+
+@pytest.mark.skipif(not hasattr(os, "O_DIRECT"), reason="this system has one way to write a file")
+@pytest.mark.parametrize("refused", ["opened", "written to"])
+def test_where_files_cannot_be_written_directly_they_are_written(refused, tmp_path, monkeypatch):
+    """As on file systems that refuse it, some only at the first write."""
+    content = content_of(PIECE + BLOCK + 3)
+    name = {"opened": "opener", "written to": "misaligned"}[refused]
+    if name == "opener":
+        usual = os.open
+
+        def refusing(path, flags, *rest, **options):
+            if flags & os.O_DIRECT:
+                raise OSError(22, "Invalid argument", path)
+            return usual(path, flags, *rest, **options)
+
+        monkeypatch.setattr(os, "open", refusing)
+    with DirectFile(tmp_path / "file") as file:
+        if name == "misaligned":
+            # Memory that begins elsewhere is what a disk refuses.
+            file._piece = np.zeros(PIECE + BLOCK, dtype=np.uint8)[1 : PIECE + 1]
+        file.write(content)
+    assert (tmp_path / "file").read_bytes() == content
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_what_does_not_fit_is_an_error():
+    with pytest.raises(OSError, match="No space left"), DirectFile(Path("/dev/full")) as file:
+        file.write(content_of(2 * BLOCK + 1))
+
+
+def test_a_folder_is_no_file(tmp_path):
+    with pytest.raises(IsADirectoryError):
+        DirectFile(tmp_path)
+
+
+def test_who_fails_while_writing_is_told_so(tmp_path):
+    def write():
+        with DirectFile(tmp_path / "file") as file:
+            file.write(b"begun")
+            raise ValueError("mine")
+
+    with pytest.raises(ValueError, match="mine"):
+        write()
+    assert (tmp_path / "file").read_bytes() == b""

@@ -1,0 +1,123 @@
+"""Large files, from memory to the disk without a copy in the memory of the system.
+
+What is written once, and waited for, gains nothing from that copy: it takes its time, and drives out what others
+read. On a virtual machine, whose host has to find new memory for it, the copy takes several times as long as all
+the rest of writing.
+"""
+
+import contextlib
+import errno
+import mmap
+import os
+import threading
+from io import FileIO
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: What goes to the disk directly is in blocks of so many bytes: in memory, in the file, and in number. Those of
+#: disks are as large or smaller.
+BLOCK = mmap.PAGESIZE
+
+#: Bytes that are handed on at once.
+PIECE = 2**20
+
+# Of a thread, once it wrote: always the same memory.
+_own = threading.local()
+
+
+class DirectFile:
+    """A file that is written from its begin, directly as far as its system lets it. A context.
+
+    Its last bytes, less than a block, go the way of other files, as do all where a system or disk knows no other.
+    One thread writes one such file at a time.
+
+    Args:
+        path: The file, which is replaced.
+
+    Raises:
+        OSError: If it cannot be written, by any of the methods.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._piece = _piece()
+        self._held = 0
+        try:
+            self._file = FileIO(path, "w", opener=_open_directly)
+        except OSError as error:
+            if error.errno != errno.EINVAL:
+                raise
+            self._file = FileIO(path, "w")
+
+    def __enter__(self) -> "DirectFile":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._file:
+            if error is None:
+                self._end()
+
+    def write(self, content: Any) -> None:
+        """Writes what has a buffer, such as bytes; some of it waits until there is more."""
+        rest = np.frombuffer(content, dtype=np.uint8)
+        while len(rest):
+            count = min(len(rest), len(self._piece) - self._held)
+            self._piece[self._held : self._held + count] = rest[:count]
+            self._held += count
+            rest = rest[count:]
+            if self._held == len(self._piece):
+                self._put(self._piece)
+                self._held = 0
+
+    def _end(self) -> None:
+        """Writes what waits."""
+        whole = self._held // BLOCK * BLOCK
+        self._put(self._piece[:whole])
+        if self._held > whole:
+            self._put_indirectly(self._piece[whole : self._held])
+
+    def _put(self, content: NDArray[np.uint8]) -> None:
+        while len(content) >= BLOCK and len(content) % BLOCK == 0:
+            try:
+                content = content[self._file.write(content.data) :]
+            except OSError as error:
+                # Some say no more before the first write; who cannot be written to at all says it again.
+                if error.errno != errno.EINVAL:
+                    raise
+                break
+        self._put_indirectly(content)
+
+    def _put_indirectly(self, content: NDArray[np.uint8]) -> None:
+        if len(content):
+            _go_indirectly(self._file.fileno())
+        while len(content):
+            content = content[self._file.write(content.data) :]
+
+
+def _open_directly(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_DIRECT", 0), 0o666)
+
+
+def _go_indirectly(descriptor: int) -> None:
+    """Lets what is written to a file from now on go the way of other files."""
+    if hasattr(os, "O_DIRECT"):
+        import fcntl
+
+        flags = fcntl.fcntl(descriptor, fcntl.F_GETFL)
+        fcntl.fcntl(descriptor, fcntl.F_SETFL, flags & ~os.O_DIRECT)
+
+
+def _piece() -> NDArray[np.uint8]:
+    """Returns memory of this thread that begins with a block."""
+    if not hasattr(_own, "piece"):
+        memory = mmap.mmap(-1, PIECE)
+        with contextlib.suppress(AttributeError, OSError):
+            memory.madvise(mmap.MADV_HUGEPAGE)
+        _own.piece = np.frombuffer(memory, dtype=np.uint8)
+    piece: NDArray[np.uint8] = _own.piece
+    return piece
