@@ -7,9 +7,7 @@ other programs disturb less, and of all threads. Frames are copied on the host a
 
 On a CPU then what it takes to keep them: experiments of ``--folder-envs`` environments of W1 with four outcomes,
 which write their results into a folder, with a series of 101 frames and without, in turn. Their figures are of all
-that ``Experiment.run`` does, but for the pictures of the results, in processor time and in time. Files are written
-into memory first. What a virtual machine never used of it, its host finds page by page at the first write: on
-the machine of the figures 9 µs each, ten times what a page takes that was used. So much is used once before.
+that ``Experiment.run`` does, but for the pictures of the results, in processor time and in time.
 """
 
 import argparse
@@ -21,14 +19,12 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import numpy as np
 import warp as wp
 from result_file import default_path, write
 from study import OUTCOMES, study
 from works import DT, WORKS
 
 import warpcontact as wc
-from warpcontact.available import HOST, find_room
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.simulation import simulation
 from warpcontact.crew import available_threads
@@ -92,12 +88,6 @@ def spent(experiment: wc.Experiment, folder: Path) -> tuple[float, float]:
         return time.process_time() - clocks[0], time.perf_counter() - clocks[1]
 
 
-def use_memory(size: int) -> None:
-    """Writes ``size`` bytes of memory, or half of what is available, and gives them back."""
-    room = find_room(HOST)
-    np.ones(size if room is None else min(size, room.size // 2), dtype=np.uint8)
-
-
 def measure_folder(envs: int, repeats: int, parent: Path | None) -> dict[str, Any]:
     """Returns what the series of runs into folders in ``parent`` takes beside the same without it."""
     plain = study(envs, OUTCOMES)
@@ -111,10 +101,6 @@ def measure_folder(envs: int, repeats: int, parent: Path | None) -> dict[str, An
             both = {one: spent(one, Path(folder, f"{number}-{one is with_series}")) for one in order}
             if number >= 0:
                 pairs.append((both[without], both[with_series]))
-            else:
-                use_memory(
-                    repeats * sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
-                )
     figures = {}
     for kind, key in enumerate(("processor", "time")):
         first, second = zip(*((a[kind], b[kind]) for a, b in pairs), strict=True)

@@ -5,7 +5,6 @@ read. On a virtual machine, whose host has to find new memory for it, the copy t
 the rest of writing.
 """
 
-import contextlib
 import errno
 import mmap
 import os
@@ -115,9 +114,6 @@ def _go_indirectly(descriptor: int) -> None:
 def _piece() -> NDArray[np.uint8]:
     """Returns memory of this thread that begins with a block."""
     if not hasattr(_own, "piece"):
-        memory = mmap.mmap(-1, PIECE)
-        with contextlib.suppress(AttributeError, OSError):
-            memory.madvise(mmap.MADV_HUGEPAGE)
-        _own.piece = np.frombuffer(memory, dtype=np.uint8)
+        _own.piece = np.frombuffer(mmap.mmap(-1, PIECE), dtype=np.uint8)
     piece: NDArray[np.uint8] = _own.piece
     return piece
