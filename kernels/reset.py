@@ -13,7 +13,7 @@ from warpcontact.kernels.types import ENV_ACTIVE, NO_CAUSE, structs
 def environments(real: type) -> wp.Kernel:
     """Returns the kernel that puts chosen environments back to the start. Launch with dim env."""
     t = structs(real)
-    State, History, Cache, Near = t.State, t.History, t.Cache, t.Near
+    vec3, State, History, Cache, Near, Wrenches = t.vec3, t.State, t.History, t.Cache, t.Near, t.Wrenches
     copy_body = frames.functions(real).copy_body
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -31,6 +31,7 @@ def environments(real: type) -> wp.Kernel:
         history: History,
         cache: Cache,
         near: Near,
+        wrenches: Wrenches,
     ):
         env = wp.tid()
         if not mask[env]:
@@ -40,6 +41,9 @@ def environments(real: type) -> wp.Kernel:
         time[env] = wp.float64(0.0)
         for body in range(bodies):
             copy_body(initial, state, env, body)
+            # Whoever looks at them before they are computed anew is not to see why the environment failed.
+            wrenches.force[env, body] = vec3()
+            wrenches.torque[env, body] = vec3()
         for contact in range(contacts):
             history.entry_speed[env, contact] = real(-1.0)
             history.armed[env, contact] = 0

@@ -1,5 +1,6 @@
 """Files that are written past the memory of the system hold what was written, however much that is."""
 
+import errno
 import os
 import threading
 from pathlib import Path
@@ -65,24 +66,28 @@ def test_threads_write_their_own_files(tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "O_DIRECT"), reason="this system has one way to write a file")
-@pytest.mark.parametrize("refused", ["opened", "written to"])
-def test_where_files_cannot_be_written_directly_they_are_written(refused, tmp_path, monkeypatch):
-    """As on file systems that refuse it, some only at the first write."""
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.EOPNOTSUPP])
+def test_files_that_cannot_be_opened_to_be_written_directly_are_written(number, tmp_path, monkeypatch):
     content = content_of(PIECE + BLOCK + 3)
-    name = {"opened": "opener", "written to": "misaligned"}[refused]
-    if name == "opener":
-        usual = os.open
+    usual = os.open
 
-        def refusing(path, flags, *rest, **options):
-            if flags & os.O_DIRECT:
-                raise OSError(22, "Invalid argument", path)
-            return usual(path, flags, *rest, **options)
+    def refusing(path, flags, *rest, **options):
+        if flags & os.O_DIRECT:
+            raise OSError(number, os.strerror(number), path)
+        return usual(path, flags, *rest, **options)
 
-        monkeypatch.setattr(os, "open", refusing)
+    monkeypatch.setattr(os, "open", refusing)
     with DirectFile(tmp_path / "file") as file:
-        if name == "misaligned":
-            # Memory that begins elsewhere is what a disk refuses.
-            file._piece = np.zeros(PIECE + BLOCK, dtype=np.uint8)[1 : PIECE + 1]
+        file.write(content)
+    assert (tmp_path / "file").read_bytes() == content
+
+
+@pytest.mark.parametrize("size", [3, BLOCK, PIECE + BLOCK + 3])
+def test_what_is_refused_when_it_is_written_goes_the_way_of_other_files(size, tmp_path):
+    content = content_of(size)
+    with DirectFile(tmp_path / "file") as file:
+        # Memory that begins elsewhere is what a disk refuses.
+        file._piece = np.zeros(PIECE + BLOCK, dtype=np.uint8)[1 : PIECE + 1]
         file.write(content)
     assert (tmp_path / "file").read_bytes() == content
 

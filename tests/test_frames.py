@@ -6,6 +6,7 @@ import memory_scenes
 import numpy as np
 import pytest
 import warp as wp
+from test_pile_sums import heap
 from test_schedule import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
@@ -74,7 +75,7 @@ def test_forces_alone_are_those_of_a_look_at_everything(name, device):
     names = names_of(model, NEUTRAL)
 
     def check():
-        model.prepare({"contacts", "wrenches"})
+        model.prepare({"wrenches"})
         seen = [model.measured(name) for name in names]
         afresh(model)
         assert_equal(model, names, seen)
@@ -209,6 +210,24 @@ def test_needs_that_are_known_are_those_of_all_readings(device):
     models = [make().build(device=device) for make in memory_scenes.SCENES.values()]
     needs = {need for model in models for reading in model.parts[0].readings.values() for need in reading.needs}
     assert known_needs(needs) == needs == looks.KNOWN
+
+
+@pytest.mark.parametrize("name", ["two bodies", "hard", "heap"])
+def test_looks_at_contacts_add_nothing_to_wrenches(name, device):
+    """Where a reading of them is left out, they are left alone or computed anew: never added to again."""
+    model = (heap if name == "heap" else SCENES["two bodies"])().build(envs=ENVS, device=device)
+    if name != "heap":
+        start(model)
+    integrator = wc.integrators.MoreauJean() if name == "hard" else None
+    wc.Simulation(model, dt=1e-3, integrator=integrator).step(300)
+    wrenches = model.parts[0].arrays.wrenches
+    model.prepare({"wrenches"})
+    before = [wrenches.force.numpy().copy(), wrenches.torque.numpy().copy()]
+    assert np.abs(before[0]).max() > 1.0
+    for _ in range(3):
+        model.prepare({"contacts"})
+    np.testing.assert_array_equal(wrenches.force.numpy(), before[0])
+    np.testing.assert_array_equal(wrenches.torque.numpy(), before[1])
 
 
 @pytest.mark.parametrize(

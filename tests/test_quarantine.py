@@ -169,3 +169,29 @@ def test_raising_names_the_first_environment_with_its_time_and_cause():
 def test_other_policies_are_refused():
     with pytest.raises(ValueError, match="quarantine must be one of 'freeze', 'reset', 'raise', got 'explode'"):
         wc.Simulation(falling(1), DT, quarantine="explode")
+
+
+@pytest.mark.parametrize("look", [False, True], ids=["steps", "looks first"])
+def test_a_reset_environment_knows_nothing_of_the_wrenches_that_it_failed_with(look, device):
+    """Steps of Moreau and Jean tell driven bodies where to go before they compute what acts on them."""
+    scene = wc.Scene()
+    motion = wc.motions.Harmonic(direction=(1.0, 0.0, 0.0), amplitude=0.02, frequency=1.0)
+    plate = scene.add_body(1.0, (1.0, 1.0, 1.0), motion=motion)
+    floor = scene.add_surface(wc.meshes.box((1.0, 1.0, 0.2)), body=plate, position=(0, 0, -0.1))
+    ball = scene.add_body(1.0, (0.1, 0.1, 0.1), position=(0, 0, 0.0999), name="ball")
+    template = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e4, damping=20.0))
+    scene.add_contact(scene.add_point(ball, (0, 0, 0)), floor, template, radius=0.1, name="touch")
+    model = scene.build(envs=2, device=device)
+    sim = wc.Simulation(model, dt=1e-3, integrator=wc.integrators.MoreauJean(compliant=("touch",)))
+    # So much that its force is beyond single precision.
+    model["touch.law.damping"] = [20.0, 3e38]
+    model["ball.linear_velocity"] = (0.0, 0.0, -5.0)
+    sim.step(3)
+    assert model.health().frozen.tolist() == [1]
+    model["touch.law.damping"] = 20.0
+    model["ball.linear_velocity"] = (0.0, 0.0, 0.0)
+    sim.reset()
+    if look:
+        model.reading("touch.normal_force")
+    sim.step(3)
+    assert model.health().good

@@ -378,11 +378,14 @@ def test_steps_that_take_long_are_few_between_two_looks_at_ctrl_c():
         def go_to(self, own):
             pass
 
-        def capture(self, way):
+        def go_to_frame(self, number):
             pass
 
-        def step(self, way):
-            time.sleep(0.02 * way.steps)
+        def capture(self, ways):
+            pass
+
+        def step(self, ways):
+            time.sleep(0.02 * sum(way.steps for way in ways))
 
     assert list(crew.Crew([crew.Share([slice(0, 1)], [Stepper()])]).step(24)) == [8, 16, 24]
 

@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 #: disks are as large or smaller.
 BLOCK = mmap.PAGESIZE
 
+# What file systems say that know no such way.
+_UNABLE = (errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP)
+
 #: Bytes that are handed on at once.
 PIECE = 2**20
 
@@ -47,7 +50,7 @@ class DirectFile:
         try:
             self._file = FileIO(path, "w", opener=_open_directly)
         except OSError as error:
-            if error.errno != errno.EINVAL:
+            if error.errno not in _UNABLE:
                 raise
             self._file = FileIO(path, "w")
 
@@ -85,8 +88,8 @@ class DirectFile:
             try:
                 content = content[self._file.write(content.data) :]
             except OSError as error:
-                # Some say no more before the first write; who cannot be written to at all says it again.
-                if error.errno != errno.EINVAL:
+                # Some say it at the first write only; who cannot be written to at all says it again.
+                if error.errno not in _UNABLE:
                     raise
                 break
         self._put_indirectly(content)
@@ -114,6 +117,7 @@ def _go_indirectly(descriptor: int) -> None:
 def _piece() -> NDArray[np.uint8]:
     """Returns memory of this thread that begins with a block."""
     if not hasattr(_own, "piece"):
-        _own.piece = np.frombuffer(mmap.mmap(-1, PIECE), dtype=np.uint8)
+        memory = np.empty(PIECE + BLOCK, dtype=np.uint8)
+        _own.piece = memory[-memory.ctypes.data % BLOCK :][:PIECE]
     piece: NDArray[np.uint8] = _own.piece
     return piece

@@ -200,7 +200,7 @@ class Environments(ABC):
     def evaluate(self) -> None:
         """Computes contacts and wrenches of the current state; changes neither state nor history."""
         for part in self.parts:
-            part.prepare({"contacts", "wrenches", "distances"})
+            part.prepare({"wrenches", "distances"})
 
     def find_reading(self, name: str) -> Reading:
         """Returns what is known of reading ``name``; its array is that of the first part.

@@ -37,7 +37,7 @@ def in_parts(device: wp.Device, hard: "HardContacts | None", needs: Set[str]) ->
 
 def shows(needs: Set[str]) -> bool:
     """Whether readings with ``needs`` tell of contacts, of which hard ones have to be shown."""
-    return not needs.isdisjoint(("contacts", *OF_FAR))
+    return not needs.isdisjoint(("contacts", "wrenches", *OF_FAR))
 
 
 def looks_at_near(span: Span, needs: Set[str]) -> bool:
@@ -74,8 +74,9 @@ def look_stages(span: Span, needs: Set[str], no_step: Any, all_active: Any) -> l
     a = span.model.arrays
     launches = []
     if shows(needs):
-        # On a GPU what adds up empties queues as well.
-        by_block = span.model.device.is_cpu and "wrenches" not in needs
+        # On a GPU what adds up empties queues as well, and to what piles and hard contacts add has to be there.
+        added_to = span.model.device.is_cuda or span.model.piles or span.hard is not None
+        by_block = not added_to and "wrenches" not in needs
         launches += force_stages(span, a.state, no_step, all_active, by_block=by_block)
     return launches + measure_stages(span, needs, a.state, all_active)
 

@@ -262,6 +262,7 @@ class Model(Environments, OfScene):
                 a.history,
                 a.cache,
                 a.near,
+                a.wrenches,
             ],
             device=self.device,
         )

@@ -95,7 +95,7 @@ class Reading:
         unit: SI unit.
         meaning: What it is, and its frame.
         array: Returns its device array, (envs,) or (envs, item), from the arrays of a model.
-        needs: What has to be computed first: ``"contacts"``, and the ``"wrenches"`` on bodies; of these
+        needs: What has to be computed first: ``"contacts"``, or also the ``"wrenches"`` on bodies; of these
             ``"positions"``, ``"energies"`` and ``"momenta"``; contact ``"points"``, ``"distances"`` of what is
             far away; of motions ``"reactions"`` and ``"coordinates"``; the forces of ``"contact_couplings"``; of
             smooth contacts ``"smooth_points"``, ``"smooth_curvatures"`` and ``"smooth_gradients"``; or what is
@@ -195,13 +195,13 @@ def readings_of(
         for key, (attribute, unit, meaning) in _BODY_STATE.items():
             add_column(f"{body.name}.{key}", unit, meaning, "state", attribute, own, items=several)
         for key, (attribute, unit, meaning) in _BODY_WRENCH.items():
-            options = {"needs": ("contacts", "wrenches"), "items": several}
+            options = {"needs": ("wrenches",), "items": several}
             add_column(f"{body.name}.{key}", unit, meaning, "wrenches", attribute, own, **options)
         for key, (need, unit, meaning) in _BODY_MEASURE.items():
             options = {"needs": (need,), "items": several}
             add_column(f"{body.name}.{key}", unit, meaning, need, key, own, **options)
         for key, (need, attribute, unit, meaning) in motion_readings(body.motion).items():
-            before = ("contacts", "wrenches") if need == "reactions" else ()
+            before = ("wrenches",) if need == "reactions" else ()
             options = {"needs": (*before, need), "items": several}
             add_column(f"{body.name}.{key}", unit, meaning, need, attribute, own, **options)
     for contact in scene.contacts:
