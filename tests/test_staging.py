@@ -2,9 +2,11 @@
 
 import contextlib
 import hashlib
+import os
 import shutil
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -135,6 +137,27 @@ def test_arrays_that_are_compressed_otherwise_are_refused(tmp_path):
     group.create_array("x", shape=(4,), chunks=(4,), dtype="f4", compressors=zarr.codecs.GzipCodec())
     with pytest.raises(StoreError, match="gzip"):
         Chunks(tmp_path / "x")
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="this system does not tell what is waited for")
+def test_what_is_to_be_committed_is_on_the_disk_with_its_names(made, monkeypatch):
+    folder, values = made
+    synced = set()
+    usual = os.fsync
+
+    def noted(descriptor):
+        usual(descriptor)
+        synced.add(Path(os.readlink(f"/proc/self/fd/{descriptor}")))
+
+    monkeypatch.setattr(os, "fsync", noted)
+    with store.Ledger(folder).staging(store.Shard(0, 0, 32)) as staging:
+        staging.write("series", series(values))
+        staging.wait()
+        root = (folder / store.STAGING / "shard_000000").resolve()
+        files = {root / name for name in staging.written}
+        folders = {one for file in files for one in file.parents if one.is_relative_to(root.parent)}
+        assert len(files) == 8
+        assert files | folders <= synced
 
 
 def test_a_block_is_written_while_its_writer_goes_on(made, monkeypatch):

@@ -193,7 +193,7 @@ def force_stages(
         step: What the forces act over [env, 0] [s]; zeros for the forces of the instant.
         status: Of the environments [env]; left out are those that are not active.
         by_block: Whether what blocks of contacts and touches of a pile do is left with them, to be added up by
-            whoever comes next.
+            whoever comes next, or by nobody.
     """
     model = span.model
     a, real = model.arrays, model.types.real
