@@ -27,10 +27,13 @@ class Stepper:
     def go_to(self, own):
         pass
 
-    def capture(self, way):
+    def go_to_frame(self, number):
         pass
 
-    def step(self, way):
+    def capture(self, ways):
+        pass
+
+    def step(self, ways):
         if self.meeting is not None:
             self.meeting.wait(timeout=10.0)  # a BrokenBarrierError if the others are not stepped meanwhile
         self.log.append((str(self.device), threading.current_thread() is threading.main_thread()))
@@ -76,14 +79,14 @@ def test_few_slices_are_stepped_in_turns_by_one_thread_at_a_time(monkeypatch):
         def go_to(self, own):
             self.own = own.start
 
-        def step(self, way):
+        def step(self, ways):
             with lock:
                 assert not begun.get(self.own), "somebody else is at it"
                 begun[self.own] = True
             time.sleep(0.001)
             with lock:
                 begun[self.own] = False
-                taken.setdefault(self.own, []).append(way.steps)
+                taken.setdefault(self.own, []).append(sum(way.steps for way in ways))
 
     made = crew.Crew(
         [crew.Share([slice(k, k + 1) for k in range(3)], [OnSlices("cpu", True, []) for _ in range(2)])]
