@@ -20,10 +20,8 @@ from warpcontact.slices import Frames, Stepper, Way
 # a GPU has graphs. Threads wait for each other then.
 _FEWEST = 8
 _FEWEST_QUEUED = 32
-# Turns that each of several threads takes until they wait for each other, about: the last may take one alone. And
-# steps of a turn at least, for which a slice is fetched into the cache of a core.
-_TURNS = 16
-_SHORTEST_TURN = 32
+# Of what a thread does until all wait for each other, the last turn that it takes, at most; one may take it alone.
+_LAST_TURN = 1 / 64
 # Environment-steps below which starting threads takes longer than what they would save.
 ALONE = 4096
 
@@ -91,8 +89,8 @@ class Crew:
         # The other slices, and how many threads share them.
         pieces = _pieces(on_cpu)
         self._teams = [(_pieces(own), 1) for own in launched.values()] + [(pieces, members)]
-        # Of few slices each thread has few: in turns they end at about the same time.
-        self._turns = -(-_TURNS * members // len(pieces)) if 1 < members < len(pieces) else 1
+        # Of few slices each thread has few: in turns, the last of which is short, they end at about the same time.
+        self._last_turn = _LAST_TURN * len(pieces) / members if 1 < members < len(pieces) else 1.0
         self._threads = sum(members for _, members in self._teams)
         self._pool: ThreadPoolExecutor | None = None
         self._envs = sum(own.stop - own.start for share in shares for own in share.slices)
@@ -141,12 +139,10 @@ class Crew:
 
     def _cut(self, done: int, some: int, frames: Frames | None, known: bool) -> list[_Turn]:
         """Returns the turns of ``some`` steps after the first ``done``; ``known`` is that of the first."""
-        length = max(_SHORTEST_TURN, -(-some // (1 if self._alone(some) else self._turns)))
-        grain = _FEWEST_QUEUED if self._queued else _FEWEST
-        length = -(-length // grain) * grain
-        turns: list[_Turn] = []
+        lengths = self._lengths(some)
         if frames is None:
-            return [_Turn(0, (Way(min(length, some - first)),)) for first in range(0, some, length)]
+            return [_Turn(0, (Way(length),)) for length in lengths]
+        turns: list[_Turn] = []
         own: list[Way] = []
         frame, size = frames.first + done // frames.every, 0
         for count in frames.cut(done, some):
@@ -154,10 +150,21 @@ class Crew:
             looks = done % frames.every == 0
             own.append(Way(count, known, looks))
             size, known = size + count, looks
-            if size >= length:
+            if size >= lengths[0]:
                 turns.append(_Turn(frame, tuple(own)))
                 frame, own, size = frames.first + done // frames.every, [], 0
+                del lengths[: len(lengths) > 1]
         return [*turns, _Turn(frame, tuple(own))] if own else turns
+
+    def _lengths(self, some: int) -> list[int]:
+        """Returns steps of one turn after the other: each time half of what is left, until that is little."""
+        grain = _FEWEST_QUEUED if self._queued else _FEWEST
+        last = some if self._alone(some) else max(grain, self._last_turn * some)
+        lengths = []
+        while some > last:
+            lengths.append(-(-some // (2 * grain)) * grain)
+            some -= lengths[-1]
+        return [*lengths, some] if some else lengths
 
     def _step_all(self, count: int, turns: Sequence[_Turn], frames: Frames | None) -> None:
         _step_each(0, _waiting(self._queued), turns, frames)
