@@ -44,8 +44,10 @@ def functions(real: type) -> SimpleNamespace:
         known: wp.bool
 
     @wp.func
-    def lead(best: Foot, direction: vec3, distance: real):
+    def lead(best: Foot, direction: vec3, distance: real, most: real, per_most: real):
         """How far the point can move, in any direction, with ``best`` nearer than a face ``distance`` away.
+
+        Or ``most``, of which ``per_most`` is the inverse, if it is not less than that.
 
         A distance changes by no more than the point moved. And better where both lie in about one direction: the
         distance of that face is at least what its slope says, u' being the ``direction`` from its nearest point,
@@ -59,11 +61,18 @@ def functions(real: type) -> SimpleNamespace:
         ahead = distance - d
         simple = real(0.5) * ahead
         rounded = rounding * best.span
-        if ahead <= real(0.0) or d <= rounded:
-            return simple
-        turn = wp.length(direction - (real(1.0) / d) * best.to_point) + rounded / d
-        far = real(2.0) * ahead / (turn + wp.sqrt(turn * turn + real(4.0) * ahead / d))
-        return wp.max(simple, wp.min(far, real(0.5) * d))
+        if ahead <= real(0.0) or d <= rounded or simple >= most:
+            return wp.min(simple, most)
+        per_d = real(1.0) / d
+        turn = direction - per_d * best.to_point
+        rounded = per_d * rounded
+        # Most need no root: whether it would be less at |v| = most.
+        least = ahead * per_most - most * per_d - rounded
+        if least > real(0.0) and wp.length_sq(turn) < least * least and most < real(0.5) * d:
+            return most
+        slope = wp.length(turn) + rounded
+        far = real(2.0) * ahead / (slope + wp.sqrt(slope * slope + real(4.0) * ahead * per_d))
+        return wp.min(wp.max(simple, wp.min(far, real(0.5) * d)), most)
 
     @wp.func
     def slope_of(foot: Foot):
@@ -111,6 +120,35 @@ def functions(real: type) -> SimpleNamespace:
         return Recalled()
 
     @wp.func
+    def slack_of(model: Model, patch: int, best: Foot, moved: real):
+        """Rounding of what is remembered of a distance, at a place ``moved`` away from that of the list."""
+        # Slopes were taken up to a skin away from it.
+        return rounding * (best.span + best.distance + real(16.0) * (moved + model.patch_skin[patch]))
+
+    @wp.func
+    def least_listed(cache: Cache, env: int, i: int, gone: vec3, slack: real):
+        """Distance of a remembered face, at least, at a place ``gone`` away from that of the list."""
+        return cache.distance[env, i] + wp.dot(cache.direction[env, i], gone) - slack
+
+    @wp.func
+    def nearer_listed(
+        model: Model, cache: Cache, env: int, i: int, first: int, p: vec3, gone: vec3, slack: real, best: Foot
+    ):
+        """Returns the nearer of ``best`` and a remembered face, which is not looked at if it is ``first``."""
+        face = cache.face[env, i]
+        if least_listed(cache, env, i, gone, slack) > best.distance or face == first:
+            return best
+        other = foot_on(model, face, p)
+        remember(cache, env, i, other, gone)
+        return nearer(model, best, other)
+
+    @wp.func
+    def reached(model: Model, patch: int, cache: Cache, env: int, contact: int, gone: vec3, best: Foot):
+        """Whether no face that is not in the list is as near as ``best``."""
+        moved = wp.length(gone)
+        return best.distance < cache.beyond[env, contact] - moved - slack_of(model, patch, best, moved)
+
+    @wp.func
     def recall_sure(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
         """Takes the face that is known to be the nearest here, or one of two."""
         answer = Recalled()
@@ -118,12 +156,49 @@ def functions(real: type) -> SimpleNamespace:
         if cache.faces[env, contact] != 0:
             answer.known = wp.length(p - cache.sure_place[env, contact]) < cache.sure[env, contact]
         if answer.known:
-            answer.foot = foot_on(model, cache.nearest[env, contact], p)
+            first = cache.nearest[env, contact]
+            best = foot_on(model, first, p)
+            gone = p - cache.place[env, contact]
             rival = cache.rival[env, contact]
             if rival >= 0:
-                answer.foot = nearer(model, answer.foot, foot_on(model, rival, p))
-                answer.foot.distance = wp.length(answer.foot.to_point)
+                i = natural(contact * room_of(cache) + rival)
+                slack = slack_of(model, patch, best, wp.length(gone))
+                best = nearer_listed(model, cache, env, i, first, p, gone, slack, best)
+                best.distance = wp.length(best.to_point)
+            answer.foot = best
+            answer.known = reached(model, patch, cache, env, contact, gone, best)
         return answer
+
+    @wp.func
+    def be_sure(
+        cache: Cache, env: int, contact: int, p: vec3, gone: vec3, slack: real, best: Foot, step: real
+    ):
+        """Remembers how far from here the nearest of a list is that, or one of two."""
+        slot = natural(contact * room_of(cache))
+        sure = real(wp.inf)
+        second = real(wp.inf)
+        per_second = real(0.0)
+        rival = wp.int32(-1)
+        for k in range(cache.faces[env, contact]):
+            i = natural(slot + k)
+            if cache.face[env, i] != best.row:
+                least = least_listed(cache, env, i, gone, slack)
+                leads = lead(best, cache.direction[env, i], least, second, per_second)
+                if leads < second:
+                    second = wp.max(sure, leads)
+                    per_second = real(1.0) / second
+                    if leads < sure:
+                        sure = leads
+                        rival = wp.int32(k)
+        # The first that may come as near is looked at as well, where it would soon be asked for again.
+        if sure < soon * step and sure < real(0.5) * second:
+            sure = second
+        else:
+            rival = -1
+        cache.rival[env, contact] = rival
+        cache.sure[env, contact] = sure
+        cache.sure_place[env, contact] = p
+        cache.nearest[env, contact] = best.row
 
     @wp.func
     def recall_listed(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
@@ -140,48 +215,14 @@ def functions(real: type) -> SimpleNamespace:
         best = foot_on(model, first, p)
         slot = natural(contact * room_of(cache))
         gone = p - cache.place[env, contact]
-        moved = wp.length(gone)
-        # Slopes were taken up to a skin away from the place of the list.
-        slack = rounding * (best.span + best.distance + real(16.0) * (moved + model.patch_skin[patch]))
+        slack = slack_of(model, patch, best, wp.length(gone))
         for k in range(count):
-            i = natural(slot + k)
-            least = cache.distance[env, i] + wp.dot(cache.direction[env, i], gone) - slack
-            face = cache.face[env, i]
-            if least <= best.distance and face != first:
-                other = foot_on(model, face, p)
-                remember(cache, env, i, other, gone)
-                best = nearer(model, best, other)
+            best = nearer_listed(model, cache, env, natural(slot + k), first, p, gone, slack, best)
         best.distance = wp.length(best.to_point)
         answer.foot = best
-        # No other face is nearer than this.
-        beyond = cache.beyond[env, contact] - moved - slack
-        answer.known = best.distance < beyond
+        answer.known = reached(model, patch, cache, env, contact, gone, best)
         if answer.known:
-            second = real(0.5) * (beyond - best.distance)
-            sure = second
-            rival = wp.int32(-1)
-            for k in range(count):
-                i = natural(slot + k)
-                direction = cache.direction[env, i]
-                least = cache.distance[env, i] + wp.dot(direction, gone) - slack
-                face = cache.face[env, i]
-                if real(0.5) * (least - best.distance) < second and face != best.row:
-                    leads = lead(best, direction, least)
-                    if leads < sure:
-                        second = sure
-                        sure = leads
-                        rival = face
-                    else:
-                        second = wp.min(second, leads)
-            # The first that may come as near is looked at as well, where it would soon be asked for again.
-            if sure < soon * step and sure < real(0.5) * second:
-                sure = second
-            else:
-                rival = -1
-            cache.rival[env, contact] = rival
-            cache.sure[env, contact] = sure
-            cache.sure_place[env, contact] = p
-            cache.nearest[env, contact] = best.row
+            be_sure(cache, env, contact, p, gone, slack, best, step)
         return answer
 
     @wp.func

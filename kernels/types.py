@@ -361,11 +361,11 @@ def structs(real: type) -> SimpleNamespace:
         waiting: wp.array(dtype=wp.int32)  # [kind] how many
         waiting_block: wp.array(dtype=wp.int32)  # numbers of the blocks to probe, or in cells to search for
         waiting_contact: wp.array2d(dtype=wp.int32)  # [kind, …] and of those to look at
-        # The nearest face, as long as the point is within ``sure`` of ``sure_place``; in units of the mesh
+        # The nearest of the list below, while the point is within ``sure`` of ``sure_place``; in units of the mesh
         sure: wp.array2d(dtype=real)  # [env, contact]
         sure_place: wp.array2d(dtype=vec3)  # [env, contact] S
         nearest: wp.array2d(dtype=wp.int32)  # [env, contact] its row
-        rival: wp.array2d(dtype=wp.int32)  # [env, contact] row of the only other that it may be; −1: none
+        rival: wp.array2d(dtype=wp.int32)  # [env, contact] place of the only other that it may be; −1: none
         # In cells: within ``room`` of ``room_place`` it does not touch; in units of the mesh
         room: wp.array2d(dtype=real)  # [env, contact]
         room_place: wp.array2d(dtype=vec3)  # [env, contact] S

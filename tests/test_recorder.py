@@ -247,9 +247,9 @@ def test_frames_of_turns_are_what_one_reads_by_stopping(readings, device, in_sli
     taken.clear()
     take_after(sim, recorder, 54, 3, 0.0, 9, follows=True)
     if sim.model.device.is_cpu:
-        # 162 steps of three slices, in turns of 32 and more.
+        # 162 steps of three slices, each time half of what is left, in whole frames.
         assert sorted((turn.frame, len(turn.ways)) for turn in taken) == [
-            turn for turn in ((4, 11), (15, 11), (26, 11), (37, 11), (48, 10)) for _ in range(3)
+            turn for turn in ((4, 30), (34, 14), (48, 8), (56, 2)) for _ in range(3)
         ]
     assert all(way.known for turn in taken for way in turn.ways)
     expected = dict(zip(WATCHED, read_by_stopping(device, 58, 3), strict=True))
