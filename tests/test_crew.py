@@ -98,7 +98,8 @@ def test_few_slices_are_stepped_in_turns_by_one_thread_at_a_time(monkeypatch):
     assert list(made.step(1000)) == [1000]
     assert {own: sum(counts) for own, counts in taken.items()} == {0: 1000, 1: 1000, 2: 1000}
     for counts in taken.values():
-        assert counts[0] > 500 and counts == sorted(counts, reverse=True)
+        assert counts[0] > 500
+        assert counts == sorted(counts, reverse=True)
         # Two threads with three slices do 1500 steps each.
         assert counts[-1] <= crew._LAST_TURN * 1500
         assert all(count % crew._FEWEST == 0 for count in counts)
