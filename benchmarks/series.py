@@ -22,6 +22,8 @@ POINTS = (1, 8, 16, 32, 64, 128, 256, 512)
 # Cells along a side: 968 … 999 698 triangles, three times as many each time.
 CELLS = (22, 39, 71, 122, 224, 387, 707)
 TRIANGLE_WORKS = ("W1", "W2p8")
+# Environments of each of the most threads: as many as take one of them about as long, whichever the work.
+ENVS_OF_A_THREAD = {"W1": 4096, "W2p8": 2048, "W2p64": 512}
 
 
 @dataclass(frozen=True)
@@ -116,12 +118,12 @@ def _triangles(sizes: Sizes) -> Iterator[Case]:
 def _threads(sizes: Sizes) -> Iterator[Case]:
     if sizes.device != "cpu":
         return
-    envs = sizes.envs(4096, 0)
     counts = [1]
     while 2 * counts[-1] <= sizes.threads:
         counts.append(2 * counts[-1])
     for line, points in WORKS.items():
         work = Work(line, terrain(), points)
+        envs = sizes.envs(ENVS_OF_A_THREAD[line] * sizes.threads, 0)
         for count in dict.fromkeys((*counts, sizes.threads)):
             yield Case("threads", line, count, work, envs, count)
 

@@ -170,9 +170,7 @@ def functions(real: type) -> SimpleNamespace:
         return answer
 
     @wp.func
-    def be_sure(
-        cache: Cache, env: int, contact: int, p: vec3, gone: vec3, slack: real, best: Foot, step: real
-    ):
+    def be_sure(cache: Cache, env: int, contact: int, p: vec3, gone: vec3, slack: real, best: Foot, step: real):
         """Remembers how far from here the nearest of a list is that, or one of two."""
         slot = natural(contact * room_of(cache))
         sure = real(wp.inf)
