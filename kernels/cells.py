@@ -61,7 +61,10 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def nearest_listed(model: Model, faces: int, p_S: vec3, margin: real):
-        """The foot on the nearest of the faces of a list, ``margin`` being wide enough for rounding."""
+        """The foot on the nearest of the faces of a list, ``margin`` being wide enough for rounding.
+
+        Its ``distance`` is that of the nearest: if it is ``fallen``, another may have to be taken.
+        """
         start = natural(faces) // wp.static(LISTED) * wp.static(PLACED)
         least = real(wp.inf)
         # Those that are about as near as the nearest so far, as bits.
@@ -78,7 +81,6 @@ def functions(real: type) -> SimpleNamespace:
         while those != 0:
             best = nearer(model, best, foot_on(model, model.listed_face[start + first_of(those)], p_S))
             those = those & (those - 1)
-        best.distance = wp.length(best.to_point)
         return best
 
     return SimpleNamespace(cell_at=cell_at, nearest_listed=nearest_listed)

@@ -72,6 +72,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     in_queues = part != WHOLE
     of_face, of_search = feet.functions(real), search.functions(real)
     Foot, foot_on, inner, walk = of_face.Foot, of_face.foot_on, of_face.inner, of_face.walk
+    fallen = of_face.fallen
     Recalled, recall_sure = of_search.Recalled, of_search.recall_sure
     recall = {
         WHOLE: of_search.recall,
@@ -267,6 +268,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 if known:
                     margin = model.patch_slack[patch] + query_epsilon * (extent + reach)
                     foot = nearest_listed(model, cell.faces, p_S, margin)
+                    known = not fallen(foot)
+                    foot.distance = wp.length(foot.to_point)
             if wp.static(part in (KNOWN, LISTED, RECALLED, CELL, AWAY)):
                 if not known:
                     return later()
@@ -310,11 +313,16 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 else:
                     if cached:
                         cache.faces[env, contact] = 0
+                    margin = unsure
                     if cached and close:
                         foot = nearest_to_remember(model, patch, p_S, foot, unsure, cache, env, contact)
+                        doubtful = fallen(foot)
+                        foot.distance = wp.length(foot.to_point)
                         unsure = real(0.0)
-                    elif doubtful or wp.static(real is wp.float64):
-                        foot = nearest_of_all(model, patch, p_S, foot, unsure)
+                    else:
+                        doubtful = doubtful or wp.static(real is wp.float64)
+                    if doubtful:
+                        foot = nearest_of_all(model, patch, p_S, foot, margin)
                         unsure = real(0.0)
                     if cached or cache.faces[env, contact] == 0:
                         cache.nearest[env, contact] = foot.row

@@ -116,7 +116,10 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def nearer(model: Model, best: Foot, other: Foot):
-        """Returns the nearer foot; ``distance`` of the result is the smallest seen, so that ties do not drift."""
+        """Returns the nearer foot; ``distance`` of the result is the smallest seen, so that ties do not drift.
+
+        Of many, one after the other, which is taken may hang on their order: see ``fallen``.
+        """
         tie = tie_epsilon * wp.max(best.span, other.span)
         nearest = wp.min(best.distance, other.distance)
         if other.distance < best.distance - tie or (
@@ -125,6 +128,30 @@ def functions(real: type) -> SimpleNamespace:
             best = other
         best.distance = nearest
         return best
+
+    @wp.func
+    def fallen(best: Foot):
+        """Whether a foot that was taken of many is not tied with the nearest of them.
+
+        It was tied with one that was as near as any until then. Others may have been passed over for it that are
+        tied with the nearest.
+        """
+        return wp.length(best.to_point) > best.distance + tie_epsilon * best.span
+
+    @wp.func
+    def taken(model: Model, best: Foot, other: Foot):
+        """Returns which of two is taken among those that are tied with the nearest, one after the other.
+
+        ``distance`` of ``best``, and of the result, is that of the nearest. It has no row while there is none.
+        """
+        tie = tie_epsilon * other.span
+        if other.distance > best.distance + tie:
+            return best
+        if best.row >= 0:  # noqa: SIM102  Warp would evaluate both sides
+            if not before(model, other, best, tie):
+                return best
+        other.distance = best.distance
+        return other
 
     @wp.func
     def about_corner(model: Model, best: Foot, row: int, edge: int, turn: int, p: vec3):
@@ -197,6 +224,8 @@ def functions(real: type) -> SimpleNamespace:
         distance_from=distance_from,
         inner=inner,
         nearer=nearer,
+        fallen=fallen,
+        taken=taken,
         walk=walk,
         follow=follow,
     )

@@ -30,7 +30,7 @@ def functions(real: type) -> SimpleNamespace:
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
     near = feet.functions(real)
-    Foot, foot_on, nearer = near.Foot, near.foot_on, near.nearer
+    Foot, foot_on, nearer, fallen, taken = near.Foot, near.foot_on, near.nearer, near.fallen, near.taken
     rounding = wp.constant(real(t.epsilon * ROUNDING))
     steady = wp.constant(real(STEADY))
     soon = wp.constant(real(SOON))
@@ -164,6 +164,9 @@ def functions(real: type) -> SimpleNamespace:
                 i = natural(contact * room_of(cache) + rival)
                 slack = slack_of(model, patch, best, wp.length(gone))
                 best = nearer_listed(model, cache, env, i, first, p, gone, slack, best)
+                if fallen(best):
+                    answer.known = False
+                    return answer
                 best.distance = wp.length(best.to_point)
             answer.foot = best
             answer.known = reached(model, patch, cache, env, contact, gone, best)
@@ -216,9 +219,10 @@ def functions(real: type) -> SimpleNamespace:
         slack = slack_of(model, patch, best, wp.length(gone))
         for k in range(count):
             best = nearer_listed(model, cache, env, natural(slot + k), first, p, gone, slack, best)
+        settled = not fallen(best)
         best.distance = wp.length(best.to_point)
         answer.foot = best
-        answer.known = reached(model, patch, cache, env, contact, gone, best)
+        answer.known = settled and reached(model, patch, cache, env, contact, gone, best)
         if answer.known:
             be_sure(cache, env, contact, p, gone, slack, best, step)
         return answer
@@ -248,10 +252,26 @@ def functions(real: type) -> SimpleNamespace:
         """
         start = model.patch_face_start[patch]
         best = first
-        found = faces_about(model, patch, p, first.distance + margin)
-        face = wp.int32(0)
-        while wp.mesh_query_next(found, face):
-            best = nearer(model, best, foot_on(model, start + face, p))
+        again = wp.bool(False)
+        looking = wp.bool(True)
+        while looking:
+            found = faces_about(model, patch, p, first.distance + margin)
+            face = wp.int32(0)
+            while wp.mesh_query_next(found, face):
+                other = foot_on(model, start + face, p)
+                if again:  # noqa: SIM108  Warp would evaluate both sides
+                    best = taken(model, best, other)
+                else:
+                    best = nearer(model, best, other)
+            looking = not again and fallen(best)
+            if looking:
+                # Once more, now that the nearest is known.
+                again = True
+                nearest = best.distance
+                best = foot_on(model, first.row, p)
+                if best.distance > nearest:
+                    best.row = -1
+                best.distance = nearest
         best.distance = wp.length(best.to_point)
         return best
 
@@ -267,7 +287,10 @@ def functions(real: type) -> SimpleNamespace:
     def nearest_to_remember(
         model: Model, patch: int, p: vec3, first: Foot, margin: real, cache: Cache, env: int, contact: int
     ):
-        """The same, looking about a place ahead and remembering the faces, in the order they are found."""
+        """The same, looking about a place ahead and remembering the faces, in the order they are found.
+
+        Of the foot ``distance`` is that of the nearest: if it is ``fallen``, another may have to be taken.
+        """
         start = model.patch_face_start[patch]
         best = first
         ahead = way_ahead(model, patch, cache, env, contact, p, first.distance)
@@ -301,7 +324,6 @@ def functions(real: type) -> SimpleNamespace:
                     cache.face[env, place] = start + face
                     cache.distance[env, place] = least
                     cache.direction[env, place] = direction
-        best.distance = wp.length(best.to_point)
         list_faces(cache, env, contact, count, p + ahead, beyond)
         return best
 
@@ -366,7 +388,6 @@ def nearest_to_remember_aside(real: type, remembered: int) -> wp.Function:
                         row = farther_row
                 # The farthest makes room, and ends the reach of the list.
                 beyond = wp.min(beyond, distance)
-        best.distance = wp.length(best.to_point)
         slot = contact * room_of(cache)
         count = wp.int32(0)
         for i in range(wp.static(remembered)):

@@ -242,3 +242,45 @@ def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(re
     right = right.numpy()
     assert (right == 0).mean() > 0.5
     np.testing.assert_array_equal(found.numpy(), right)
+
+
+def pit(sides):
+    """A pit with as many flat sides, all alike, about the axis of z, turned askew."""
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    rim = np.stack([np.cos(angle), np.sin(angle), np.full(sides, 0.5)], axis=1)
+    vertices = np.concatenate([[(0.0, 0.0, 0.0)], rim]) @ ASKEW.T
+    first = 1 + np.arange(sides)
+    return wc.Mesh(vertices, np.stack([np.zeros(sides, dtype=int), first, np.roll(first, -1)], axis=1))
+
+
+@pytest.mark.parametrize(("real", "epsilon"), [(wp.float32, 2.0**-23), (wp.float64, 2.0**-52)])
+def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(real, epsilon, device):
+    """Two are tied with a third that is between them, and not with each other: one of them is not tied with all.
+
+    The axis of a pit is as far from all of its sides, and points beside it by some rounding.
+    """
+    t, sides, count = structs(real), 7, 20000
+    model_type, vec3 = t.Model, t.vec3
+    nearest_of_all, foot_on = search.functions(real).nearest_of_all, feet.functions(real).foot_on
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def begin_with(
+        model: model_type, places: wp.array(dtype=vec3), margin: real, found: wp.array2d(dtype=wp.int32)
+    ):
+        point, first = wp.tid()
+        p = places[point]
+        found[point, first] = nearest_of_all(model, 0, p, foot_on(model, first, p), margin).row
+
+    rng = np.random.default_rng(4)
+    points = np.stack([*rng.normal(size=(2, count)) * 6.0 * epsilon, rng.uniform(0.2, 0.3, count)], axis=1)
+    scene = wc.Scene()
+    ground = scene.add_surface(pit(sides))
+    body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, wc.Template(law=wc.laws.Hooke(stiffness=1e4)))
+    model = scene.build(device=device, precision="float32" if real is wp.float32 else "float64")
+    places = wp.array(points @ ASKEW.T, dtype=vec3, device=device)
+    found = wp.zeros((count, sides), dtype=wp.int32, device=device)
+    wp.launch(begin_with, found.shape, [model.parts[0].arrays.model, places, 1e-4, found], device=device)
+    found = found.numpy()
+    assert len(np.unique(found)) == sides
+    np.testing.assert_array_equal(found, found[:, :1].repeat(sides, axis=1))
