@@ -144,11 +144,10 @@ def functions(real: type) -> SimpleNamespace:
 
         ``distance`` of ``best``, and of the result, is that of the nearest. It has no row while there is none.
         """
-        tie = tie_epsilon * other.span
-        if other.distance > best.distance + tie:
+        if other.distance > best.distance + tie_epsilon * other.span:
             return best
         if best.row >= 0:  # noqa: SIM102  Warp would evaluate both sides
-            if not before(model, other, best, tie):
+            if not before(model, other, best, tie_epsilon * wp.max(best.span, other.span)):
                 return best
         other.distance = best.distance
         return other

@@ -122,7 +122,7 @@ def functions(real: type) -> SimpleNamespace:
     @wp.func
     def slack_of(model: Model, patch: int, best: Foot, moved: real):
         """Rounding of what is remembered of a distance, at a place ``moved`` away from that of the list."""
-        # Slopes were taken up to a skin away from it.
+        # Slopes were taken no farther away from it than a list reaches.
         return rounding * (best.span + best.distance + real(16.0) * (moved + model.patch_skin[patch]))
 
     @wp.func
@@ -159,10 +159,14 @@ def functions(real: type) -> SimpleNamespace:
             first = cache.nearest[env, contact]
             best = foot_on(model, first, p)
             gone = p - cache.place[env, contact]
+            moved = wp.length(gone)
+            if moved >= cache.beyond[env, contact]:
+                answer.known = False
+                return answer
             rival = cache.rival[env, contact]
             if rival >= 0:
                 i = natural(contact * room_of(cache) + rival)
-                slack = slack_of(model, patch, best, wp.length(gone))
+                slack = slack_of(model, patch, best, moved)
                 best = nearer_listed(model, cache, env, i, first, p, gone, slack, best)
                 if fallen(best):
                     answer.known = False
@@ -214,9 +218,13 @@ def functions(real: type) -> SimpleNamespace:
             return answer
         first = cache.nearest[env, contact]
         best = foot_on(model, first, p)
-        slot = natural(contact * room_of(cache))
+        answer.foot = best
         gone = p - cache.place[env, contact]
-        slack = slack_of(model, patch, best, wp.length(gone))
+        moved = wp.length(gone)
+        if moved >= cache.beyond[env, contact]:
+            return answer
+        slot = natural(contact * room_of(cache))
+        slack = slack_of(model, patch, best, moved)
         for k in range(count):
             best = nearer_listed(model, cache, env, natural(slot + k), first, p, gone, slack, best)
         settled = not fallen(best)
@@ -269,9 +277,9 @@ def functions(real: type) -> SimpleNamespace:
                 again = True
                 nearest = best.distance
                 best = foot_on(model, first.row, p)
-                if best.distance > nearest:
-                    best.row = -1
                 best.distance = nearest
+                if fallen(best):
+                    best.row = -1
         best.distance = wp.length(best.to_point)
         return best
 

@@ -284,3 +284,75 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
     found = found.numpy()
     assert len(np.unique(found)) == sides
     np.testing.assert_array_equal(found, found[:, :1].repeat(sides, axis=1))
+
+
+@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+@pytest.mark.parametrize(
+    ("mesh", "axes", "low", "high", "way"),
+    [
+        (
+            wc.meshes.sinusoidal_terrain((2, 2), (20, 20), 0.1, 1.0),
+            np.eye(3),
+            (-0.9, -0.9, 0.0),
+            (0.9, 0.9, 0.25),
+            0.004,
+        ),
+        # Of one the other is never in the list.
+        (two_sheets(0.9), ASKEW, (0.3, -0.5, -0.85), (0.7, -0.2, -0.05), 0.2),
+    ],
+    ids=["terrain", "sheets"],
+)
+def test_what_a_list_is_sure_of_is_the_nearest(mesh, axes, low, high, way, real):
+    """Points go two ways: to where their list is gone through, and farther, to where one face is to do."""
+    t, count = structs(real), 30000
+    model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
+    of_search, of_feet = search.functions(real), feet.functions(real)
+    foot_on, nearest_of_all = of_feet.foot_on, of_search.nearest_of_all
+    to_list, recall_listed, recall_sure = (
+        of_search.nearest_to_remember, of_search.recall_listed, of_search.recall_sure
+    )  # fmt: skip
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def look_three_times(
+        model: model_type,
+        cache: cache_type,
+        begin: wp.array(dtype=vec3),
+        through: wp.array(dtype=vec3),
+        end: wp.array(dtype=vec3),
+        step: real,
+        found: wp.array(dtype=wp.int32),
+        right: wp.array(dtype=wp.int32),
+    ):
+        contact = wp.tid()
+        margin = real(1e-4)
+        first = nearest_of_all(model, 0, begin[contact], foot_on(model, 0, begin[contact]), margin)
+        to_list(model, 0, begin[contact], first, margin, cache, 0, contact)
+        cache.nearest[0, contact] = first.row
+        answer = recall_listed(model, 0, cache, 0, contact, through[contact], step)
+        found[contact] = -1
+        if answer.known:
+            answer = recall_sure(model, 0, cache, 0, contact, end[contact], step)
+            if answer.known:
+                found[contact] = answer.foot.row
+        right[contact] = nearest_of_all(model, 0, end[contact], foot_on(model, 0, end[contact]), margin).row
+
+    rng = np.random.default_rng(11)
+    begin = rng.uniform(low, high, (count, 3)) @ axes.T
+    through = begin + way * rng.normal(size=(count, 3))
+    end = through + way * rng.exponential(2.0, (count, 1)) * rng.normal(size=(count, 3))
+    scene = wc.Scene()
+    ground = scene.add_surface(mesh)
+    body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+    scene.add_contact(
+        scene.add_points(body, np.zeros((count, 3))), ground, wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+    )
+    model = scene.build(device="cpu", precision="float32" if real is wp.float32 else "float64")
+    own = model.parts[0].arrays
+    places = [wp.array(points, dtype=vec3, device="cpu") for points in (begin, through, end)]
+    found, right = (wp.zeros(count, dtype=wp.int32, device="cpu") for _ in range(2))
+    wp.launch(look_three_times, count, [own.model, own.cache, *places, way, found, right], device="cpu")
+    found, right = found.numpy(), right.numpy()
+    known = found >= 0
+    np.testing.assert_array_equal(found[known], right[known])
+    assert 0.1 < known.mean() < 0.95
+    assert (own.cache.rival.numpy()[0][known] >= 0).any()

@@ -20,7 +20,8 @@ from warpcontact.slices import Frames, Stepper, Way
 # a GPU has graphs. Threads wait for each other then.
 _FEWEST = 8
 _FEWEST_QUEUED = 32
-# Of what a thread does until all wait for each other, the last turn that it takes, at most; one may take it alone.
+# Of what a thread does until all wait for each other, the last turn that it takes, at most, but for a whole graph
+# or a frame: one may take it alone.
 _LAST_TURN = 1 / 64
 # Environment-steps below which starting threads takes longer than what they would save.
 ALONE = 4096
