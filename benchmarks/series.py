@@ -22,7 +22,7 @@ POINTS = (1, 8, 16, 32, 64, 128, 256, 512)
 # Cells along a side: 968 … 999 698 triangles, three times as many each time.
 CELLS = (22, 39, 71, 122, 224, 387, 707)
 TRIANGLE_WORKS = ("W1", "W2p8")
-# Environments of each of the most threads: as many as take one of them about as long, whichever the work.
+# Environments for each thread where there are the most: so many that a step takes it about as long in every work.
 ENVS_OF_A_THREAD = {"W1": 4096, "W2p8": 2048, "W2p64": 512}
 
 

@@ -196,7 +196,7 @@ def functions(real: type) -> SimpleNamespace:
                         sure = leads
                         rival = wp.int32(k)
         # The first that may come as near is looked at as well, where it would soon be asked for again.
-        if sure < soon * step and sure < real(0.5) * second:
+        if sure < soon * step:
             sure = second
         else:
             rival = -1
