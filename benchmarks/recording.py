@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import numpy as np
 import warp as wp
 from result_file import default_path, write
 from study import OUTCOMES, study
@@ -109,7 +110,7 @@ def measure_folder(envs: int, repeats: int, parent: Path | None) -> dict[str, An
             "seconds_without_series": statistics.median(first),
             "seconds_with_series": statistics.median(second),
             "share": statistics.median(shares),
-            "quartiles_of_share": statistics.quantiles(shares)[::2],
+            "quartiles_of_share": np.percentile(shares, (25, 75)).tolist(),
         }
     return {"pairs": repeats, **figures}
 
