@@ -8,6 +8,7 @@ from warpcontact.kernels import finish, frames, history, quarantine
 from warpcontact.kernels import wrenches as of_wrenches
 from warpcontact.kernels.piles import sums as sums_of_piles
 from warpcontact.kernels.piles.base import pile_structs
+from warpcontact.kernels.strides import telling
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     ENV_FAILED,
@@ -147,6 +148,8 @@ def semi_implicit_euler(
     p, of_shape = pile_structs(real), sums_of_piles.functions(real)
     Shapes, Lists, Touches, Sum, add_shape = p.Shapes, p.Lists, p.Touches, of_shape.Sum, of_shape.add_shape
     registers = REGISTERS if piled and real is wp.float32 else None
+    tell_model, tell_state, tell_near = telling(Model), telling(State), telling(Near)
+    tell_contacts, tell_history, tell_cache = telling(Contacts), telling(History), telling(Cache)
 
     @wp.kernel(module="unique", enable_backward=False, cuda_max_registers=registers)
     def semi_implicit_euler(
@@ -172,6 +175,13 @@ def semi_implicit_euler(
         cache: Cache,
         state_out: State,
     ):
+        tell_model(model)
+        tell_state(state_in)
+        tell_state(state_out)
+        tell_near(near)
+        tell_contacts(contacts)
+        tell_history(history_of)
+        tell_cache(cache)
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)
             body = item_of(work, task)

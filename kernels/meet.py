@@ -11,6 +11,7 @@ import warp as wp
 from warpcontact.kernels import contact_force, frames, travel
 from warpcontact.kernels import near as nearness
 from warpcontact.kernels.closest_point import WHOLE
+from warpcontact.kernels.strides import anew, telling
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import (
     CONTACT,
@@ -135,6 +136,9 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
     of_block = nearness.functions(real, False, WHOLE)
     around_of, free_around, longer_wake = of_block.around_of, of_block.free_around, of_block.longer_wake
     settle, settle_block = of_block.settle, of_block.settle_block
+    tell_model, tell_state, tell_history = telling(Model), telling(State), telling(History)
+    tell_cache, tell_contacts, tell_near = telling(Cache), telling(Contacts), telling(Near)
+    tell_coefficients = telling(Coefficients)
     add_travel, sleeps = travel.functions(real).add, travel.functions(real).sleeps
 
     @wp.func
@@ -151,11 +155,12 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         cache: Cache,
         contacts: Contacts,
         near: Near,
-        env: int,
+        row: int,
         block: int,
         travel: real,
         travelled: real,
     ):
+        env = anew(row)
         start = natural(model.block_start[block])
         stop = model.block_start[block + 1]
         around = around_of(model, pair.view, cache, env, block, start, stop, travel, travelled)
@@ -166,6 +171,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         torque_1 = vec3()
         torque_2 = vec3()
         for place in range(start, stop):
+            env = anew(row)
             contact = natural(model.block_contact[place])
             if travelled < cache.wake[env, contact]:
                 wake = longer_wake(model, history, cache, env, block, contact, travel, around)
@@ -219,6 +225,13 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         contacts: Contacts,
         near: Near,
     ):
+        tell_model(model)
+        tell_state(state)
+        tell_history(history)
+        tell_coefficients(coefficients)
+        tell_cache(cache)
+        tell_contacts(contacts)
+        tell_near(near)
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)
             number = natural(first_set + item_of(work, task))

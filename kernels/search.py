@@ -18,8 +18,8 @@ ROUNDING = 32.0
 # Distance, in units of the size of the differences, from which on rounding turns a direction by little.
 STEADY = 0.002
 
-# Steps for which one face has to do, or a second one is looked at as well.
-SOON = 8.0
+# Steps for which one face has to do, or two or three, or one more is looked at as well.
+SOON = 20.0
 # Of the skin: how far a list is made ahead of a point, which serves for longer then. Less than one, for ties.
 AHEAD = 0.8
 
@@ -150,7 +150,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def recall_sure(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
-        """Takes the face that is known to be the nearest here, or one of two."""
+        """Takes the face that is known to be the nearest here, or one of few."""
         answer = Recalled()
         answer.known = False
         if cache.faces[env, contact] != 0:
@@ -163,11 +163,12 @@ def functions(real: type) -> SimpleNamespace:
             if moved >= cache.beyond[env, contact]:
                 answer.known = False
                 return answer
-            rival = cache.rival[env, contact]
-            if rival >= 0:
-                i = natural(contact * room_of(cache) + rival)
+            rivals = cache.rivals[env, contact]
+            if rivals > 0:
+                slot = natural(contact * room_of(cache))
                 slack = slack_of(model, patch, best, moved)
-                best = nearer_listed(model, cache, env, i, first, p, gone, slack, best)
+                for k in range(rivals):
+                    best = nearer_listed(model, cache, env, natural(slot + k), first, p, gone, slack, best)
                 if fallen(best):
                     answer.known = False
                     return answer
@@ -177,30 +178,71 @@ def functions(real: type) -> SimpleNamespace:
         return answer
 
     @wp.func
+    def swap(cache: Cache, env: int, slot: int, k: int, other: int):
+        """Lets two faces of a list change places."""
+        if k != other:
+            i = natural(slot + k)
+            j = natural(slot + other)
+            face = wp.int32(cache.face[env, i])
+            cache.face[env, i] = cache.face[env, j]
+            cache.face[env, j] = face
+            distance = real(cache.distance[env, i])
+            cache.distance[env, i] = cache.distance[env, j]
+            cache.distance[env, j] = distance
+            direction = vec3(cache.direction[env, i])
+            cache.direction[env, i] = cache.direction[env, j]
+            cache.direction[env, j] = direction
+
+    @wp.func
     def be_sure(cache: Cache, env: int, contact: int, p: vec3, gone: vec3, slack: real, best: Foot, step: real):
-        """Remembers how far from here the nearest of a list is that, or one of two."""
+        """Remembers how far from here the nearest of a list is that, or one of few, which it makes the first."""
         slot = natural(contact * room_of(cache))
-        sure = real(wp.inf)
-        second = real(wp.inf)
-        per_second = real(0.0)
-        rival = wp.int32(-1)
+        # How far the point can move with the nearest ahead of all others, of all but one, two and three of them.
+        sure_0 = real(wp.inf)
+        sure_1 = real(wp.inf)
+        sure_2 = real(wp.inf)
+        sure_3 = real(wp.inf)
+        per_last = real(0.0)
+        # Where these are in the list.
+        at_0 = wp.int32(0)
+        at_1 = wp.int32(0)
+        at_2 = wp.int32(0)
         for k in range(cache.faces[env, contact]):
             i = natural(slot + k)
             if cache.face[env, i] != best.row:
                 least = least_listed(cache, env, i, gone, slack)
-                leads = lead(best, cache.direction[env, i], least, second, per_second)
-                if leads < second:
-                    second = wp.max(sure, leads)
-                    per_second = real(1.0) / second
-                    if leads < sure:
-                        sure = leads
-                        rival = wp.int32(k)
-        # The first that may come as near is looked at as well, where it would soon be asked for again.
-        if sure < soon * step:
-            sure = second
-        else:
-            rival = -1
-        cache.rival[env, contact] = rival
+                leads = lead(best, cache.direction[env, i], least, sure_3, per_last)
+                if leads < sure_3:
+                    sure_3 = wp.max(leads, sure_2)
+                    per_last = real(1.0) / sure_3
+                    if leads < sure_2:
+                        sure_2 = wp.max(leads, sure_1)
+                        at_2 = wp.where(leads < sure_1, at_1, k)
+                        if leads < sure_1:
+                            sure_1 = wp.max(leads, sure_0)
+                            at_1 = wp.where(leads < sure_0, at_0, k)
+                            if leads < sure_0:
+                                sure_0 = leads
+                                at_0 = k
+        # Those that may come as near first are looked at as well, where they would soon be asked for again.
+        sure = sure_0
+        rivals = wp.int32(0)
+        if sure_0 < soon * step:
+            sure = sure_1
+            rivals = 1
+            swap(cache, env, slot, 0, at_0)
+            at_1 = wp.where(at_1 == 0, at_0, at_1)
+            at_2 = wp.where(at_2 == 0, at_0, at_2)
+            if sure_1 < soon * step:
+                sure = sure_2
+                rivals = 2
+                swap(cache, env, slot, 1, at_1)
+                at_2 = wp.where(at_2 == 1, at_1, at_2)
+                if sure_2 < soon * step:
+                    sure = sure_3
+                    rivals = 3
+                    swap(cache, env, slot, 2, at_2)
+        cache.rivals[env, contact] = rivals
         cache.sure[env, contact] = sure
         cache.sure_place[env, contact] = p
         cache.nearest[env, contact] = best.row

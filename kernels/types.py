@@ -365,7 +365,7 @@ def structs(real: type) -> SimpleNamespace:
         sure: wp.array2d(dtype=real)  # [env, contact]
         sure_place: wp.array2d(dtype=vec3)  # [env, contact] S
         nearest: wp.array2d(dtype=wp.int32)  # [env, contact] its row
-        rival: wp.array2d(dtype=wp.int32)  # [env, contact] place of the only other that it may be; −1: none
+        rivals: wp.array2d(dtype=wp.int32)  # [env, contact] how many of the first in the list it may be as well
         # In cells: within ``room`` of ``room_place`` it does not touch; in units of the mesh
         room: wp.array2d(dtype=real)  # [env, contact]
         room_place: wp.array2d(dtype=vec3)  # [env, contact] S
@@ -374,7 +374,7 @@ def structs(real: type) -> SimpleNamespace:
         beyond: wp.array2d(dtype=real)  # [env, contact] all other faces are farther from there
         # [env, contact] how many are remembered; in cells, where none are: 1 if the point was near the surface
         faces: wp.array2d(dtype=wp.int32)
-        face: wp.array2d(dtype=wp.int32)  # [env, contact × remembered] their rows, the nearest first
+        face: wp.array2d(dtype=wp.int32)  # [env, contact × remembered] their rows, rivals first
         distance: wp.array2d(dtype=real)  # [env, contact × remembered] from there
         direction: wp.array2d(dtype=vec3)  # [env, contact × remembered] its slope there, unit or zero, S
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpcontact.arrays import RECORD, Layout, per_env
+from warpcontact.arrays import Layout, per_env
 from warpcontact.available import HOST, find_room
+from warpcontact.kernels.strides import RECORD
 
 
 @wp.struct

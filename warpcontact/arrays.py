@@ -9,12 +9,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.footprint import Need
+from warpcontact.kernels import strides
 
 #: Purpose of what readings are measured into.
 MEASURES = "measures"
-
-# A record takes a multiple of this [bytes], as much as a GPU fetches at once.
-RECORD = 32
 
 #: Shape of an array for a number of environments.
 Shape = Callable[[int], tuple[int, ...]]
@@ -64,11 +62,15 @@ class Layout:
             struct: The struct.
             shape: Shape of its arrays.
             records: Whether what belongs to an item lies side by side: few items here and there are fetched whole.
+                On a CPU some structs do anyway, as far as ``strides.py`` says.
             others: Arrays that have a shape of their own, and lie apart.
         """
         instance = struct()
         dtypes = {name: variable.type.dtype for name, variable in struct.vars.items()}
-        side_by_side = {name: dtype for name, dtype in dtypes.items() if records and name not in others}
+        together = strides.in_records(struct) if self.device.is_cpu else ()
+        if records and not together:
+            together = tuple(name for name in dtypes if name not in others)
+        side_by_side = {name: dtypes[name] for name in together}
         if side_by_side:
             self._records(purpose, instance, side_by_side, shape)
         for name in (one for one in dtypes if one not in side_by_side):
@@ -77,13 +79,7 @@ class Layout:
 
     def _records(self, purpose: str, owner: Any, dtypes: dict[str, Any], shape: Shape) -> None:
         """Declares arrays [env, item] of some types, interleaved in one piece of memory."""
-        offsets, end = {}, 0
-        for name, dtype in dtypes.items():
-            element = wp.types.type_size_in_bytes(dtype)
-            aligned = element // wp.types.type_size(dtype)
-            offsets[name] = -(-end // aligned) * aligned
-            end = offsets[name] + element
-        record = -(-end // RECORD) * RECORD
+        offsets, record = strides.record_of(dtypes)
 
         def number(envs: int) -> int:
             return max(1, prod(shape(envs)))

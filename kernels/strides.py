@@ -1,0 +1,119 @@
+"""How the arrays of a struct lie in memory, told to the compiler: a third of what a core executed was addresses.
+
+Warp looks up where an array begins, and its strides, at run time. On a CPU what belongs to an item lies side by
+side, in a record of known size, and other arrays are as wide as their neighbors: so one address serves for many,
+and most of it is constant. ``warpcontact/arrays.py`` makes them so; ``tests/test_strides.py`` compares.
+"""
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import warp as wp
+
+# A record takes a multiple of this [bytes], as much as a GPU fetches at once.
+RECORD = 32
+
+# By struct, what lies in records on a CPU; None: all. What blocks look through lies by contact.
+_IN_RECORDS: dict[str, tuple[str, ...] | None] = {
+    "State": None,
+    "History": None,
+    "Contacts": None,
+    "Cache": ("sure", "sure_place", "nearest", "rivals", "place", "beyond"),
+}
+# By struct, which of its other arrays are equally wide.
+_EQUALLY_WIDE: dict[str, tuple[tuple[str, ...], ...]] = {
+    "Near": (("news", "contact"), ("count", "crossed", "force", "torque_1", "torque_2")),
+    "Cache": (
+        ("set_position", "set_orientation", "set_travel", "set_step", "set_margin", "set_wake", "set_asleep"),
+        ("block_wake", "block_probe", "block_quiet"),
+        ("wake", "faces"),
+        ("face", "distance", "direction"),
+    ),
+}
+# By struct, arrays of a fixed width.
+_FIXED: dict[str, dict[str, int]] = {
+    "Model": {"face_corner": 4, "face_frame": 4, "face_normal": 7, "face_flags": 7, "face_neighbor": 3},
+}
+# Structs of which all environments may share one row, so that only the strides along it are known.
+_SHARED = ("Model", "Coefficients")
+
+
+def in_records(struct: Any) -> tuple[str, ...]:
+    """Returns the names of the arrays of a struct that lie in records on a CPU, in their order there."""
+    kind = struct.cls.__name__
+    if kind not in _IN_RECORDS:
+        return ()
+    names = _IN_RECORDS[kind]
+    return tuple(struct.vars) if names is None else names
+
+
+def record_of(dtypes: Mapping[str, Any]) -> tuple[dict[str, int], int]:
+    """Returns where in a record of elements each begins, and how long the record is [bytes]."""
+    offsets, end = {}, 0
+    for name, dtype in dtypes.items():
+        element = wp.types.type_size_in_bytes(dtype)
+        aligned = element // wp.types.type_size(dtype)
+        offsets[name] = -(-end // aligned) * aligned
+        end = offsets[name] + element
+    return offsets, -(-end // RECORD) * RECORD
+
+
+def _array_types(struct: Any) -> dict[str, Any]:
+    return {name: one.type for name, one in struct.vars.items() if isinstance(one.type, wp.array)}
+
+
+@functools.cache
+def telling(struct: Any) -> wp.Function:
+    """Returns the device function that tells the compiler how the arrays of a struct lie.
+
+    It writes what is there anyway, into the copy of the struct that a thread has. On a GPU it does nothing.
+    """
+    kind, types = struct.cls.__name__, _array_types(struct)
+    lines = ["#if !defined(__CUDA_ARCH__)"]
+    records = in_records(struct)
+    if records:
+        first = records[0]
+        offsets, size = record_of({name: types[name].dtype for name in records})
+        for name in records:
+            lines.append(
+                f"one.{name}.data = reinterpret_cast<decltype(one.{name}.data)>("
+                f"reinterpret_cast<char*>(one.{first}.data) + {offsets[name]});"
+            )
+            lines.append(f"one.{name}.strides[0] = one.{first}.shape[1] * {size};")
+            lines.append(f"one.{name}.strides[1] = {size};")
+    widest = {name: names[0] for names in _EQUALLY_WIDE.get(kind, ()) for name in names}
+    fixed = _FIXED.get(kind, {})
+    for name, own in types.items():
+        if name in records:
+            continue
+        size = f"(signed)sizeof(*one.{name}.data)"
+        lines.append(f"one.{name}.strides[{own.ndim - 1}] = {size};")
+        if name in fixed:
+            lines.append(f"one.{name}.strides[0] = {fixed[name]} * {size};")
+        elif own.ndim == 2 and kind not in _SHARED:
+            lines.append(f"one.{name}.strides[0] = one.{widest.get(name, name)}.shape[1] * {size};")
+    lines.append("#endif\n")
+
+    @wp.func_native("\n".join(lines))
+    def tell(one: wp.ref[struct]): ...
+
+    return tell
+
+
+@wp.func_native(
+    """
+    #if !defined(__CUDA_ARCH__)
+    asm volatile("" : "+r"(number));
+    #endif
+    if (number < 0) __builtin_unreachable();
+    return number;
+    """
+)
+def anew(number: int) -> int:
+    """The same number, not negative, of which the compiler does not know that: for loops of few turns.
+
+    Else it computes what follows from the number before a loop, the addresses of all arrays in there, whatever is
+    asked for.
+    """
+    ...
