@@ -72,8 +72,10 @@ def advance(real: type, follows: bool) -> wp.Function:
         count = near.count[env, block]
         if wp.static(follows):
             count += near.crossed[env, block]
-        for place in range(start, start + count):
+        place = natural(start)
+        while place < start + count:
             contact = natural(near.contact[env, place])
+            place = natural(place + 1)
             history.armed[env, contact] = contacts.armed[env, contact]
             touching = contacts.status[env, contact] == CONTACT
             near.news[env, contact] = wp.where(touching, 1, 0)

@@ -8,7 +8,7 @@ from warpcontact.kernels import finish, frames, history, quarantine
 from warpcontact.kernels import wrenches as of_wrenches
 from warpcontact.kernels.piles import sums as sums_of_piles
 from warpcontact.kernels.piles.base import pile_structs
-from warpcontact.kernels.strides import telling
+from warpcontact.kernels.strides import anew, telling
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     ENV_FAILED,
@@ -221,8 +221,10 @@ def semi_implicit_euler(
                 found = status[env]
                 end(status, clock_step, time, 1, state_in, state_out, env, found)
                 if found == ENV_ACTIVE:
-                    for block in range(blocks):
-                        advance(time, step, model, contacts, near, history_of, cache, env, natural(block))
+                    block = natural(0)
+                    while block < blocks:
+                        advance(time, step, model, contacts, near, history_of, cache, anew(env), block)
+                        block = natural(block + 1)
 
     return semi_implicit_euler
 

@@ -170,9 +170,11 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         force = vec3()
         torque_1 = vec3()
         torque_2 = vec3()
-        for place in range(start, stop):
+        place = wp.int32(start)
+        while place < stop:
             env = anew(row)
             contact = natural(model.block_contact[place])
+            place += 1
             if travelled < cache.wake[env, contact]:
                 wake = longer_wake(model, history, cache, env, block, contact, travel, around)
                 first_wake = wp.min(first_wake, wake)
@@ -243,13 +245,16 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
                     near.count[env, block] = 0
                 continue
             pair = pair_of(model, state, env, number)
-            for block in range(model.set_block_start[number], model.set_block_start[number + 1]):
+            block = natural(model.set_block_start[number])
+            last = model.set_block_start[number + 1]
+            while block < last:
                 if travelled < cache.block_wake[env, block]:
                     near.count[env, block] = 0
                 else:
                     meet_block(
                         model, state, pair, history, memory, step[env, 0], first_contact, coefficients, kept,
-                        cache, contacts, near, env, natural(block), cache.set_travel[env, number], travelled,
+                        cache, contacts, near, env, block, cache.set_travel[env, number], travelled,
                     )  # fmt: skip
+                block = natural(block + 1)
 
     return meet_sets

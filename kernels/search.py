@@ -167,8 +167,10 @@ def functions(real: type) -> SimpleNamespace:
             if rivals > 0:
                 slot = natural(contact * room_of(cache))
                 slack = slack_of(model, patch, best, moved)
-                for k in range(rivals):
+                k = wp.int32(0)
+                while k < rivals:
                     best = nearer_listed(model, cache, env, natural(slot + k), first, p, gone, slack, best)
+                    k += 1
                 if fallen(best):
                     answer.known = False
                     return answer
@@ -207,7 +209,9 @@ def functions(real: type) -> SimpleNamespace:
         at_0 = wp.int32(0)
         at_1 = wp.int32(0)
         at_2 = wp.int32(0)
-        for k in range(cache.faces[env, contact]):
+        count = cache.faces[env, contact]
+        k = wp.int32(0)
+        while k < count:
             i = natural(slot + k)
             if cache.face[env, i] != best.row:
                 least = least_listed(cache, env, i, gone, slack)
@@ -223,7 +227,8 @@ def functions(real: type) -> SimpleNamespace:
                             at_1 = wp.where(leads < sure_0, at_0, k)
                             if leads < sure_0:
                                 sure_0 = leads
-                                at_0 = k
+                                at_0 = wp.int32(k)
+            k += 1
         # Those that may come as near first are looked at as well, where they would soon be asked for again.
         sure = sure_0
         rivals = wp.int32(0)
@@ -267,8 +272,10 @@ def functions(real: type) -> SimpleNamespace:
             return answer
         slot = natural(contact * room_of(cache))
         slack = slack_of(model, patch, best, moved)
-        for k in range(count):
+        k = wp.int32(0)
+        while k < count:
             best = nearer_listed(model, cache, env, natural(slot + k), first, p, gone, slack, best)
+            k += 1
         settled = not fallen(best)
         best.distance = wp.length(best.to_point)
         answer.foot = best

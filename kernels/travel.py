@@ -92,8 +92,11 @@ def functions(real: type) -> SimpleNamespace:
             return True
         # Its blocks may have learned more since.
         wake = real(wp.inf)
-        for block in range(model.set_block_start[number], model.set_block_start[number + 1]):
+        block = natural(model.set_block_start[number])
+        stop = model.set_block_start[number + 1]
+        while block < stop:
             wake = wp.min(wake, cache.block_wake[env, block])
+            block = natural(block + 1)
         cache.set_wake[env, number] = wake
         return travelled < wake
 

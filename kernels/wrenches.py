@@ -48,8 +48,11 @@ def functions(real: type, coupled: bool, pushed: bool) -> SimpleNamespace:
     def total(model: Model, near: Near, ends: Ends, env: int, body: int):
         """With the blocks of contacts in their order: the same bits in every run, whoever computed them."""
         wrench = start(model, ends, env, body)
-        for place in range(model.body_block_start[body], model.body_block_start[body + 1]):
+        place = natural(model.body_block_start[body])
+        stop = model.body_block_start[body + 1]
+        while place < stop:
             entry = natural(model.body_block[place])
+            place = natural(place + 1)
             block = entry // 2
             if near.count[env, block] > 0:
                 if entry == 2 * block:
