@@ -205,10 +205,10 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
         # faster speed. The same rule advances the history, so a trial state sees the same force.
         touch.entry_speed = wp.max(wp.max(entry_speed, approach), real(0.0))
         if wp.static(needs_mass):
-            touch.mass = real(1.0) / (
-                mobility(model, state, env, place.body_1, place.arm_1, n_W)
-                + mobility(model, state, env, place.body_2, place.arm_2, n_W)
+            touch.inverse_mass = mobility(model, state, env, place.body_1, place.arm_1, n_W) + mobility(
+                model, state, env, place.body_2, place.arm_2, n_W
             )
+            touch.mass = real(1.0) / touch.inverse_mass
         if wp.static(needs_curvature):
             touch.curvature_1 = place.curvature_1
             touch.curvature_2 = place.curvature_2

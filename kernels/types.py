@@ -398,6 +398,7 @@ def structs(real: type) -> SimpleNamespace:
         delta_dot: real  # dδ/dt, > 0 on approach [m/s]
         entry_speed: real  # δ̇ when the contact began, or the largest since [m/s]
         mass: real  # effective mass along the normal [kg]; only for laws with needs_mass
+        inverse_mass: real  # one over it [1/kg], without a division
         # Relative principal curvatures, the smaller first; only for laws with needs_curvature
         curvature_1: real  # [1/m]
         curvature_2: real  # [1/m]

@@ -42,4 +42,4 @@ class Anagnostopoulos(Law):
     @wp.func
     def force(p: Any, c: Any):
         dashpot = type(c.delta)(2.0) * p.ratio * wp.sqrt(p.stiffness * c.mass)
-        return p.stiffness * c.delta + stepped_dashpot(dashpot, c.mass, c.dt) * c.delta_dot
+        return p.stiffness * c.delta + stepped_dashpot(dashpot, c.inverse_mass, c.dt) * c.delta_dot

@@ -79,10 +79,10 @@ def power(x: wp.float64, exponent: wp.float64):  # noqa: F811  an overload
 
 
 @wp.func
-def stepped_dashpot(damping: Any, mass: Any, dt: Any):
+def stepped_dashpot(damping: Any, inverse_mass: Any, dt: Any):
     """Dashpot constant that acts in steps of ``dt`` like ``damping`` does in continuous time; see KelvinVoigt."""
     # A step's velocity lags its position by half a step, v = v(t) + ½ dt N/m. Solved for N, the step acts
     # with K and c both divided by 1 − c dt/(2m), and so with the damping ratio ξ/√(1 − c dt/(2m)). The
     # dashpot c' = c (√(1 + y²) − y), y = c dt/(4m), has ξ again, and with it the restitution.
-    y = damping * dt / (type(dt)(4.0) * mass)
+    y = type(dt)(0.25) * damping * dt * inverse_mass
     return damping * (wp.sqrt(type(dt)(1.0) + y * y) - y)

@@ -33,7 +33,7 @@ class ContactRange(Law):
 
     @wp.func
     def force(p: Any, c: Any):
-        dashpot = stepped_dashpot(p.area * p.k2, c.mass, c.dt)
+        dashpot = stepped_dashpot(p.area * p.k2, c.inverse_mass, c.dt)
         if c.delta < p.ramp:
             dashpot *= c.delta / p.ramp
         return p.area * p.k1 * c.delta + dashpot * c.delta_dot

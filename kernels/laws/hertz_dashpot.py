@@ -22,5 +22,5 @@ class HertzDashpot(Law):
 
     @wp.func
     def force(p: Any, c: Any):
-        dashpot = stepped_dashpot(p.damping, c.mass, c.dt)
+        dashpot = stepped_dashpot(p.damping, c.inverse_mass, c.dt)
         return p.stiffness * c.delta * wp.sqrt(c.delta) + dashpot * c.delta_dot
