@@ -14,22 +14,21 @@ import warp as wp
 # A record takes a multiple of this [bytes], as much as a GPU fetches at once.
 RECORD = 32
 
-# By struct, what lies in records on a CPU; None: all. What blocks look through lies by contact.
-_IN_RECORDS: dict[str, tuple[str, ...] | None] = {
+# By struct, what lies in records on a CPU, of each kind of item; None: all.
+_IN_RECORDS: dict[str, tuple[tuple[str, ...], ...] | None] = {
     "State": None,
     "History": None,
     "Contacts": None,
-    "Cache": ("sure", "sure_place", "nearest", "rivals", "place", "beyond"),
-}
-# By struct, which of its other arrays are equally wide.
-_EQUALLY_WIDE: dict[str, tuple[tuple[str, ...], ...]] = {
-    "Near": (("news", "contact"), ("count", "crossed", "force", "torque_1", "torque_2")),
+    "Near": (("count", "crossed", "force", "torque_1", "torque_2"),),
     "Cache": (
+        ("sure", "sure_place", "nearest", "rivals", "place", "beyond"),
         ("set_position", "set_orientation", "set_travel", "set_step", "set_margin", "set_wake", "set_asleep"),
-        ("block_wake", "block_probe", "block_quiet"),
-        ("wake", "faces"),
-        ("face", "distance", "direction"),
     ),
+}
+# By struct, which of its other arrays are equally wide: what blocks look through, item after item.
+_EQUALLY_WIDE: dict[str, tuple[tuple[str, ...], ...]] = {
+    "Near": (("news", "contact"),),
+    "Cache": (("block_wake", "block_probe", "block_quiet"), ("wake", "faces"), ("face", "distance", "direction")),
 }
 # By struct, arrays of a fixed width.
 _FIXED: dict[str, dict[str, int]] = {
@@ -39,13 +38,10 @@ _FIXED: dict[str, dict[str, int]] = {
 _SHARED = ("Model", "Coefficients")
 
 
-def in_records(struct: Any) -> tuple[str, ...]:
-    """Returns the names of the arrays of a struct that lie in records on a CPU, in their order there."""
-    kind = struct.cls.__name__
-    if kind not in _IN_RECORDS:
-        return ()
-    names = _IN_RECORDS[kind]
-    return tuple(struct.vars) if names is None else names
+def in_records(struct: Any) -> tuple[tuple[str, ...], ...]:
+    """Returns the names of the arrays of a struct that lie in records on a CPU, by kinds, in their order there."""
+    kinds = _IN_RECORDS.get(struct.cls.__name__, ())
+    return (tuple(struct.vars),) if kinds is None else kinds
 
 
 def record_of(dtypes: Mapping[str, Any]) -> tuple[dict[str, int], int]:
@@ -71,11 +67,10 @@ def telling(struct: Any) -> wp.Function:
     """
     kind, types = struct.cls.__name__, _array_types(struct)
     lines = ["#if !defined(__CUDA_ARCH__)"]
-    records = in_records(struct)
-    if records:
-        first = records[0]
-        offsets, size = record_of({name: types[name].dtype for name in records})
-        for name in records:
+    for names in in_records(struct):
+        first = names[0]
+        offsets, size = record_of({name: types[name].dtype for name in names})
+        for name in names:
             lines.append(
                 f"one.{name}.data = reinterpret_cast<decltype(one.{name}.data)>("
                 f"reinterpret_cast<char*>(one.{first}.data) + {offsets[name]});"
@@ -85,7 +80,7 @@ def telling(struct: Any) -> wp.Function:
     widest = {name: names[0] for names in _EQUALLY_WIDE.get(kind, ()) for name in names}
     fixed = _FIXED.get(kind, {})
     for name, own in types.items():
-        if name in records:
+        if any(name in names for names in in_records(struct)):
             continue
         size = f"(signed)sizeof(*one.{name}.data)"
         lines.append(f"one.{name}.strides[{own.ndim - 1}] = {size};")

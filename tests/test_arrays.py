@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import warp as wp
+from warpcontact.kernels.strides import RECORD
 
 from warpcontact.arrays import Layout, per_env
 from warpcontact.available import HOST, find_room
-from warpcontact.kernels.strides import RECORD
 
 
 @wp.struct

@@ -67,14 +67,14 @@ class Layout:
         """
         instance = struct()
         dtypes = {name: variable.type.dtype for name, variable in struct.vars.items()}
-        together = strides.in_records(struct) if self.device.is_cpu else ()
-        if records and not together:
-            together = tuple(name for name in dtypes if name not in others)
-        side_by_side = {name: dtypes[name] for name in together}
-        if side_by_side:
-            self._records(purpose, instance, side_by_side, shape)
-        for name in (one for one in dtypes if one not in side_by_side):
-            self.array(purpose, instance, name, dtypes[name], others.get(name, shape))
+        kinds = strides.in_records(struct) if self.device.is_cpu else ()
+        if records and not kinds:
+            kinds = (tuple(name for name in dtypes if name not in others),)
+        for names in kinds:
+            one = {name: dtypes.pop(name) for name in names}
+            self._records(purpose, instance, one, others.get(names[0], shape))
+        for name, dtype in dtypes.items():
+            self.array(purpose, instance, name, dtype, others.get(name, shape))
         return instance
 
     def _records(self, purpose: str, owner: Any, dtypes: dict[str, Any], shape: Shape) -> None:
