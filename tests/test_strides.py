@@ -14,7 +14,7 @@ def arrays_of(struct):
 
 
 def layout_of(instance, tell):
-    """Returns, per array of a struct, where it begins and its strides, as a thread has them; told before or not."""
+    """Returns where each array of a struct begins, and its strides, as a thread has them, told before or not."""
     struct = instance._cls
     names = arrays_of(struct)
     lines = [
@@ -46,7 +46,8 @@ def one_sphere(scene, ground):
 
 
 def boxes_with_friction(scene, ground):
-    template = wc.Template(law=wc.laws.KelvinVoigt(stiffness=1e4, damping=10.0), friction=wc.frictions.Tanh(mu=0.3))
+    law = wc.laws.KelvinVoigt(stiffness=1e4, damping=10.0)
+    template = wc.Template(law=law, friction=wc.frictions.Tanh(mu=0.3))
     rng = np.random.default_rng(1)
     for number in range(3):
         box = scene.add_body(mass=1.0 + number, inertia=(0.1, 0.2, 0.3))

@@ -21,13 +21,13 @@ class Law(Formula):
             def force(p: Any, c: Any):
                 return p.stiffness * c.delta * c.delta * c.delta
 
-    ``p`` holds the coefficients of this contact in this environment; ``c`` has ``delta`` > 0 [m], ``delta_dot``
-    (> 0 on approach) [m/s], ``entry_speed`` (δ̇ at entry, or the largest since) [m/s] and, with ``needs_mass``,
-    the effective ``mass`` along the normal [kg] and its inverse ``inverse_mass``, and with ``needs_curvature`` the
+    ``p`` holds the coefficients of this contact in this environment; ``c`` has ``delta`` > 0 [m], ``delta_dot`` (>
+    0 on approach) [m/s], ``entry_speed`` (δ̇ at entry, or the largest since) [m/s] and, with ``needs_mass``, the
+    effective ``mass`` along the normal [kg] and its inverse ``inverse_mass``, and with ``needs_curvature`` the
     principal relative curvatures ``curvature_1`` ≤ ``curvature_2`` [1/m]; ``dt`` is the step that the force acts
-    over [s], 0 for the force of an instant (a reading). Constants take the precision of the simulation when written as
-    ``type(c.delta)(1.5)``. The force must depend on nothing else. A parameter ``area`` in m² with the default
-    ``None`` is the area that each point stands for, where it is left out.
+    over [s], 0 for the force of an instant (a reading). Constants take the precision of the simulation when
+    written as ``type(c.delta)(1.5)``. The force must depend on nothing else. A parameter ``area`` in m² with the
+    default ``None`` is the area that each point stands for, where it is left out.
 
     A law that remembers (the deepest penetration so far, a creep) declares what, with ``wc.memory``, and has two
     functions of ``(p, c, m)``: ``advance`` returns the memory ``m`` after the time ``m.elapsed`` [s] since it last
