@@ -65,7 +65,5 @@ class KelvinVoigt(Law):
 
     @wp.func
     def force(p: Any, c: Any):
-        dashpot = p.damping
-        if p.ratio > type(c.delta)(0.0):
-            dashpot = type(c.delta)(2.0) * p.ratio * wp.sqrt(p.stiffness * c.mass)
+        dashpot = p.damping + type(c.delta)(2.0) * p.ratio * wp.sqrt(p.stiffness * c.mass)
         return p.stiffness * c.delta + stepped_dashpot(dashpot, c.inverse_mass, c.dt) * c.delta_dot
