@@ -27,8 +27,9 @@ def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, Model, Cell = t.vec3, t.Model, t.Cell
-    foot_on, nearer = feet.functions(real).foot_on, feet.functions(real).nearer
-    distance_from = feet.functions(real).distance_from
+    of_face = feet.functions(real)
+    foot_on, distance_from = of_face.foot_on, of_face.distance_from
+    nearer, fallen, taken = of_face.nearer, of_face.fallen, of_face.taken
     room_on_side = sides_of(real)
     nothing = wp.constant(real(0.0))
 
@@ -61,10 +62,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def nearest_listed(model: Model, faces: int, p_S: vec3, margin: real):
-        """The foot on the nearest of the faces of a list, ``margin`` being wide enough for rounding.
-
-        Its ``distance`` is that of the nearest: if it is ``fallen``, another may have to be taken.
-        """
+        """The foot on the nearest of the faces of a list, ``margin`` being wide enough for rounding."""
         start = natural(faces) // wp.static(LISTED) * wp.static(PLACED)
         least = real(wp.inf)
         # Those that are about as near as the nearest so far, as bits.
@@ -77,10 +75,18 @@ def functions(real: type) -> SimpleNamespace:
                 those = those | (1 << number)
             least = wp.min(least, distance)
         best = foot_on(model, model.listed_face[start + first_of(those)], p_S)
-        those = those & (those - 1)
-        while those != 0:
-            best = nearer(model, best, foot_on(model, model.listed_face[start + first_of(those)], p_S))
-            those = those & (those - 1)
+        left = those & (those - 1)
+        if left != 0:
+            while left != 0:
+                best = nearer(model, best, foot_on(model, model.listed_face[start + first_of(left)], p_S))
+                left = left & (left - 1)
+            if fallen(best):
+                # Once more, now that it is known how near the nearest is.
+                best.row = -1
+                while those != 0:
+                    best = taken(model, best, foot_on(model, model.listed_face[start + first_of(those)], p_S))
+                    those = those & (those - 1)
+            best.distance = wp.length(best.to_point)
         return best
 
     return SimpleNamespace(cell_at=cell_at, nearest_listed=nearest_listed)

@@ -268,8 +268,6 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 if known:
                     margin = model.patch_slack[patch] + query_epsilon * (extent + reach)
                     foot = nearest_listed(model, cell.faces, p_S, margin)
-                    known = not fallen(foot)
-                    foot.distance = wp.length(foot.to_point)
             if wp.static(part in (KNOWN, LISTED, RECALLED, CELL, AWAY)):
                 if not known:
                     return later()

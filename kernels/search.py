@@ -322,13 +322,9 @@ def functions(real: type) -> SimpleNamespace:
                     best = nearer(model, best, other)
             looking = not again and fallen(best)
             if looking:
-                # Once more, now that the nearest is known.
+                # Once more, now that it is known how near the nearest is.
                 again = True
-                nearest = best.distance
-                best = foot_on(model, first.row, p)
-                best.distance = nearest
-                if fallen(best):
-                    best.row = -1
+                best.row = -1
         best.distance = wp.length(best.to_point)
         return best
 
