@@ -14,9 +14,9 @@ import warp as wp
 # A record takes a multiple of this [bytes], as much as a GPU fetches at once.
 RECORD = 32
 
-# By struct, what lies in records on a CPU, of each kind of item; None: all.
+# By struct, what lies in records on a CPU, of each kind of item; None: all. Not the state, whose arrays are shared
+# with other libraries, of which some take none with gaps.
 _IN_RECORDS: dict[str, tuple[tuple[str, ...], ...] | None] = {
-    "State": None,
     "History": None,
     "Contacts": None,
     "Near": (("count", "crossed", "force", "torque_1", "torque_2"),),
@@ -25,8 +25,17 @@ _IN_RECORDS: dict[str, tuple[tuple[str, ...], ...] | None] = {
         ("set_position", "set_orientation", "set_travel", "set_step", "set_margin", "set_wake", "set_asleep"),
     ),
 }
-# By struct, which of its other arrays are equally wide: what blocks look through, item after item.
+# By struct, which of its other arrays are equally wide.
 _EQUALLY_WIDE: dict[str, tuple[tuple[str, ...], ...]] = {
+    "State": (
+        (
+            "body_position",
+            "body_position_remainder",
+            "body_orientation",
+            "body_linear_velocity",
+            "body_angular_velocity",
+        ),
+    ),
     "Near": (("news", "contact"),),
     "Cache": (("block_wake", "block_probe", "block_quiet"), ("wake", "faces"), ("face", "distance", "direction")),
 }
