@@ -1,5 +1,7 @@
 """Environments are independent of each other, of their number, and restartable."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scenes import dropped_sphere
@@ -210,4 +212,4 @@ def test_the_state_is_shared_with_numpy_and_torch_without_a_copy():
     through_dlpack = np.from_dlpack(sim.state.body_position)
     assert through_dlpack.ctypes.data == sim.state.body_position.ptr
     # JAX takes none with gaps.
-    assert all(getattr(sim.state, name).is_contiguous for name in sim.state._cls.vars)
+    assert all(getattr(sim.state, one.name).is_contiguous for one in dataclasses.fields(sim.state))
