@@ -155,12 +155,12 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         cache: Cache,
         contacts: Contacts,
         near: Near,
-        row: int,
+        which: int,
         block: int,
         travel: real,
         travelled: real,
     ):
-        env = anew(row)
+        env = anew(which)
         start = natural(model.block_start[block])
         stop = model.block_start[block + 1]
         around = around_of(model, pair.view, cache, env, block, start, stop, travel, travelled)
@@ -172,7 +172,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         torque_2 = vec3()
         place = wp.int32(start)
         while place < stop:
-            env = anew(row)
+            env = anew(which)
             contact = natural(model.block_contact[place])
             place += 1
             if travelled < cache.wake[env, contact]:
@@ -246,8 +246,8 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
                 continue
             pair = pair_of(model, state, env, number)
             block = natural(model.set_block_start[number])
-            last = model.set_block_start[number + 1]
-            while block < last:
+            stop = model.set_block_start[number + 1]
+            while block < stop:
                 if travelled < cache.block_wake[env, block]:
                     near.count[env, block] = 0
                 else:

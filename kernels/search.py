@@ -197,7 +197,7 @@ def functions(real: type) -> SimpleNamespace:
 
     @wp.func
     def be_sure(cache: Cache, env: int, contact: int, p: vec3, gone: vec3, slack: real, best: Foot, step: real):
-        """Remembers how far from here the nearest of a list is that, or one of few, which it makes the first."""
+        """Remembers how far from here the nearest of a list is that, or one of few; those others it puts first."""
         slot = natural(contact * room_of(cache))
         # How far the point can move with the nearest ahead of all others, of all but one, two and three of them.
         sure_0 = real(wp.inf)
@@ -305,7 +305,8 @@ def functions(real: type) -> SimpleNamespace:
     def nearest_of_all(model: Model, patch: int, p: vec3, first: Foot, margin: real):
         """Looks again at all faces about as near as ``first``, in the precision of the simulation.
 
-        Makes the choice on edges and medial axes independent of the traversal, and exact in float64.
+        Makes the choice on edges and medial axes independent of the traversal, and exact in float64. ``margin`` is
+        so wide that ``first`` is among them.
         """
         start = model.patch_face_start[patch]
         best = first

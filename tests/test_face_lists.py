@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import warp as wp
+from like_a_gpu import cells_everywhere
 from scipy.spatial.transform import Rotation
+from warpcontact.kernels import cells, search
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels import search
 from warpcontact.kernels.types import structs
 
 import warpcontact as wc
@@ -254,7 +255,7 @@ def pit(sides):
 
 
 @pytest.mark.parametrize(("real", "epsilon"), [(wp.float32, 2.0**-23), (wp.float64, 2.0**-52)])
-def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(real, epsilon, device):
+def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(real, epsilon, device, monkeypatch):
     """Two are tied with a third that is between them, and not with each other: one of them is not tied with all.
 
     The axis of a pit is as far from all of its sides, and points beside it by some rounding.
@@ -262,6 +263,16 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
     t, sides, count = structs(real), 7, 20000
     model_type, vec3 = t.Model, t.vec3
     nearest_of_all, foot_on = search.functions(real).nearest_of_all, feet.functions(real).foot_on
+    of_cells = cells.functions(real)
+    cell_at, nearest_listed = of_cells.cell_at, of_cells.nearest_listed
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def look_into_cells(
+        model: model_type, places: wp.array(dtype=vec3), margin: real, row: wp.array(dtype=wp.int32)
+    ):
+        point = wp.tid()
+        p = places[point]
+        row[point] = nearest_listed(model, cell_at(model, 0, p).faces, p, margin).row
 
     @wp.kernel(module="unique", enable_backward=False)
     def begin_with(
@@ -276,7 +287,9 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
     scene = wc.Scene()
     ground = scene.add_surface(pit(sides))
     body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
-    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, wc.Template(law=wc.laws.Hooke(stiffness=1e4)))
+    law = wc.laws.Hooke(stiffness=1e4)
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), ground, wc.Template(law=law), radius=0.3)
+    cells_everywhere(monkeypatch)
     model = scene.build(device=device, precision="float32" if real is wp.float32 else "float64")
     places = wp.array(points @ ASKEW.T, dtype=vec3, device=device)
     found = wp.zeros((count, sides), dtype=wp.int32, device=device)
@@ -284,6 +297,10 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
     found = found.numpy()
     assert len(np.unique(found)) == sides
     np.testing.assert_array_equal(found, found[:, :1].repeat(sides, axis=1))
+    # Cells tell the same, of which some had to begin again.
+    row = wp.zeros(count, dtype=wp.int32, device=device)
+    wp.launch(look_into_cells, count, [model.parts[0].arrays.model, places, 1e-4, row], device=device)
+    np.testing.assert_array_equal(row.numpy(), found[:, 0])
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])

@@ -90,8 +90,8 @@ def test_what_a_core_reads_together_lies_together():
     scene = wc.Scene()
     boxes_with_friction(scene, scene.add_surface(wc.meshes.sinusoidal_terrain((2, 2), (10, 10), 0.1, 1.0)))
     own = scene.build(envs=2, device="cpu").arrays
-    for instance, sizes in ((own.history, [32]), (own.contacts, [96]), (own.cache, [64, 64])):
-        lies = layout_of(instance, True)
+    for instance, sizes in ((own.history, [32]), (own.contacts, [96]), (own.near, [64]), (own.cache, [64, 64])):
+        lies = layout_of(instance, False)
         for names, size in zip(in_records(instance._cls), sizes, strict=True):
             begins = [lies[name][0] for name in names]
             assert max(begins) - min(begins) < size

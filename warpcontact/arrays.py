@@ -63,16 +63,18 @@ class Layout:
             shape: Shape of its arrays.
             records: Whether what belongs to an item lies side by side: few items here and there are fetched whole.
                 On a CPU some structs do anyway, as far as ``strides.py`` says.
-            others: Arrays that have a shape of their own, and lie apart.
+            others: Arrays that have a shape of their own, one for those of a record. They lie apart, if not in
+                records of ``strides.py``.
         """
         instance = struct()
         dtypes = {name: variable.type.dtype for name, variable in struct.vars.items()}
         kinds = strides.in_records(struct) if self.device.is_cpu else ()
         if records and not kinds:
-            kinds = (tuple(name for name in dtypes if name not in others),)
+            alike = tuple(name for name in dtypes if name not in others)
+            kinds = (alike,) if alike else ()
         for names in kinds:
-            one = {name: dtypes.pop(name) for name in names}
-            self._records(purpose, instance, one, others.get(names[0], shape))
+            own = {name: dtypes.pop(name) for name in names}
+            self._records(purpose, instance, own, others.get(names[0], shape))
         for name, dtype in dtypes.items():
             self.array(purpose, instance, name, dtype, others.get(name, shape))
         return instance
