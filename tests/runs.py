@@ -149,6 +149,16 @@ def wait_until(holds, process, timeout=300):
     raise TimeoutError
 
 
+def gone(pids, timeout=60):
+    """Returns whether the processes end in time: who was told to end may do so after the process that told it."""
+    deadline = time.monotonic() + timeout
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.01)
+    return True
+
+
 def records(folder):
     """Returns the records of commits, by the number of the shard."""
     found = {}

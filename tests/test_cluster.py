@@ -130,7 +130,7 @@ def test_who_asks_a_cluster_to_stop_can_go_on_without_it(number, tmp_path):
     code, _, err = runs.ended(process)
     assert code == 130, err
     assert f"warpcontact run --resume --out {out}" in err
-    assert not any(os.path.exists(f"/proc/{pid}") for pid in pids)
+    assert runs.gone(pids)
     committed = runs.check_what_readers_see(out, wc.open_run(tmp_path / "whole"))
     assert any(record["steps"] for record in committed.values())
     code, _, err = runs.run("--resume", "--out", out, "--device", "cpu")

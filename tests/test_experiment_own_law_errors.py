@@ -194,7 +194,10 @@ class Straight(wc.Friction):
     def force(p: Any, s: Any):
         return s.speed
 """
-HELP = "In the law, p has stiffness; c has delta, delta_dot, entry_speed, mass, curvature_1, curvature_2, dt."
+HELP = (
+    "In the law, p has stiffness; "
+    "c has delta, delta_dot, entry_speed, mass, inverse_mass, curvature_1, curvature_2, dt."
+)
 UNSOUND_LINES = [
     ("law", "Misspelt", "`stifness` is not an attribute of 'p'", "p.stifness * c.delta"),
     ("law", "Helped", "`y` is not an attribute of 'x' (float32)", "x.y * x"),
