@@ -26,9 +26,9 @@ from study import OUTCOMES, study
 from works import DT, WORKS
 
 import warpcontact as wc
+from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.simulation import simulation
-from warpcontact.crew import available_threads
 from warpcontact.experiment import execute
 from warpcontact.recorder import Recorder
 

@@ -20,10 +20,10 @@ from result_file import write
 from works import WORKS
 
 import warpcontact as wc
+from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts
 from warpcontact.benchmark.limits import limits
 from warpcontact.benchmark.simulation import simulation
-from warpcontact.crew import available_threads
 from warpcontact.schedule import Span, accept_stages
 from warpcontact.slices import Buffers
 

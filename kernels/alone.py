@@ -23,7 +23,6 @@ from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
     ENV_FAILED,
-    INLINED,
     NO_CAUSE,
     Work,
     first_env,
@@ -31,6 +30,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 # What the step has to do with a contact: nothing, or that it does not touch any more, or that it does.
 NOTHING, ENDED, TOUCHES = 0, 1, 2
@@ -244,7 +244,7 @@ def kernel(
             return 0
         return block
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED, cuda_max_registers=registers)
+    @unique_kernel(registers)
     def step_alone(
         work: Work,
         own: wp.int32,  # environments of a warp

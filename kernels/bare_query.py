@@ -1,9 +1,10 @@
 """One closest-point query of Warp for every point and nothing else: what a step is compared with."""
 
 import warp as wp
+from warpcontact.kernels.unique import unique_kernel
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@unique_kernel()
 def bare_query(mesh: wp.uint64, points: wp.array(dtype=wp.vec3f), found: wp.array(dtype=wp.int32)):
     """Nearest face of every point."""
     i = wp.tid()

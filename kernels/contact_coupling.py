@@ -6,6 +6,7 @@ import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, env_of, item_of, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.struct
@@ -37,7 +38,7 @@ def advance(law: type[Formula], real: type, projected: bool) -> wp.Kernel:
     frame = frames.functions(real)
     facing, rotation_to_world = frame.facing, frame.rotation_to_world
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def advance_reached(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -96,7 +97,7 @@ def forget(real: type) -> wp.Kernel:
     """Returns the kernel that empties ``reached`` of chosen environments. Launch with dim (env, coupling)."""
     Reached = structs(real).Reached
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def forget_reached(mask: wp.array(dtype=wp.bool), reached: Reached):
         env, coupling = wp.tid()
         if mask[env]:
@@ -114,7 +115,7 @@ def measure(real: type) -> wp.Kernel:
     frame = frames.functions(real)
     apart, wide = frame.apart, frame.wide
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_couplings(model: Model, state: State, contacts: Contacts, sets: Sets, measured: ContactCouplings):
         env, coupling = wp.tid()
         force = wp.vec3d()

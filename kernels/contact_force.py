@@ -14,7 +14,6 @@ from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
     HERTZ_PATCH,
-    INLINED,
     Work,
     env_of,
     item_of,
@@ -22,6 +21,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -199,7 +199,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         pair.torque_2 = push.torque_2
         return pair
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def contact_force(
         work: Work,
         status: wp.array(dtype=wp.int32),

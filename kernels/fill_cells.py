@@ -10,6 +10,7 @@ from warpcontact.kernels.cells import LISTED, OVERLAP, PLACED
 from warpcontact.kernels.closest_point import ROUNDING
 from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import structs
+from warpcontact.kernels.unique import unique_kernel
 
 # Faces that may be nearest before it is looked at which of them another is always nearer than.
 CANDIDATES = 192
@@ -72,7 +73,7 @@ def kernel(real: type) -> wp.Kernel:
                             return True
         return False
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def fill_cells(
         model: Model,
         patch: wp.int32,

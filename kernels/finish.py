@@ -15,6 +15,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -54,7 +55,7 @@ def kernel(real: type) -> wp.Kernel:
     State = structs(real).State
     end = end_of_step(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def finish_step(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -11,6 +11,7 @@ from warpcontact.kernels import finish
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -108,7 +109,7 @@ def kernel(real: type, follows: bool, ends: bool = False) -> wp.Kernel:
     )  # fmt: skip
     end, take = finish.end_of_step(real), advance(real, follows)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def advance_history(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -148,7 +149,7 @@ def memory_kernel(formula: type[Formula], real: type) -> wp.Kernel:
     Model, Near = t.Model, t.Near
     Array = wp.array2d(dtype=memory_struct(formula, real))
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def advance_memory(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -21,6 +21,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 # Registers of a thread of a GPU in float32 that adds touches up, so that many wait for memory at once; measured.
 REGISTERS = 72
@@ -151,7 +152,7 @@ def semi_implicit_euler(
     tell_model, tell_state, tell_near = telling(Model), telling(State), telling(Near)
     tell_contacts, tell_history, tell_cache = telling(Contacts), telling(History), telling(Cache)
 
-    @wp.kernel(module="unique", enable_backward=False, cuda_max_registers=registers)
+    @unique_kernel(registers)
     def semi_implicit_euler(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -242,7 +243,7 @@ def change_step(real: type, moves: bool = False) -> wp.Kernel:
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     spin = _spin(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def change_step(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -278,7 +279,7 @@ def adopt(real: type) -> wp.Kernel:
     State = structs(real).State
     copy_body = frames.functions(real).copy_body
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def adopt(work: Work, status: wp.array(dtype=wp.int32), source: State, target: State):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.struct
@@ -66,7 +67,7 @@ def positions(real: type) -> wp.Kernel:
     t, f = structs(real), _functions(real)
     Model, State, position = t.Model, t.State, f.position
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_positions(
         work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Positions
     ):
@@ -86,7 +87,7 @@ def energies(real: type) -> wp.Kernel:
     t, f = structs(real), _functions(real)
     Model, State, wide, position = t.Model, t.State, f.wide, f.position
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_energies(
         work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Energies
     ):
@@ -113,7 +114,7 @@ def momenta(real: type) -> wp.Kernel:
     t, f = structs(real), _functions(real)
     Model, State, wide, position, spin = t.Model, t.State, f.wide, f.position, f.spin
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_momenta(
         work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Momenta
     ):
@@ -141,7 +142,7 @@ def points(real: type) -> wp.Kernel:
     Model, State, Contacts = t.Model, t.State, t.Contacts
     wide = frames.functions(real).wide
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_points(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -16,7 +16,6 @@ from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
-    INLINED,
     Work,
     env_of,
     item_of,
@@ -24,6 +23,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -210,7 +210,7 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         near.torque_1[env, block] = torque_1
         near.torque_2[env, block] = torque_2
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def meet_sets(
         work: Work,
         status: wp.array(dtype=wp.int32),

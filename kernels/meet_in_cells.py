@@ -15,7 +15,6 @@ from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
-    INLINED,
     Work,
     env_of,
     item_of,
@@ -23,6 +22,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 # Registers of a thread of a GPU in float32; measured.
 REGISTERS = 96
@@ -109,7 +109,7 @@ def kernel(parts: Parts, real: type, moves: bool, projected: bool, whole: bool) 
     take = _take(parts, real, moves, projected, EITHER if whole else AWAY)
     registers = REGISTERS if real is wp.float32 else None
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED, cuda_max_registers=registers)
+    @unique_kernel(registers)
     def meet_in_cells(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -150,7 +150,7 @@ def rest(parts: Parts, real: type, moves: bool, projected: bool) -> wp.Kernel:
     Coefficients, Memory = group_structs(parts, real)
     take = _take(parts, real, moves, projected, TREE)
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def meet_the_rest(
         work: Work,
         model: Model,

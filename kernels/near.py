@@ -18,7 +18,6 @@ from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
-    INLINED,
     LATCHED,
     Work,
     env_of,
@@ -27,6 +26,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 # Of what a block is free by: a contact with less left would soon be looked at again.
 FEW = 0.25
@@ -286,7 +286,7 @@ def kernel(real: type, follows: bool) -> wp.Kernel:
     free_around, longer_wake = block_of.free_around, block_of.longer_wake
     settle, settle_block = block_of.settle, block_of.settle_block
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def closest_point(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -11,7 +11,8 @@ import warp as wp
 from warpcontact.kernels import near as nearness
 from warpcontact.kernels import warps
 from warpcontact.kernels.closest_point import AWAY, EITHER, LATER, TREE
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 # What ``near.news`` says of a contact that is left to the second launch.
 TO_SEARCH = 2
@@ -103,7 +104,7 @@ def kernel(real: type, follows: bool, width: int, whole: bool) -> wp.Kernel:
         near.news[env, contact] = result
         return result
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED, cuda_max_registers=registers)
+    @unique_kernel(registers)
     def look_in_cells(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -187,7 +188,7 @@ def rest(real: type, follows: bool) -> wp.Kernel:
     of_block = _functions(real, follows, TREE)
     view_of, look, news, gather = of_block.view_of, of_block.look, of_block.news, of_block.gather
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def search_the_rest(
         work: Work,
         model: Model,

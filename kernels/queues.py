@@ -13,7 +13,8 @@ import warp as wp
 from warpcontact.kernels import near as nearness
 from warpcontact.kernels import warps
 from warpcontact.kernels.closest_point import CELL, KNOWN, LATER, LISTED, RECALLED, SEARCH, TREE
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, env_of, first_env, item_of, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, first_env, item_of, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 # Queues of contacts, by what they need; that of blocks to probe comes first.
 QUEUE_OF = {KNOWN: 1, RECALLED: 1, CELL: 1, LISTED: 2, SEARCH: 3, TREE: 3}
@@ -43,7 +44,7 @@ def pick(real: type, follows: bool) -> wp.Kernel:
     unknown = nearness.functions(real, follows, KNOWN).unknown
     put = _put(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def pick_contacts(
         work: Work, contacts: wp.int32, status: wp.array(dtype=wp.int32), model: Model, cache: Cache
     ):
@@ -84,7 +85,7 @@ def probe(real: type, follows: bool, celled: bool) -> wp.Kernel:
     free_around, longer_wake = block_of.free_around, block_of.longer_wake
     put = _put(real)
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def probe_blocks(
         work: Work,
         items: wp.int32,
@@ -132,7 +133,7 @@ def work_off(real: type, follows: bool, part: str, next_part: str) -> wp.Kernel:
     registers = {SEARCH: SEARCH_REGISTERS, TREE: SEARCH_REGISTERS, CELL: CELL_REGISTERS}.get(part)
     registers = registers if real is wp.float32 else None
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED, cuda_max_registers=registers)
+    @unique_kernel(registers)
     def look_at_contacts(
         work: Work,
         model: Model,
@@ -172,7 +173,7 @@ def gather(real: type) -> wp.Kernel:
     t = structs(real)
     Model, Near, Cache = t.Model, t.Near, t.Cache
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def gather_contacts(work: Work, status: wp.array(dtype=wp.int32), model: Model, cache: Cache, near: Near):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)

@@ -4,6 +4,7 @@ import functools
 
 import warp as wp
 from warpcontact.kernels.types import Work, first_env, natural, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 # Of an array that is known by its address alone: there are no more.
 LARGEST = 2**31 - 1
@@ -71,7 +72,7 @@ def take() -> wp.Kernel:
                     total += read[natural(env * of_env + item * of_item + word)]
                 written[natural(env * row.words + word)] = total
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def take_frame(
         work: Work,
         place: wp.array(dtype=wp.int32),  # number of the frame, and of rows

@@ -7,6 +7,7 @@ from warpcontact.kernels import frames
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.types import ENV_ACTIVE, NO_CAUSE, structs
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -16,7 +17,7 @@ def environments(real: type) -> wp.Kernel:
     vec3, State, History, Cache, Near, Wrenches = t.vec3, t.State, t.History, t.Cache, t.Near, t.Wrenches
     copy_body = frames.functions(real).copy_body
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def reset_environments(
         mask: wp.array(dtype=wp.bool),
         bodies: wp.int32,
@@ -69,7 +70,7 @@ def memory(formula: type[Formula], real: type) -> wp.Kernel:
     """Returns the kernel that empties the memory of ``formula``. Launch with dim (env, contact of the group)."""
     Struct = memory_struct(formula, real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def reset_memory(mask: wp.array(dtype=wp.bool), memory: wp.array2d(dtype=Struct)):
         env, member = wp.tid()
         if mask[env]:

@@ -6,6 +6,7 @@ import warp as wp
 from warpcontact.kernels import memory
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.types import structs
+from warpcontact.kernels.unique import unique_kernel
 
 # Displacement in which a spring shows its stiffness [m], and slip speeds between which a dashpot does [m/s].
 DISPLACEMENT = 1.0e-9
@@ -39,7 +40,7 @@ def kernel(formula: type[Formula], real: type) -> wp.Kernel:
             slip.speed = speed
             return wp.length(force(p, slip))
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def steepness(
         coefficients: wp.array2d(dtype=Coefficients),
         load: wp.array2d(dtype=real),  # [env, contact] N [N]

@@ -22,6 +22,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 # Rounding of the test, in units of epsilon times the size of the coordinates: what passes between two faces would
 # be lost, so each takes in a little more than itself.
@@ -184,7 +185,7 @@ def kernel(real: type) -> wp.Kernel:
         contacts.crossed_at[env, contact] = entered
         return True
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def sweep(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -249,7 +250,7 @@ def turn() -> wp.Kernel:
     ``back`` 0: those with a crossing become active and the active ones wait; 1: all that can be are active.
     """
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def take_turns(work: Work, status: wp.array(dtype=wp.int32), back: wp.int32):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = first_env(work) + task

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import frames
 from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 # Rounding of a position, in units of epsilon times the size of what it is computed from.
 ROUNDING = 32.0
@@ -113,7 +114,7 @@ def kernel(real: type) -> wp.Kernel:
     Model, State, Cache = t.Model, t.State, t.Cache
     add, sleeps = functions(real).add, functions(real).sleeps
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def add_travel(work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, cache: Cache):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)

@@ -116,14 +116,6 @@ LATCH_ARM = 1
 LATCH_DISARM = 2
 
 
-#: For kernels with large functions: what LLVM does not inline gets its structs copied, kilobytes at every call.
-INLINED = {
-    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=100000"
-    " -mllvm=-inline-cold-callsite-threshold=30000"
-    " -mllvm=-slp-recursion-max-depth=4"
-}
-
-
 @wp.struct
 class Work:
     """What a launch is to do: tasks, an item of an environment each, shared out among its threads.

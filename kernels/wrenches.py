@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels.types import ENV_ACTIVE, QUEUES, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.func
@@ -79,7 +80,7 @@ def clear(real: type, coupled: bool = False, pushed: bool = False) -> wp.Kernel:
     Model, Ends, Wrenches = t.Model, t.Ends, t.Wrenches
     start = functions(real, coupled, pushed).start
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def clear_wrenches(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -112,7 +113,7 @@ def add_up(real: type, coupled: bool = False, pushed: bool = False) -> wp.Kernel
     Model, Near, Ends, Wrenches = t.Model, t.Near, t.Ends, t.Wrenches
     total = functions(real, coupled, pushed).total
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def add_up_blocks(
         work: Work,
         status: wp.array(dtype=wp.int32),

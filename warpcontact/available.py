@@ -1,4 +1,4 @@
-"""How much memory there is to have: on a device, and on this machine within the limits set to the process."""
+"""How much memory and how many threads there are to have, within the limits set to the process."""
 
 import os
 from collections.abc import Iterator
@@ -30,6 +30,11 @@ class Room:
     def name(self) -> str:
         """What to call it."""
         return "the memory of this machine" if self.place == HOST else f"the memory of {self.place}"
+
+
+def available_threads() -> int:
+    """Returns how many threads this process may run at once."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def find_room(place: str) -> Room | None:

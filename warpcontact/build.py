@@ -63,9 +63,7 @@ def build(
         MemoryError: If they take more memory than there is on any of the devices or on this machine, with how many
             environments would fit; nothing has been allocated then.
     """
-    if isinstance(envs, bool) or not isinstance(envs, int | np.integer) or envs < 1:
-        raise ValueError(f"envs must be a whole number of at least 1, got {envs!r}")
-    return draw_up(scene, device, precision).build(int(envs))
+    return draw_up(scene, device, precision).build(checks.whole("envs", envs))
 
 
 def draw_up(scene: Scene, device: str | Sequence[str] = "auto", precision: str = "float32") -> Draft:

@@ -104,6 +104,13 @@ def switch(name: str, value: Any) -> bool:
     return bool(value)
 
 
+def whole(name: str, value: object, least: int = 1) -> int:
+    """Returns ``value`` if it is a whole number of at least so much, or raises ``ValueError``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    return int(value)
+
+
 def whole_numbers(name: str, value: Array) -> Array:
     """Returns ``value`` if it is whole throughout, or raises ``ValueError``."""
     _refuse(name, value, value != np.round(value), "a whole number")

@@ -1,6 +1,15 @@
-"""How kernels of a step are built for a device: with the same rounding whatever launches take the step."""
+"""How kernels are built for a device: side by side, and with the same rounding whatever launches them."""
+
+from collections import deque
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 
 import warp as wp
+
+from warpcontact.available import available_threads
+
+# Threads that compile, at most.
+COMPILERS = 4
 
 
 def round_each_product(kernel: wp.Kernel, device: wp.Device) -> None:
@@ -19,3 +28,32 @@ def load(kernel: wp.Kernel, device: wp.Device) -> None:
     """Compiles ``kernel``, if it has to be, so that mistakes in what users wrote of it show at once."""
     round_each_product(kernel, device)
     kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+
+
+def load_all(kernels: Iterable[wp.Kernel], device: wp.Device) -> None:
+    """Compiles kernels for a CPU side by side, those that have to be; first come those that take long.
+
+    On a GPU that is left to their launches, which say what blocks they are for.
+    """
+    if device.is_cuda:
+        return
+    distinct = list(dict.fromkeys(kernels))
+    others = min(len(distinct), COMPILERS, available_threads()) - 1
+    left = iter(distinct)
+
+    def work(kernel: wp.Kernel | None) -> None:
+        while kernel is not None:
+            load(kernel, device)
+            kernel = next(left, None)
+
+    # This thread begins with the first, and has a header already that each other one compiles before its kernels.
+    first = next(left, None)
+    with ThreadPoolExecutor(COMPILERS) as pool:
+        tasks = [pool.submit(work, next(left)) for _ in range(others)]
+        try:
+            work(first)
+        finally:
+            # Who interrupts it waits for what is being compiled, and for nothing else.
+            deque(left, maxlen=0)
+        for task in tasks:
+            task.result()

@@ -1,7 +1,6 @@
 """Who steps which slices of the environments: on the CPU the thread that is free, on GPUs their graphs."""
 
 import contextlib
-import os
 import signal
 import threading
 import time
@@ -25,11 +24,6 @@ _FEWEST_QUEUED = 32
 _LAST_TURN = 1 / 64
 # Environment-steps below which starting threads takes longer than what they would save.
 ALONE = 4096
-
-
-def available_threads() -> int:
-    """Returns how many threads this process may run at once."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from warpcontact import checks
 from warpcontact.checks import Array, look_up
 from warpcontact.couplings.elements import Catenary
 from warpcontact.devices import spread
 from warpcontact.footprint import Footprint, environments, require, total
 from warpcontact.health import Health
+from warpcontact.looks import EVALUATED
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
 from warpcontact.readings import Reading
@@ -200,7 +202,7 @@ class Environments(ABC):
     def evaluate(self) -> None:
         """Computes contacts and wrenches of the current state; changes neither state nor history."""
         for part in self.parts:
-            part.prepare({"wrenches", "distances"})
+            part.prepare(EVALUATED)
 
     def find_reading(self, name: str) -> Reading:
         """Returns what is known of reading ``name``; its array is that of the first part.
@@ -277,8 +279,7 @@ class Environments(ABC):
         Raises:
             KeyError: If there is no such catenary.
         """
-        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 2:
-            raise ValueError(f"count must be a whole number of at least 2, got {count!r}")
+        checks.whole("count", count, 2)
         self.evaluate()
         return np.concatenate([lines.shape(part, item, count) for part, lines, item in self._lines(name)])
 

@@ -18,6 +18,9 @@ OF_FAR = ("distances", "points", "contact_couplings", *SMOOTH)
 #: Needs that can be computed of some environments apart from the others, and in every step.
 IN_PARTS = frozenset(("contacts", "wrenches", "distances", *measures.OF_BODIES, "points", "coordinates"))
 
+#: What tells contacts and wrenches, of what is far away as well.
+EVALUATED = frozenset(("wrenches", "distances"))
+
 #: All needs.
 KNOWN = IN_PARTS.union(OF_FAR, ("reactions", "piles"))
 

@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 from warpcontact import checkpoint, checks
 from warpcontact.advice import ContactWarning, advice, level_outside
 from warpcontact.arrays import Layout
-from warpcontact.available import HOST
+from warpcontact.available import HOST, available_threads
 from warpcontact.captures import beside_captures
-from warpcontact.crew import Crew, Share, available_threads
+from warpcontact.crew import Crew, Share
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, Need, environments, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.kernels.outcomes.base import Outcome
-from warpcontact.looks import in_parts, known_needs
+from warpcontact.looks import EVALUATED, in_parts, known_needs
 from warpcontact.model import Model, State
 from warpcontact.outcomes.watch import Events, Stop, Watch
 from warpcontact.pace import Pace, bar_of
@@ -29,7 +29,7 @@ from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
 from warpcontact.slices import Buffers, Frames, Stepper, Times
-from warpcontact.stepping import slice_sizes, stepping_footprint
+from warpcontact.stepping import Tally, compile_steps, slice_sizes, stepping_footprint
 from warpcontact.taking import take_after, take_first
 from warpcontact.whole_steps import frame_count, recorded_steps
 
@@ -101,14 +101,14 @@ class Simulation:
         self.dt = float(checks.numbers("dt", dt, (), checks.limits("s", above=0.0)))
         integrator.check_step(self.dt)
         rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.parts[0].types.real))
-        self.crossing_steps = _whole("crossing_steps", crossing_steps)
+        self.crossing_steps = checks.whole("crossing_steps", crossing_steps)
         if self.crossing_steps > 1 and not model.parts[0].sweeps:
             warnings.warn(
                 f"crossing_steps = {self.crossing_steps} divides no step: no contact of the scene has swept=True",
                 ContactWarning,
                 stacklevel=2,
             )
-        self.threads = available_threads() if threads is None else _whole("threads", threads)
+        self.threads = available_threads() if threads is None else checks.whole("threads", threads)
         self.deterministic = bool(deterministic)
         self.distance_cache = bool(distance_cache)
         self.graphs = bool(graphs)
@@ -269,7 +269,7 @@ class Simulation:
             RuntimeError: If a list of partners of a mutual contact was too short. On a GPU that is said by what
                 waits for it, such as a reading or the end of a run.
         """
-        if _whole("count", count, least=0):
+        if checks.whole("count", count, least=0):
             self._advance(count, None)
 
     def step_in_frames(
@@ -291,8 +291,8 @@ class Simulation:
             ValueError: If a number or a need is not allowed.
             QuarantineError, RuntimeError: As ``step``.
         """
-        count = _whole("frames", frames, least=0)
-        self.step_to_frames(count, Frames(_whole("every", every), known_needs(needs), take))
+        count = checks.whole("frames", frames, least=0)
+        self.step_to_frames(count, Frames(checks.whole("every", every), known_needs(needs), take))
 
     def step_to_frames(self, count: int, frames: Frames) -> None:
         """Takes steps to ``count`` frames, and looks at each."""
@@ -317,6 +317,7 @@ class Simulation:
     def _advance(self, count: int, frames: Frames | None) -> None:
         model = self.model
         self._attach()
+        self._compile(frozenset() if frames is None else frames.needs)
         if model.at_start and not self.advised:
             self.advised = True
             for sentence in self.advice():
@@ -355,6 +356,14 @@ class Simulation:
         return crew
 
     @beside_captures()
+    def _compile(self, needs: Set[str]) -> None:
+        """Compiles what comes up from here on, with looks for ``needs``; once, before anything is launched."""
+        if self._prepared[1] is None:
+            needs = needs | EVALUATED if self.model.at_start and not self.advised else needs
+            for part, buffers in zip(self.model.parts, self._buffers, strict=True):
+                compile_steps(part, self._stepper(part, buffers, Tally), needs)
+
+    @beside_captures()
     def _shares(self) -> list[Share]:
         parts = [(part, part.envs) for part in self.model.parts]
         sizes = slice_sizes(parts, self.threads)
@@ -369,12 +378,12 @@ class Simulation:
             for (part, _), own, buffers in zip(parts, slices, self._buffers, strict=True)
         ]
 
-    def _stepper(self, model: Model, buffers: Buffers) -> Stepper:
+    def _stepper(self, model: Model, buffers: Buffers, kind: type[Span] | None = None) -> Stepper:
         # On the CPU a slice is stepped by one thread at a time, so the order is the same in any case.
         queued = model.device.is_cuda
         ordered = self.deterministic or not queued
         own = None if queued else wp.array([0, model.envs], dtype=wp.int32, device=model.device)
-        span = Span(model, model.envs, self.distance_cache, ordered, queued, buffers.hard, slice=own)
+        span = (kind or Span)(model, model.envs, self.distance_cache, ordered, queued, buffers.hard, slice=own)
         return Stepper(span, self.integrator, buffers, parts=self.crossing_steps, captured=self.graphs)
 
     def run(
@@ -461,9 +470,9 @@ class Simulation:
             alone: Whether nobody changes the model or looks at it while this yields. Steps do not look again for
                 what the frame before told then.
         """
-        follows = False
-        queued = any(device.is_cuda for device in self.model.devices)
+        follows, queued = False, any(device.is_cuda for device in self.model.devices)
         pace = Pace(SHORTEST_PIECE, LONGEST_PIECE_QUEUED if queued else None)
+        self._compile(frozenset(recorder.needs))
         if done == taken * stride:
             take_first(self, recorder, start + done * self.dt)
             taken, follows = taken + 1, alone
@@ -489,9 +498,3 @@ class Simulation:
 
     def __repr__(self) -> str:
         return f"<Simulation of {self.model!r}, dt = {self.dt:g} s, at {self.time:g} s>"
-
-
-def _whole(name: str, value: object, least: int = 1) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
-    return int(value)

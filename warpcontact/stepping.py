@@ -2,14 +2,15 @@
 
 import ctypes
 import functools
+import itertools
 from collections.abc import Collection, Mapping, Sequence, Set
 from typing import TYPE_CHECKING, Any, cast
 
 import warp as wp
 
-from warpcontact.available import HOST
+from warpcontact.available import HOST, available_threads
 from warpcontact.captures import beside_captures
-from warpcontact.crew import available_threads
+from warpcontact.compiling import load_all
 from warpcontact.footprint import Footprint, Need, total
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.kernels import recording
@@ -38,7 +39,7 @@ CAPTURED = 2.05
 ARRAY_BYTES = 56
 
 
-class _Tally(Span):
+class Tally(Span):
     """Lists kernels in place of launches."""
 
     def prepare(self, kernel: wp.Kernel, items: int, inputs: list[Any], *_: Any, **__: Any) -> list[Any]:
@@ -99,7 +100,7 @@ def stepping_footprint(
         observer = buffers.observer
         # Nothing is launched, so that a draft does as well.
         queued = part.device.is_cuda
-        span = _Tally(
+        span = Tally(
             cast("Model", part),
             1,
             distance_cache and not (observer and observer.searches),
@@ -112,7 +113,7 @@ def stepping_footprint(
         for steps in one.graph_steps:
             size += _captured_bytes(one.graph(Way(steps)))
         if looks is not None and watch.quarantine == "freeze" and in_parts(part.device, buffers.hard, looks):
-            tally = look_span(_Tally, part, 1, buffers.hard, looks)
+            tally = look_span(Tally, part, 1, buffers.hard, looks)
             look = [*look_stages(tally, looks, part.no_step, None), recording.take()]
             size += LAUNCH_BYTES * len(look)
             if one.captured:
@@ -132,6 +133,19 @@ def stepping_footprint(
             needs.append(buffers.hard.material_need(part.parameters_by_name, envs, varied))
         footprints.append(Footprint(envs, str(part.device), tuple(needs)))
     return total(footprints)
+
+
+def compile_steps(part: "Model", one: Stepper, needs: Set[str]) -> None:
+    """Compiles what steps launch, and looks at the state, if anyone looks, before one of them is waited for.
+
+    Args:
+        part: The model.
+        one: What steps it, by a ``Tally``.
+        needs: Those of the readings that are looked at.
+    """
+    span = look_span(Tally, part, part.envs, part.hard, needs)
+    launches = [look_stages(span, needs, part.no_step, None), *one.launches()]
+    load_all(itertools.chain(*launches), part.device)
 
 
 def _captured_bytes(launched: list[Any]) -> int:

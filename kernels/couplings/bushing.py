@@ -16,6 +16,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -66,7 +67,7 @@ def kernel(real: type) -> wp.Kernel:
             return vec3()
         return state.body_angular_velocity[env, body]
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def bushing_forces(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -28,6 +28,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 zero = wp.constant(wp.float64(0.0))
 one = wp.constant(wp.float64(1.0))
@@ -158,7 +159,7 @@ def kernel(real: type, floored: bool) -> wp.Kernel:
     arm, pull = end.arm, end.pull
     narrow = frames.functions(real).narrow
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def line_forces(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -297,7 +298,7 @@ def remember(real: type) -> wp.Kernel:
     """Returns the kernel that ends an accepted step of lines; items: those of the set."""
     Lines = line_structs(real).Lines
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def remember_lines(work: Work, status: wp.array(dtype=wp.int32), found: Held, held: Held, lines: Lines):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)
@@ -322,7 +323,7 @@ def forget(real: type) -> wp.Kernel:
     """Returns the kernel that starts lines anew. Launch with dim (env, line)."""
     Lines = line_structs(real).Lines
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def forget_lines(mask: wp.array(dtype=wp.bool), held: Held, lines: Lines):
         env, line = wp.tid()
         if mask[env]:

@@ -8,6 +8,7 @@ from warpcontact.kernels.couplings.catenary import Held, Settings, one, placemen
 from warpcontact.kernels.couplings.elastic_line import mean_slackness, scale, size, span, yields
 from warpcontact.kernels.couplings.grounded_line import fall, lift
 from warpcontact.kernels.types import structs
+from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.func
@@ -90,7 +91,7 @@ def shapes(real: type, floored: bool) -> wp.Kernel:
     place, upright_plane = placing.place, placing.upright_plane
     arm = ends.functions(real).arm
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_shapes(
         model: Model,
         state: State,
@@ -140,7 +141,7 @@ def stiffness(real: type, floored: bool) -> wp.Kernel:
     place, upright_plane = placing.place, placing.upright_plane
     arm = ends.functions(real).arm
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_stiffness(
         model: Model,
         state: State,

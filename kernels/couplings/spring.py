@@ -25,6 +25,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 
 class SpringParts(NamedTuple):
@@ -163,7 +164,7 @@ def kernel(parts: SpringParts, real: type) -> wp.Kernel:
     # Below this part of what it is the difference of, a distance is rounding.
     rounding = wp.constant(real(8.0 * t.epsilon))
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def spring_forces(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -239,7 +240,7 @@ def remember(real: type) -> wp.Kernel:
     """Returns the kernel that ends an accepted step of spring-dampers; items: those of the group."""
     Springs = spring_structs(real).Springs
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def remember_springs(work: Work, status: wp.array(dtype=wp.int32), springs: Springs):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)
@@ -260,7 +261,7 @@ def forget(real: type) -> wp.Kernel:
     vec3 = t.vec3
     Springs = spring_structs(real).Springs
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def forget_springs(mask: wp.array(dtype=wp.bool), springs: Springs):
         env, spring = wp.tid()
         if mask[env]:

@@ -15,6 +15,7 @@ from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.base import Motion
 from warpcontact.kernels.types import ENV_ACTIVE, BodyMotion, Work, env_of, item_of, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 # Differences in time from which a velocity and an acceleration are computed [s]: short against what moves bodies
 # that one can see, long against the rounding of float64.
@@ -104,7 +105,7 @@ def follow(motion: type[Motion], real: type) -> wp.Kernel:
     judge, Guard = f.judge, f.Guard
     turn_at, way_at, mean_velocities = own.turn_at, own.way_at, own.mean_velocities
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def follow_motion(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -152,7 +153,7 @@ def start(motion: type[Motion], real: type) -> wp.Kernel:
     narrow_quat, put, set_velocity = f.narrow_quat, f.put, f.set_velocity
     turn_at, way_at, mean_velocities = own.turn_at, own.way_at, own.mean_velocities
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def start_motion(
         mask: wp.array(dtype=wp.bool),
         time: wp.array(dtype=wp.float64),  # [env] [s]
@@ -191,7 +192,7 @@ def change_step(motion: type[Motion], real: type) -> wp.Kernel:
     wide, set_velocity = f.wide, f.set_velocity
     accelerations = _functions(motion).accelerations
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def change_motion(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -226,7 +227,7 @@ def accelerate(motion: type[Motion], real: type) -> wp.Kernel:
     Coefficients = coefficients_struct(motion)
     accelerations = _functions(motion).accelerations
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def accelerate_motion(
         time: wp.array(dtype=wp.float64),  # [env] [s]
         model: Model,

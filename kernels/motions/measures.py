@@ -18,6 +18,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.struct
@@ -53,7 +54,7 @@ def reactions(real: type) -> wp.Kernel:
     wide, wide_matrix, wide_quat = f.wide, f.wide_matrix, f.wide_quat
     accelerations = step.accelerations(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_reactions(model: Model, state: State, wrenches: Wrenches, measured: Reactions):
         env, body = wp.tid()
         kind = model.body_motion[env, body].kind
@@ -85,7 +86,7 @@ def coordinates(real: type) -> wp.Kernel:
     f = bodies.functions(real)
     wide, wide_quat = f.wide, f.wide_quat
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_coordinates(
         work: Work, status: wp.array(dtype=wp.int32), model: Model, state: State, measured: Coordinates
     ):

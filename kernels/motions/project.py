@@ -6,6 +6,7 @@ import warp as wp
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.bodies import arm_of
 from warpcontact.kernels.types import BALL, DRIVEN, FIXED, FREE, HINGE, PLANAR, PRESCRIBED, SLIDER, structs
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -19,7 +20,7 @@ def kernel(real: type) -> wp.Kernel:
     f = bodies.functions(real)
     wide, wide_quat, set_velocity = f.wide, f.wide_quat, f.set_velocity
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def project_velocities(mask: wp.array(dtype=wp.bool), model: Model, state: State):
         env, body = wp.tid()
         motion = model.body_motion[env, body]

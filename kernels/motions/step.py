@@ -29,6 +29,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -45,7 +46,7 @@ def semi_implicit_euler(real: type) -> wp.Kernel:
     put, set_velocity, rotated = f.put, f.set_velocity, f.rotated
     judge, Guard = f.judge, f.Guard
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def step_constrained(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -129,7 +130,7 @@ def change_step(real: type) -> wp.Kernel:
     wide, set_velocity = f.wide, f.set_velocity
     accelerations_of = accelerations(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def change_constrained(
         work: Work,
         status: wp.array(dtype=wp.int32),

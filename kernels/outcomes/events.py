@@ -5,6 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.outcomes.source import Form, value
 from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.struct
@@ -28,7 +29,7 @@ def kernel(form: Form) -> wp.Kernel:
     seen = value(form)
     dtype = form.dtype
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def write_events(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -55,7 +56,7 @@ def kernel(form: Form) -> wp.Kernel:
     return write_events
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@unique_kernel()
 def restart(mask: wp.array(dtype=wp.bool), events: Events):
     """Forgets events. Launch with dim env."""
     env = wp.tid()

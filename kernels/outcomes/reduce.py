@@ -5,6 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.outcomes.source import Form, array_types, values
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_FROZEN, Work, env_of, first_env, item_of, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.struct
@@ -60,7 +61,7 @@ def observe(update: wp.Function, length: int, forms: tuple[Form, ...], single: b
     seen = _seen(forms, single)
     type_0, type_1, type_2, type_3 = array_types(forms)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def observe(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -98,7 +99,7 @@ def report(update: wp.Function, result: wp.Function, length: int, forms: tuple[F
     seen = _seen(forms, False)
     type_0, type_1, type_2, type_3 = array_types(forms)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def report(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -128,7 +129,7 @@ def restart(length: int) -> wp.Kernel:
     """Returns the kernel that puts memories to their start. Launch with dim (env, result)."""
     Memory = wp.types.vector(length=length, dtype=wp.float64)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def restart_memory(mask: wp.array(dtype=wp.bool), start: Memory, memory: wp.array2d(dtype=Memory)):
         env, number = wp.tid()
         if mask[env]:
@@ -137,7 +138,7 @@ def restart(length: int) -> wp.Kernel:
     return restart_memory
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@unique_kernel()
 def forget_count(mask: wp.array(dtype=wp.bool), counts: wp.array(dtype=wp.int32)):
     """Sets counts to 0. Launch with dim env."""
     env = wp.tid()

@@ -5,6 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.outcomes.source import Form, value
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_HALTED, Work, first_env, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 #: Clocks are sums: a time is reached within this share of a step.
 NEARLY = wp.constant(wp.float64(1.0e-6))
@@ -34,7 +35,7 @@ def kernel(form: Form) -> wp.Kernel:
     seen = value(form)
     dtype = form.dtype
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def stop(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -62,7 +63,7 @@ def kernel(form: Form) -> wp.Kernel:
     return stop
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@unique_kernel()
 def restart(mask: wp.array(dtype=wp.bool), count: wp.int32, stops: Stops):
     """Forgets conditions. Launch with dim env."""
     env = wp.tid()

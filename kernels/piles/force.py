@@ -12,7 +12,8 @@ from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.piles import meeting
 from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, pile_structs
 from warpcontact.kernels.touch import Parts, group_structs, touch_structs
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -175,7 +176,7 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
             # Of the other that follows from it.
             touches.torque[env, slot] = torque_1
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def pile_force(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -7,6 +7,7 @@ from warpcontact.kernels.piles import base
 from warpcontact.kernels.piles.base import AT_ONCE, TOUCHED, TOUCHES, pile_structs
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, task_count
+from warpcontact.kernels.unique import unique_kernel
 from warpcontact.kernels.warps import first_of
 
 
@@ -53,7 +54,7 @@ def advance(parts: Parts, real: type, hard: bool = False) -> wp.Kernel:
         if wp.static(not hard):
             copy(kept, slot, memory, slot, env)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def advance_pile(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -84,7 +85,7 @@ def advance(parts: Parts, real: type, hard: bool = False) -> wp.Kernel:
 def forget() -> wp.Kernel:
     """Returns the kernel that empties the history of chosen environments. Launch with dim (env, slot or shape)."""
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def forget_pile(
         mask: wp.array(dtype=wp.bool),
         bits: wp.array2d(dtype=wp.int32),

@@ -20,6 +20,7 @@ from warpcontact.kernels.piles.history import copy_memory
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, structs, task_count
 from warpcontact.kernels.unilateral.records import record_structs
+from warpcontact.kernels.unique import unique_kernel
 
 # Of half the skin, what a shape may move before lists are stale: the rest is for rounding.
 SHARE_OF_SKIN = 0.49
@@ -47,7 +48,7 @@ def check(form: Form, real: type) -> wp.Kernel:
     spot = meeting.functions(form, real).spot
     long = form.long
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def check_pile(work: Work, status: wp.array(dtype=wp.int32), state: State, shapes: Shapes, grid: Grid):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)
@@ -76,7 +77,7 @@ def clear(real: type) -> wp.Kernel:
     """Returns the kernel that empties the buckets; items: buckets."""
     Grid = pile_structs(real).Grid
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def clear_buckets(work: Work, status: wp.array(dtype=wp.int32), grid: Grid):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)
@@ -101,7 +102,7 @@ def fill(form: Form, real: type) -> wp.Kernel:
     def cell_along(x: wp.float64, cell: wp.float64):
         return wp.int32(wp.int64(wp.floor(x / cell)) & wp.int64(wp.static(RING - 1)))
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def fill_buckets(
         work: Work, status: wp.array(dtype=wp.int32), buckets: wp.int32, state: State, shapes: Shapes, grid: Grid
     ):
@@ -167,7 +168,7 @@ def gather(form: Form, real: type) -> wp.Kernel:
             return partner
         return partner + shapes
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def gather_partners(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -241,7 +242,7 @@ def carry(parts: Parts, real: type) -> wp.Kernel:
     _, Memory = group_structs(parts, real)
     copy = copy_memory(parts, real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def carry_history(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -321,7 +322,7 @@ def carry_impulses(real: type) -> wp.Kernel:
         memory[env, target] = memory[env, source]
         forget(memory, env, source)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def carry_pile_impulses(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -391,7 +392,7 @@ def join(real: type) -> wp.Kernel:
     p = pile_structs(real)
     Shapes, Lists, Grid = p.Shapes, p.Lists, p.Grid
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def join_lists(work: Work, status: wp.array(dtype=wp.int32), shapes: Shapes, lists: Lists, grid: Grid):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)

@@ -5,6 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.piles.base import TOUCHES, pile_structs
 from warpcontact.kernels.types import structs
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -32,7 +33,7 @@ def shapes(real: type) -> wp.Kernel:
     Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
     Measured = measured(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_shapes(shapes: Shapes, lists: Lists, touches: Touches, measured: Measured):
         env, shape = wp.tid()
         start = shapes.entry_start[shape]
@@ -63,7 +64,7 @@ def totals(real: type) -> wp.Kernel:
     Shapes, Lists, Touches = p.Shapes, p.Lists, p.Touches
     Measured = measured(real)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_totals(count: wp.int32, shapes: Shapes, lists: Lists, touches: Touches, measured: Measured):
         env = wp.tid()
         contacts = wp.int32(0)

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import warp as wp
 from warpcontact.kernels.piles.base import AT_ONCE, TOUCHES, pile_structs
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 from warpcontact.kernels.warps import count_of, first_of
 
 
@@ -82,7 +83,7 @@ def add(real: type, alone: bool) -> wp.Kernel:
     of_shape = functions(real)
     Sum, add_shape = of_shape.Sum, of_shape.add_shape
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def add_pile(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -3,6 +3,7 @@
 import warp as wp
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light, seen
 from warpcontact.kernels.rendering.world import World
+from warpcontact.kernels.unique import unique_kernel
 
 # Samples of a pixel that decide whether it takes more of them.
 FIRST = wp.constant(4)
@@ -54,7 +55,7 @@ def root(color: wp.vec3):
     return wp.vec3(wp.sqrt(color[0]), wp.sqrt(color[1]), wp.sqrt(color[2]))
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@unique_kernel()
 def paint(
     first: int,  # pixel, row by row
     view: View,

@@ -3,9 +3,10 @@
 import warp as wp
 from warpcontact.kernels.rendering.rays import is_free
 from warpcontact.kernels.rendering.world import World
+from warpcontact.kernels.unique import unique_kernel
 
 
-@wp.kernel(module="unique", enable_backward=False)
+@unique_kernel()
 def see(
     world: World,
     eye: wp.vec3,

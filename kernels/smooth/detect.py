@@ -16,7 +16,6 @@ from warpcontact.kernels.types import (
     DISABLED,
     ENV_ACTIVE,
     HIDDEN,
-    INLINED,
     NOT_CONVERGED,
     OPEN,
     OUTSIDE,
@@ -28,6 +27,7 @@ from warpcontact.kernels.types import (
     structs,
     task_count,
 )
+from warpcontact.kernels.unique import unique_kernel
 
 # Size of what has no end [m].
 endless_size = wp.constant(wp.float64(1.0e6))
@@ -210,7 +210,7 @@ def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, o
     narrow = frames.functions(real).narrow
     quat = t.quat
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def detect(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -9,7 +9,8 @@ import warp as wp
 from warpcontact.kernels import touch
 from warpcontact.kernels.smooth.records import Members, Settings, contact_structs
 from warpcontact.kernels.touch import Parts, group_structs, touch_structs
-from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, INLINED, Work, env_of, item_of, structs, task_count
+from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, env_of, item_of, structs, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 
 def looks_at_curvature(parts: Parts) -> bool:
@@ -31,7 +32,7 @@ def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
     act, forget = touch.functions(parts, real, moves)
     curved, oriented = looks_at_curvature(parts), parts.oriented
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def smooth_forces(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -8,6 +8,7 @@ from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.smooth.base import Seed
 from warpcontact.kernels.smooth.records import Seeds, contact_structs
 from warpcontact.kernels.types import CONTACT, DISABLED, ENV_ACTIVE, UNSOLVED, Work, env_of, item_of, task_count
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -15,7 +16,7 @@ def remember(real: type) -> wp.Kernel:
     """Returns the kernel that takes over what an accepted step led to; items: contacts."""
     Smooth = contact_structs(real).Smooth
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def remember_contacts(work: Work, status: wp.array(dtype=wp.int32), found: Seeds, held: Seeds, smooth: Smooth):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)
@@ -44,7 +45,7 @@ def advance(formula: type[Formula], real: type) -> wp.Kernel:
     """Returns the kernel that takes what the force stage kept into the memory of ``formula``; items: contacts."""
     Array = wp.array2d(dtype=memory_struct(formula, real))
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def advance_memory(work: Work, status: wp.array(dtype=wp.int32), kept: Array, memory: Array):
         for task in range(wp.tid(), task_count(work), work.threads):
             env = env_of(work, task)
@@ -60,7 +61,7 @@ def forget(real: type) -> wp.Kernel:
     """Returns the kernel that starts contacts anew. Launch with dim (env, contact)."""
     Smooth = contact_structs(real).Smooth
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def forget_contacts(mask: wp.array(dtype=wp.bool), held: Seeds, smooth: Smooth):
         env, contact = wp.tid()
         if mask[env]:

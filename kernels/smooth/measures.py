@@ -12,6 +12,7 @@ from warpcontact.kernels.smooth.derivatives import Row12, Rows12, growth
 from warpcontact.kernels.smooth.derivatives import gradients as gradients_of
 from warpcontact.kernels.smooth.records import Members, Mount, Seeds, Settings, contact_structs, shapes_struct
 from warpcontact.kernels.types import DISABLED, MET, structs
+from warpcontact.kernels.unique import unique_kernel
 
 
 @wp.struct
@@ -65,7 +66,7 @@ def points(real: type) -> wp.Kernel:
     State, Smooth = t.State, contact_structs(real).Smooth
     wide = frames.functions(real).wide
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def place_contacts(
         state: State,
         first: wp.int32,  # contact of the set
@@ -105,7 +106,7 @@ def curvatures(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kerne
     pair, bent = detect.seen(kind_a, kind_b, real), detect.bending(kind_a, kind_b).bent
     pose_of, meeting_of = pair.pair, pair.meeting
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_curvatures(
         state: State,
         first: wp.int32,  # contact of the set
@@ -192,7 +193,7 @@ def gradients(kind_a: type[Shape], kind_b: type[Shape], real: type) -> wp.Kernel
     pose_of, meeting_of = pair.pair, pair.meeting
     by_sizes_a, by_sizes_b = sizes(kind_a), sizes(kind_b)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def measure_gradients(
         state: State,
         first: wp.int32,  # contact of the set

@@ -5,6 +5,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.smooth.base import Shape
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -13,7 +14,7 @@ def support_points(kind: type[Shape]) -> wp.Kernel:
     Coefficients = coefficient_struct(kind, wp.float64)
     support = kind.support
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def farthest_points(
         coefficients: wp.array2d(dtype=Coefficients),
         normals: wp.array(dtype=wp.vec3d),
@@ -31,7 +32,7 @@ def patch_points(kind: type[Shape]) -> wp.Kernel:
     Coefficients = coefficient_struct(kind, wp.float64)
     position = kind.position
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def points_of_patch(
         coefficients: wp.array2d(dtype=Coefficients),
         parameters: wp.array(dtype=wp.vec2d),

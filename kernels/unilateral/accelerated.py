@@ -11,9 +11,10 @@ import functools
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, structs, task_count
 from warpcontact.kernels.unilateral import begin, impulses, relative
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unique import unique_kernel
 
 # Iterations that may pass without a smaller residual where that is of the size of rounding.
 PATIENCE = 100
@@ -88,7 +89,7 @@ def kernel(real: type, moves: bool, rolls: bool, after: bool = False) -> wp.Kern
     ROUNDING = wp.constant(real(4.0 * float(rounding.eps)))
     LARGEST = wp.constant(real(float(rounding.max)))
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def accelerated(
         work: Work,
         status: wp.array(dtype=wp.int32),

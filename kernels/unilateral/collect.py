@@ -13,7 +13,6 @@ from warpcontact.kernels.types import (
     CONTACT,
     ENV_ACTIVE,
     HERTZ_PATCH,
-    INLINED,
     MODE_SLIP,
     Work,
     first_env,
@@ -22,6 +21,7 @@ from warpcontact.kernels.types import (
 )
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import row_structs
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -94,7 +94,7 @@ def mesh(real: type) -> wp.Kernel:
     apart = frames.functions(real).apart
     add = add_row(real)
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def collect_mesh_contacts(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -156,7 +156,7 @@ def smooth(real: type, rolls: bool) -> wp.Kernel:
     r, records = row_structs(real), record_structs(real)
     add = add_row(real)
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def collect_smooth_contacts(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -208,7 +208,7 @@ def pile(real: type) -> wp.Kernel:
     r, records = row_structs(real), record_structs(real)
     add = add_row(real)
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def collect_pile(
         work: Work,
         status: wp.array(dtype=wp.int32),

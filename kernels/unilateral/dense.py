@@ -7,8 +7,8 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels.types import INLINED
 from warpcontact.kernels.unilateral import cone
+from warpcontact.kernels.unique import unique_kernel
 
 zero = wp.constant(wp.float64(0.0))
 half = wp.constant(wp.float64(0.5))
@@ -98,7 +98,7 @@ def _functions(dim: int) -> SimpleNamespace:
 def steps(dim: int) -> wp.Kernel:
     """Returns the kernel of ``step``: ρ over the largest eigenvalue of √ρ W √ρ. Launch with dim problems."""
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def dense_steps(p: Dense):
         e = wp.tid()
         k = e % p.W.shape[0]
@@ -138,7 +138,7 @@ def gauss_seidel(dim: int) -> wp.Kernel:
     load, store, velocity, velocities = f.load, f.store, f.velocity, f.velocities
     one_contact, residual = f.one_contact, f.residual
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def dense_gauss_seidel(p: Dense, tolerance: wp.float64, iterations: int):
         e = wp.tid()
         k = e % p.W.shape[0]
@@ -182,7 +182,7 @@ def prox(dim: int) -> wp.Kernel:
     f = _functions(dim)
     load, store, velocities, project = f.load, f.store, f.velocities, f.project
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def dense_prox(p: Dense, tolerance: wp.float64, iterations: int):
         e = wp.tid()
         k = e % p.W.shape[0]
@@ -213,7 +213,7 @@ def energy(dim: int) -> wp.Kernel:
     load, store, velocities = f.load, f.store, f.velocities
     project = f.project
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def dense_energy(p: Dense, tolerance: wp.float64, iterations: int):
         e = wp.tid()
         k = e % p.W.shape[0]

@@ -4,9 +4,10 @@ import functools
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.types import ENV_ACTIVE, INLINED, Work, first_env, structs, task_count
+from warpcontact.kernels.types import ENV_ACTIVE, Work, first_env, structs, task_count
 from warpcontact.kernels.unilateral import begin, cone, impulses, relative, standing
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unique import unique_kernel
 
 # Stages of a solve: the block of a row is made where it is first needed, and made anew, softer, after some sweeps.
 RAW, EXACT, SOFTENED = 0, 1, 2
@@ -183,7 +184,7 @@ def kernel(real: type, moves: bool, rolls: bool, before: bool = False) -> wp.Ker
         local = loose_contact(W, b, mu)
         return local[0] * n + local[1] * across_1 + local[2] * across_2
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def gauss_seidel(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -8,7 +8,6 @@ from warpcontact.kernels.piles.base import TOUCHES, pile_structs
 from warpcontact.kernels.types import (
     ENV_ACTIVE,
     ENV_RESTING,
-    INLINED,
     MODE_OPEN,
     MODE_SLIP,
     MODE_STICK,
@@ -22,6 +21,7 @@ from warpcontact.kernels.types import (
 from warpcontact.kernels.unilateral import relative
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -54,7 +54,7 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             wrenches.force[env, body] = wrenches.force[env, body] + force
             wrenches.torque[env, body] = wrenches.torque[env, body] + torque
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def remember_rows(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -152,7 +152,7 @@ def read(real: type, Contacts: Any) -> wp.Kernel:
     records = record_structs(real)
     Memories, Account, Shown = records.Memories, records.Account, records.Shown
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def show_contacts(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -210,7 +210,7 @@ def read_pile(real: type) -> wp.Kernel:
     records = record_structs(real)
     Memories, Account = records.Memories, records.Account
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def show_pile(
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         first: wp.int32,  # number of the contact of the first record
@@ -253,7 +253,7 @@ def push(real: type) -> wp.Kernel:
     """Returns the kernel that adds the mean forces of the last step to wrenches. Launch with dim (env, body)."""
     Wrenches = structs(real).Wrenches
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def add_reactions(reactions: Wrenches, wrenches: Wrenches):
         env, body = wp.tid()
         wrenches.force[env, body] = wrenches.force[env, body] + reactions.force[env, body]
@@ -269,7 +269,7 @@ def forget(real: type) -> wp.Kernel:
     vec3 = structs(real).vec3
     Outcome, Account = row_structs(real).Outcome, record_structs(real).Account
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def forget_steps(
         mask: wp.array(dtype=wp.bool),
         everything: wp.int32,  # 0: but for the account

@@ -9,6 +9,7 @@ import functools
 import warp as wp
 from warpcontact.kernels.types import ENV_ACTIVE, ENV_RESTING, Work, first_env, task_count
 from warpcontact.kernels.unilateral.records import record_structs
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -19,7 +20,7 @@ def kernel(real: type) -> wp.Kernel:
     """
     Account = record_structs(real).Account
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def leave_at_rest(
         work: Work,
         status: wp.array(dtype=wp.int32),

@@ -12,6 +12,7 @@ from warpcontact.kernels.types import ENV_ACTIVE, ENV_WAITING, Work, first_env, 
 from warpcontact.kernels.unilateral import impulses, relative
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unique import unique_kernel
 
 #: Solves after the first, at most.
 ROUNDS = 4
@@ -72,7 +73,7 @@ def kernel(real: type, moves: bool) -> wp.Kernel:
             size += wp.length(impulse) * (wp.length(u_before) + wp.length(u_after) + free)
         return work_done > wp.max(slight, unsolved * tolerance) * size
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @unique_kernel()
     def restrain_impacts(
         work: Work,
         status: wp.array(dtype=wp.int32),

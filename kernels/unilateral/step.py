@@ -23,7 +23,6 @@ from warpcontact.kernels.types import (
     ENV_FAILED,
     FREE,
     HINGE,
-    INLINED,
     NO_CAUSE,
     PLANAR,
     PRESCRIBED,
@@ -37,6 +36,7 @@ from warpcontact.kernels.types import (
 )
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
+from warpcontact.kernels.unique import unique_kernel
 
 
 @functools.cache
@@ -55,7 +55,7 @@ def middle(real: type, moves: bool) -> wp.Kernel:
     wide, wide_matrix, wide_quat = f.wide, f.wide_matrix, f.wide_quat
     moved, put, set_velocity = f.moved, f.put, f.set_velocity
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def go_half_way(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -215,7 +215,7 @@ def free(real: type, moves: bool) -> wp.Kernel:
         moving[env, body].across = narrow_matrix(across)
         moving[env, body].by_torque = narrow_matrix(by_torque)
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def velocities_without_contact(
         work: Work,
         status: wp.array(dtype=wp.int32),
@@ -320,7 +320,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
         state_out.body_orientation[env, body] = orientation
         set_velocity(state_out, env, body, v, w)
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=INLINED)
+    @unique_kernel()
     def go_whole_way(
         work: Work,
         status: wp.array(dtype=wp.int32),

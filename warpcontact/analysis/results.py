@@ -142,10 +142,3 @@ def probability(name: str, value: Any) -> float:
     if not 0.0 < number < 1.0:
         raise ValueError(f"{name} must be greater than 0 and less than 1, got {value!r}")
     return number
-
-
-def whole(name: str, value: Any, at_least: int) -> int:
-    """Returns ``value`` if it is a whole number of at least so much, or raises ``ValueError``."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < at_least:
-        raise ValueError(f"{name} must be a whole number of at least {at_least}, got {value!r}")
-    return int(value)

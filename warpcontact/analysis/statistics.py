@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from warpcontact import checks
-from warpcontact.analysis.results import Results, probability, rest_of, usable, variable, whole
+from warpcontact.analysis.results import Results, probability, rest_of, usable, variable
 from warpcontact.checks import Array
 from warpcontact.experiment.errors import key_path
 from warpcontact.experiment.schema import Settings
@@ -51,7 +51,7 @@ def convergence(
     checks.choice("statistic", statistic, STATISTICS)
     for name, value in (("q", q), ("confidence", confidence)):
         probability(name, value)
-    whole("points", points, 1)
+    checks.whole("points", points, 1)
     _check_sample(run.settings)
     array = variable(run.outcome, outcome, "outcome", "env")
     values, good = usable(run, array, missing)

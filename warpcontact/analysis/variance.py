@@ -3,7 +3,8 @@
 import numpy as np
 import xarray as xr
 
-from warpcontact.analysis.results import Results, probability, rest_of, usable, variable, whole
+from warpcontact import checks
+from warpcontact.analysis.results import Results, probability, rest_of, usable, variable
 from warpcontact.checks import Array
 from warpcontact.experiment.drawing import drawn_numbers
 
@@ -43,8 +44,8 @@ def sensitivity(
         ValueError: If the run is none of such an experiment, or some environments cannot be used.
     """
     probability("confidence", confidence)
-    whole("resamples", resamples, 1)
-    whole("seed", seed, 0)
+    checks.whole("resamples", resamples, 1)
+    checks.whole("seed", seed, 0)
     settings = run.settings
     if settings.sampling.method != "saltelli":
         raise ValueError(

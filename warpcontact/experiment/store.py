@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.crew import available_threads
+from warpcontact.available import available_threads
 from warpcontact.durable import PARTIAL, sync_files, sync_folder, sync_names, write_json
 from warpcontact.experiment.chunks import Chunk, Chunks, compressors
 from warpcontact.experiment.records import (

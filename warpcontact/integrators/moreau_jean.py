@@ -4,7 +4,6 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import warp as wp
 
 from warpcontact import checks
@@ -79,9 +78,8 @@ class MoreauJean(Integrator):
     def __post_init__(self) -> None:
         checks.numbers("theta", self.theta, (), THETA)
         checks.choice("solver", self.solver, tuple(SOLVERS))
-        most = self.iterations
-        if most is not None and (isinstance(most, bool) or not isinstance(most, int | np.integer) or most < 1):
-            raise ValueError(f"iterations must be a whole number of at least 1, got {most!r}")
+        if self.iterations is not None:
+            checks.whole("iterations", self.iterations)
         if self.tolerance is not None:
             checks.numbers("tolerance", self.tolerance, (), TOLERANCE)
         if self.recovery_time is not None:

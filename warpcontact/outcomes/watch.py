@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from warpcontact import checks
 from warpcontact.checks import limits
 from warpcontact.kernels.outcomes.base import Condition, Outcome, Source, condition_of, source_of
@@ -91,9 +89,7 @@ class Events:
             raise ValueError(f"Events.contacts must be one name of a contact or more, got {contacts!r}")
         if len(set(self.contacts)) < len(self.contacts):
             raise ValueError(f"Events.contacts must be different contacts, got {list(self.contacts)}")
-        if isinstance(most, bool) or not isinstance(most, int | np.integer) or most < 1:
-            raise ValueError(f"Events.most must be a whole number of at least 1, got {most!r}")
-        self.most = int(most)
+        self.most = checks.whole("Events.most", most)
 
     def __repr__(self) -> str:
         return f"<Events of {', '.join(self.contacts)}, the last {self.most}>"

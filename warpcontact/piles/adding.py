@@ -104,10 +104,8 @@ class MutualContacts:
             raise ValueError(f"exclude of {name!r} must be pairs of its shapes, got {checks.element(exclude)}")
         among = frozenset(given)
         excluded = tuple(_pair(name, pair, among) for pair in exclude)
-        if partners is not None and (
-            isinstance(partners, bool) or not isinstance(partners, int | np.integer) or partners < 1
-        ):
-            raise ValueError(f"{name}.partners must be a whole number of at least 1, got {partners!r}")
+        if partners is not None:
+            checks.whole(f"{name}.partners", partners)
         radii = np.concatenate([shape.sizes["radius"] for shape in given])
         contact = MutualContact(
             name=name,

@@ -8,8 +8,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.available import available_threads
 from warpcontact.checks import Array
-from warpcontact.crew import available_threads
 from warpcontact.kernels.rendering.paint import View, paint
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light
 from warpcontact.rendering.camera import Camera, direction
