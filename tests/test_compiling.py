@@ -1,12 +1,21 @@
-"""How kernels of a step are built: a GPU rounds every product, whatever else has asked for a kernel before."""
+"""How kernels are built: side by side on a CPU, before a step waits for one; a GPU rounds every product."""
 
+import threading
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import warp as wp
+from hard_scenes import block
+from test_meet import balls
+from test_schedule import STUCK, falling_on, two_bodies
 from warpcontact.kernels import integrate
 
-from warpcontact.compiling import round_each_product
+import warpcontact as wc
+from warpcontact import compiling, stepping
+from warpcontact.compiling import load_all, round_each_product
+
+CPU = SimpleNamespace(is_cuda=False)
 
 
 @pytest.mark.parametrize("threads", [1, 64, 256])
@@ -19,3 +28,87 @@ def test_a_gpu_rounds_every_product_and_a_cpu_does_not(threads):
     of_gpu = module.get_module_hash(threads)
     round_each_product(SimpleNamespace(module=module), cpu)
     assert of_gpu != of_cpu == module.get_module_hash(threads)
+
+
+class Kernel:
+    """Something with a module, which is loaded by ``load``."""
+
+    def __init__(self, load):
+        self.module = SimpleNamespace(options={"fuse_fp": True}, load=lambda *_, **__: load())
+
+
+def test_kernels_are_compiled_side_by_side(monkeypatch):
+    monkeypatch.setattr(compiling, "available_threads", lambda: 3)
+    all_at_once = threading.Barrier(3)
+    load_all([Kernel(lambda: all_at_once.wait(timeout=60)) for _ in range(3)], CPU)
+
+
+def test_each_is_compiled_once_though_threads_are_few(monkeypatch):
+    monkeypatch.setattr(compiling, "available_threads", lambda: 1)
+    loaded = []
+    kernels = [Kernel(lambda number=number: loaded.append(number)) for number in range(5)]
+    load_all([*kernels, *kernels], CPU)
+    assert loaded == list(range(5))
+    load_all([], CPU)
+
+
+def test_a_kernel_that_does_not_compile_is_told_and_no_other_is_begun(monkeypatch):
+    monkeypatch.setattr(compiling, "available_threads", lambda: 2)
+    begun, failed, more = threading.Event(), threading.Event(), []
+
+    def fails():
+        assert begun.wait(timeout=60)
+        threading.Timer(0.2, failed.set).start()
+        raise ValueError("no such law")
+
+    def takes_longer():
+        begun.set()
+        assert failed.wait(timeout=60)
+
+    with pytest.raises(ValueError, match="no such law"):
+        load_all([Kernel(fails), Kernel(takes_longer), Kernel(lambda: more.append(1))], CPU)
+    assert not more
+
+
+def heap():
+    scene = wc.Scene()
+    balls()(scene)
+    return wc.Simulation(scene.build(envs=3, device="cpu"), dt=1e-3)
+
+
+def crossing():
+    scene = falling_on(wc.meshes.grid((4, 4), (5, 5)), template=STUCK, swept=True)()
+    return wc.Simulation(scene.build(envs=3, device="cpu"), dt=1e-3, crossing_steps=3)
+
+
+def bodies():
+    outcomes = {"highest": wc.outcomes.Max("upper.normal_force")}
+    return wc.Simulation(two_bodies().build(envs=3, device="cpu"), dt=1e-3, outcomes=outcomes)
+
+
+def hard():
+    integrator = wc.integrators.MoreauJean()
+    return wc.Simulation(block(0.3, envs=3, device="cpu"), dt=1e-3, integrator=integrator)
+
+
+@pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+@pytest.mark.parametrize("make", [heap, crossing, bodies, hard])
+def test_nothing_that_steps_and_frames_launch_is_left_to_be_compiled_alone(make, monkeypatch):
+    compiled = set()
+
+    def load_them(kernels, device):
+        kernels = list(kernels)
+        compiled.update(kernels)
+        load_all(kernels, device)
+
+    monkeypatch.setattr(stepping, "load_all", load_them)
+    sim = make()
+    reading = next(name for name in sim.model.reading_names if name.endswith("normal_force"))
+    recording = sim.run(0.02, record=[reading], every=5e-3)
+    assert np.isfinite(recording[reading]).all()
+    (stepper, *_) = sim._prepared[1]._steppers
+    launches = [*stepper.launches(), *stepper._looks.values(), stepper._after_look]
+    launched = {launch.kernel for some in launches for launch in some}
+    assert len(launched) > 3
+    # What copies a frame is compiled in no time.
+    assert {kernel.key for kernel in launched - compiled} <= {"take__locals__take_frame"}

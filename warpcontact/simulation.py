@@ -359,9 +359,9 @@ class Simulation:
     def _compile(self, needs: Set[str]) -> None:
         """Compiles what comes up from here on, with looks for ``needs``; once, before anything is launched."""
         if self._prepared[1] is None:
-            needs = needs | EVALUATED if self.model.at_start and not self.advised else needs
+            looks = [EVALUATED, needs] if self.model.at_start and not self.advised else [needs]
             for part, buffers in zip(self.model.parts, self._buffers, strict=True):
-                compile_steps(part, self._stepper(part, buffers, Tally), needs)
+                compile_steps(part, self._stepper(part, buffers, Tally), looks)
 
     @beside_captures()
     def _shares(self) -> list[Share]:

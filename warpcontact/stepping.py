@@ -135,17 +135,19 @@ def stepping_footprint(
     return total(footprints)
 
 
-def compile_steps(part: "Model", one: Stepper, needs: Set[str]) -> None:
-    """Compiles what steps launch, and looks at the state, if anyone looks, before one of them is waited for.
+def compile_steps(part: "Model", one: Stepper, looks: Sequence[Set[str]]) -> None:
+    """Compiles what steps and looks launch, before one of them is waited for.
 
     Args:
         part: The model.
         one: What steps it, by a ``Tally``.
-        needs: Those of the readings that are looked at.
+        looks: Of each look at the state the needs of the readings.
     """
-    span = look_span(Tally, part, part.envs, part.hard, needs)
-    launches = [look_stages(span, needs, part.no_step, None), *one.launches()]
-    load_all(itertools.chain(*launches), part.device)
+    looked = [
+        look_stages(look_span(Tally, part, part.envs, part.hard, needs), needs, part.no_step, None)
+        for needs in looks
+    ]
+    load_all(itertools.chain(*looked, *one.launches()), part.device)
 
 
 def _captured_bytes(launched: list[Any]) -> int:
