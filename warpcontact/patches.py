@@ -129,6 +129,19 @@ class Patches:
             reach[own] = np.maximum(reach[own], contact.radius.max() / contact.surface.scale.min())
         return reach
 
+    def faces_near(self) -> tuple[int, int]:
+        """Returns how many faces lie about as far around bodies as their points are apart, and how many there are."""
+        near = 0.0
+        for contact, first in self.of_contact.items():
+            points, bodies = contact.points.positions, contact.set_count
+            size = float(contact.radius.max())
+            if bodies == 1:
+                size += 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
+            disk = np.pi * (size / float(contact.surface.scale.min())) ** 2
+            for patch in self.patches[first : first + len(contact.surface.meshes)]:
+                near += bodies * min(1.0, disk / patch.area) * len(patch.corner)
+        return round(near), sum(len(corners) for corners in self.corners)
+
     def remembered(self) -> int:
         """Returns how many faces are worth remembering of each contact on a CPU: of that with the most.
 

@@ -24,11 +24,14 @@ if TYPE_CHECKING:
     from warpcontact.kernels.outcomes.base import Outcome
     from warpcontact.model import Model
 
-# Of the cache of a core that a slice may fill, and what a contact and a body take of it; measured.
+# Of the cache of a core that a slice may fill, and what a contact, a body and a face near it take of it; measured.
 CACHE_BYTES = 512 * 1024
 CONTACT_BYTES = 300
 BODY_BYTES = 400
+FACE_BYTES = 100
 LARGEST_SLICE = 256
+# Where faces are small: launches take more than the cache saves if slices have less.
+SMALLEST_FOR_FACES = 32
 
 # What a prepared launch takes, a graph, and what is captured in it for each byte of the arguments of its launches,
 # which are kept with the places of all pointers among them; measured with Warp 1.19 (tests/test_memory_plan.py).
@@ -57,9 +60,17 @@ def slice_sizes(shares: "Sequence[tuple[Model | PartDraft, int]]", threads: int)
     on_cpu = sum(envs for part, envs in shares if part.device.is_cpu)
     largest = min(LARGEST_SLICE, -(-on_cpu // threads))
     return [
-        max(1, min(CACHE_BYTES // _bytes_of(part), largest)) if part.device.is_cpu else envs
-        for part, envs in shares
+        max(1, min(_envs_in_cache(part), largest)) if part.device.is_cpu else envs for part, envs in shares
     ]
+
+
+def _envs_in_cache(part: "Model | PartDraft") -> int:
+    """Returns how many environments fit into the cache of a core, with the faces near their bodies, if they may."""
+    each = _bytes_of(part)
+    near, there_are = part.arrays.faces_near
+    with_faces = CACHE_BYTES // (each + FACE_BYTES * near)
+    with_all_faces = (CACHE_BYTES - FACE_BYTES * there_are) // each
+    return min(CACHE_BYTES // each, max(SMALLEST_FOR_FACES, with_faces, with_all_faces))
 
 
 def _bytes_of(part: "Model | PartDraft") -> int:
