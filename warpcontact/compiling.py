@@ -38,22 +38,21 @@ def load_all(kernels: Iterable[wp.Kernel], device: wp.Device) -> None:
     if device.is_cuda:
         return
     distinct = list(dict.fromkeys(kernels))
-    others = min(len(distinct), COMPILERS, available_threads()) - 1
-    left = iter(distinct)
+    workers = min(len(distinct), COMPILERS, available_threads())
+    left = iter(distinct[workers:])
 
     def work(kernel: wp.Kernel | None) -> None:
         while kernel is not None:
             load(kernel, device)
             kernel = next(left, None)
 
-    # This thread begins with the first, and has a header already that each other one compiles before its kernels.
-    first = next(left, None)
+    # This thread has a header already that each other one compiles before its kernels, and takes the first.
     with ThreadPoolExecutor(COMPILERS) as pool:
-        tasks = [pool.submit(work, next(left)) for _ in range(others)]
+        others = [pool.submit(work, kernel) for kernel in distinct[1:workers]]
         try:
-            work(first)
+            work(next(iter(distinct), None))
         finally:
             # Who interrupts it waits for what is being compiled, and for nothing else.
             deque(left, maxlen=0)
-        for task in tasks:
-            task.result()
+        for other in others:
+            other.result()
