@@ -1,5 +1,7 @@
 """How kernels are built: side by side on a CPU, before a step waits for one; a GPU rounds every product."""
 
+import subprocess
+import sys
 import threading
 from types import SimpleNamespace
 
@@ -12,7 +14,7 @@ from test_schedule import STUCK, falling_on, two_bodies
 from warpcontact.kernels import integrate
 
 import warpcontact as wc
-from warpcontact import compiling, stepping
+from warpcontact import stepping
 from warpcontact.compiling import load_all, round_each_product
 
 CPU = SimpleNamespace(is_cuda=False)
@@ -37,23 +39,28 @@ class Kernel:
         self.module = SimpleNamespace(options={"fuse_fp": True}, load=lambda *_, **__: load())
 
 
-def test_kernels_are_compiled_side_by_side(monkeypatch):
-    monkeypatch.setattr(compiling, "available_threads", lambda: 3)
+def test_kernels_are_compiled_side_by_side():
     all_at_once = threading.Barrier(3)
-    load_all([Kernel(lambda: all_at_once.wait(timeout=60)) for _ in range(3)], CPU)
+    load_all([Kernel(lambda: all_at_once.wait(timeout=60)) for _ in range(3)], CPU, 3)
 
 
-def test_each_is_compiled_once_though_threads_are_few(monkeypatch):
-    monkeypatch.setattr(compiling, "available_threads", lambda: 1)
+def test_each_is_compiled_once_and_by_one_thread_if_there_is_no_other():
     loaded = []
-    kernels = [Kernel(lambda number=number: loaded.append(number)) for number in range(5)]
-    load_all([*kernels, *kernels], CPU)
-    assert loaded == list(range(5))
-    load_all([], CPU)
+
+    def load(number):
+        loaded.append((number, threading.current_thread()))
+
+    kernels = [Kernel(lambda number=number: load(number)) for number in range(5)]
+    load_all([*kernels, *kernels], CPU, 1)
+    assert loaded == [(number, threading.current_thread()) for number in range(5)]
+    loaded.clear()
+    load_all([*kernels, *kernels], CPU, 3)
+    assert sorted(number for number, _ in loaded) == list(range(5))
+    load_all([], CPU, 3)
 
 
-def test_a_kernel_that_does_not_compile_is_told_and_no_other_is_begun(monkeypatch):
-    monkeypatch.setattr(compiling, "available_threads", lambda: 2)
+@pytest.mark.parametrize("place", [0, 1], ids=["in this thread", "in another"])
+def test_a_kernel_that_does_not_compile_is_told_and_no_other_is_begun(place):
     begun, failed, more = threading.Event(), threading.Event(), []
 
     def fails():
@@ -65,9 +72,30 @@ def test_a_kernel_that_does_not_compile_is_told_and_no_other_is_begun(monkeypatc
         begun.set()
         assert failed.wait(timeout=60)
 
+    kernels = [Kernel(takes_longer), Kernel(lambda: more.append(1))]
+    kernels.insert(place, Kernel(fails))
     with pytest.raises(ValueError, match="no such law"):
-        load_all([Kernel(fails), Kernel(takes_longer), Kernel(lambda: more.append(1))], CPU)
+        load_all(kernels, CPU, 2)
     assert not more
+
+
+def test_a_step_can_be_the_last_thing_that_a_process_does():
+    # No thread can be made any more then.
+    code = """
+import threading, time, warpcontact as wc
+scene = wc.Scene()
+scene.add_body(1.0, (1, 1, 1), name="body")
+sim = wc.Simulation(scene.build(envs=1, device="cpu"), dt=1e-3)
+
+def late():
+    threading.main_thread().join()
+    sim.step()
+    print(sim.steps, "step")
+
+threading.Thread(target=late).start()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "1 step" in ended.stdout, ended.stderr
 
 
 def heap():
@@ -96,10 +124,10 @@ def hard():
 def test_nothing_that_steps_and_frames_launch_is_left_to_be_compiled_alone(make, monkeypatch):
     compiled = set()
 
-    def load_them(kernels, device):
+    def load_them(kernels, device, threads):
         kernels = list(kernels)
         compiled.update(kernels)
-        load_all(kernels, device)
+        load_all(kernels, device, threads)
 
     monkeypatch.setattr(stepping, "load_all", load_them)
     sim = make()

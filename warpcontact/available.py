@@ -1,4 +1,4 @@
-"""How much memory and how many threads there are to have, within the limits set to the process."""
+"""How many threads there are, and how much memory: on devices, and on this machine within the limits set."""
 
 import os
 from collections.abc import Iterator

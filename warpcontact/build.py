@@ -128,7 +128,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         cache=_cache(t, layout, blocks, records, common.patches if grids is None else None),
         guard=add_guard(scene, layout, parameters, t.real),
         celled=grids is not None,
-        faces_near=common.patches.faces_near(),
+        faces_read=common.patches.faces_read(),
         **dict.fromkeys(("status", "time", "instant", "constrained", "active")),  # allocated with the model
         **dict.fromkeys(MEASURES),  # allocated by the first reading that needs them
     )

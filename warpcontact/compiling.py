@@ -3,12 +3,11 @@
 from collections import deque
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 import warp as wp
 
-from warpcontact.available import available_threads
-
-# Threads that compile, at most.
+# Threads that compile, at most: each compiles a header as well, and few kernels take long.
 COMPILERS = 4
 
 
@@ -30,29 +29,44 @@ def load(kernel: wp.Kernel, device: wp.Device) -> None:
     kernel.module.load(device, block_dim=None if device.is_cuda else 1)
 
 
-def load_all(kernels: Iterable[wp.Kernel], device: wp.Device) -> None:
-    """Compiles kernels for a CPU side by side, those that have to be; first come those that take long.
+def load_all(kernels: Iterable[wp.Kernel], device: wp.Device, threads: int) -> None:
+    """Compiles kernels for a CPU side by side, those that have to be.
 
-    On a GPU that is left to their launches, which say what blocks they are for.
+    Args:
+        kernels: The kernels, those that take long first.
+        device: The CPU. A GPU compiles for blocks of a size that launches say.
+        threads: Threads at most.
     """
-    if device.is_cuda:
-        return
-    distinct = list(dict.fromkeys(kernels))
-    workers = min(len(distinct), COMPILERS, available_threads())
-    left = iter(distinct[workers:])
+    left = deque(dict.fromkeys(kernels))
+    others = min(len(left), COMPILERS, threads) - 1
 
-    def work(kernel: wp.Kernel | None) -> None:
-        while kernel is not None:
-            load(kernel, device)
-            kernel = next(left, None)
-
-    # This thread has a header already that each other one compiles before its kernels, and takes the first.
-    with ThreadPoolExecutor(COMPILERS) as pool:
-        others = [pool.submit(work, kernel) for kernel in distinct[1:workers]]
+    def load_next() -> None:
         try:
-            work(next(iter(distinct), None))
-        finally:
-            # Who interrupts it waits for what is being compiled, and for nothing else.
-            deque(left, maxlen=0)
-        for other in others:
-            other.result()
+            while left:
+                try:
+                    kernel = left.popleft()
+                except IndexError:  # others were faster
+                    return
+                load(kernel, device)
+        except BaseException:
+            # Who waits for it, or interrupts it, waits for what is being compiled, and for nothing else.
+            left.clear()
+            raise
+
+    if others < 1:
+        load_next()
+        return
+    first = left.popleft()
+    with ThreadPoolExecutor(others) as pool:
+        try:
+            tasks = []
+            with suppress(RuntimeError):  # of a process that ends, which has no more threads
+                tasks = [pool.submit(load_next) for _ in range(others)]
+            # A thread compiles a header before its kernels. The one that built the model mostly has it.
+            load(first, device)
+            load_next()
+        except BaseException:
+            left.clear()
+            raise
+        for task in tasks:
+            task.result()

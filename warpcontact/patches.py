@@ -28,6 +28,8 @@ SLIVER = 1.2 * SLIVER_LIMIT
 SKIN = 0.35
 # Faces that are remembered of a contact on a CPU; measured. More last longer, but take more of a cache.
 FEWEST_REMEMBERED, MOST_REMEMBERED = 16, 48
+# Faces of a mesh that, with its tree, is larger than what cores have of caches; measured.
+MANY_FACES = 150_000
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,11 @@ class Patch:
     def skin(self) -> float:
         """How much farther faces are remembered than the nearest."""
         return SKIN * self.edge
+
+    def faces_within(self, reach: float) -> float:
+        """Returns about how many faces lie within ``reach``, in the unit of the mesh, of one of them."""
+        disk = min(reach / np.sqrt(self.area), 1.0)
+        return max(1.0, min(np.pi * disk**2, 1.0) * len(self.corner))
 
 
 def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_active: bool) -> Patch:
@@ -129,18 +136,25 @@ class Patches:
             reach[own] = np.maximum(reach[own], contact.radius.max() / contact.surface.scale.min())
         return reach
 
-    def faces_near(self) -> tuple[int, int]:
-        """Returns how many faces lie about as far around bodies as their points are apart, and how many there are."""
-        near = 0.0
+    def faces_read(self) -> int:
+        """Returns about how many faces an environment reads, in some steps, of meshes too large for caches.
+
+        Those around each body as far as its points and their radii reach, as they are in the scene.
+        """
+        read = 0.0
         for contact, first in self.of_contact.items():
-            points, bodies = contact.points.positions, contact.set_count
-            size = float(contact.radius.max())
-            if bodies == 1:
-                size += 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
-            disk = np.pi * (size / float(contact.surface.scale.min())) ** 2
-            for patch in self.patches[first : first + len(contact.surface.meshes)]:
-                near += bodies * min(1.0, disk / patch.area) * len(patch.corner)
-        return round(near), sum(len(corners) for corners in self.corners)
+            points = contact.points
+            scale = 1.0 if points.surface is None else float(points.surface.scale.max())
+            reach = float(contact.radius.max())
+            if not points.spread:
+                reach += 0.5 * scale * float(np.linalg.norm(np.ptp(points.positions, axis=0)))
+            # Divided first: squares of what is accepted may overflow.
+            reach /= float(contact.surface.scale.min())
+            patches = self.patches[first : first + len(contact.surface.meshes)]
+            large = [patch for patch in patches if len(patch.corner) > MANY_FACES]
+            # Each environment has one mesh of a surface.
+            read += contact.set_count * max((patch.faces_within(reach) for patch in large), default=0.0)
+        return round(read)
 
     def remembered(self) -> int:
         """Returns how many faces are worth remembering of each contact on a CPU: of that with the most.

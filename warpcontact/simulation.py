@@ -29,7 +29,7 @@ from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
 from warpcontact.slices import Buffers, Frames, Stepper, Times
-from warpcontact.stepping import Tally, compile_steps, slice_sizes, stepping_footprint
+from warpcontact.stepping import Tally, compile_steps, cut, slice_sizes, stepping_footprint
 from warpcontact.taking import take_after, take_first
 from warpcontact.whole_steps import frame_count, recorded_steps
 
@@ -355,22 +355,21 @@ class Simulation:
             self._prepared = (revisions, crew)
         return crew
 
-    @beside_captures()
     def _compile(self, needs: Set[str]) -> None:
-        """Compiles what comes up from here on, with looks for ``needs``; once, before anything is launched."""
-        if self._prepared[1] is None:
-            looks = [EVALUATED, needs] if self.model.at_start and not self.advised else [needs]
+        """Compiles what comes up from here on, with looks for ``needs``, unless somebody steps already."""
+        if self._prepared[1] is not None:
+            return
+        looks = [EVALUATED, needs] if self.model.at_start and not self.advised else [needs]
+        with beside_captures():
             for part, buffers in zip(self.model.parts, self._buffers, strict=True):
-                compile_steps(part, self._stepper(part, buffers, Tally), looks)
+                if part.device.is_cpu:
+                    compile_steps(part, self._stepper(part, buffers, Tally), looks, self.threads)
 
     @beside_captures()
     def _shares(self) -> list[Share]:
         parts = [(part, part.envs) for part in self.model.parts]
         sizes = slice_sizes(parts, self.threads)
-        slices = [
-            [slice(first, min(first + size, envs)) for first in range(0, envs, size)]
-            for (_, envs), size in zip(parts, sizes, strict=True)
-        ]
+        slices = [cut(envs, size) for (_, envs), size in zip(parts, sizes, strict=True)]
         on_cpu = sum(len(own) for (part, _), own in zip(parts, slices, strict=True) if part.device.is_cpu)
         members = min(self.threads, on_cpu)
         return [

@@ -1,4 +1,4 @@
-"""What stepping takes beside the model: a second buffer of the state, and the prepared launches and graphs."""
+"""What stepping takes beside the model: slices of environments, kernels, and memory for launches and graphs."""
 
 import ctypes
 import functools
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from warpcontact.kernels.outcomes.base import Outcome
     from warpcontact.model import Model
 
-# Of the cache of a core that a slice may fill, and what a contact, a body and a face near it take of it; measured.
+# Of the cache of a core that a slice may fill, and what a contact, a body and a face take of it; measured.
 CACHE_BYTES = 512 * 1024
 CONTACT_BYTES = 300
 BODY_BYTES = 400
 FACE_BYTES = 100
 LARGEST_SLICE = 256
-# Where faces are small: launches take more than the cache saves if slices have less.
+# For faces alone slices are not made smaller: launches would take more than the cache saves.
 SMALLEST_FOR_FACES = 32
 
 # What a prepared launch takes, a graph, and what is captured in it for each byte of the arguments of its launches,
@@ -59,18 +59,19 @@ def slice_sizes(shares: "Sequence[tuple[Model | PartDraft, int]]", threads: int)
     """
     on_cpu = sum(envs for part, envs in shares if part.device.is_cpu)
     largest = min(LARGEST_SLICE, -(-on_cpu // threads))
-    return [
-        max(1, min(_envs_in_cache(part), largest)) if part.device.is_cpu else envs for part, envs in shares
-    ]
+    return [max(1, min(_largest_slice(part), largest)) if part.device.is_cpu else envs for part, envs in shares]
 
 
-def _envs_in_cache(part: "Model | PartDraft") -> int:
-    """Returns how many environments fit into the cache of a core, with the faces near their bodies, if they may."""
+def cut(envs: int, size: int) -> list[slice]:
+    """Returns ``envs`` environments in slices of ``size``, the last perhaps smaller."""
+    return [slice(first, min(first + size, envs)) for first in range(0, envs, size)]
+
+
+def _largest_slice(part: "Model | PartDraft") -> int:
+    """Returns how many environments fit into the cache of a core, of many with the faces that they read."""
     each = _bytes_of(part)
-    near, there_are = part.arrays.faces_near
-    with_faces = CACHE_BYTES // (each + FACE_BYTES * near)
-    with_all_faces = (CACHE_BYTES - FACE_BYTES * there_are) // each
-    return min(CACHE_BYTES // each, max(SMALLEST_FOR_FACES, with_faces, with_all_faces))
+    with_faces = CACHE_BYTES // (each + FACE_BYTES * part.arrays.faces_read)
+    return min(CACHE_BYTES // each, max(SMALLEST_FOR_FACES, with_faces))
 
 
 def _bytes_of(part: "Model | PartDraft") -> int:
@@ -146,19 +147,21 @@ def stepping_footprint(
     return total(footprints)
 
 
-def compile_steps(part: "Model", one: Stepper, looks: Sequence[Set[str]]) -> None:
-    """Compiles what steps and looks launch, before one of them is waited for.
+def compile_steps(part: "Model", stepper: Stepper, looks: Sequence[Set[str]], threads: int) -> None:
+    """Compiles what steps and looks launch on a CPU, before one of them is waited for.
 
     Args:
         part: The model.
-        one: What steps it, by a ``Tally``.
+        stepper: What steps it, by a ``Tally``.
         looks: Of each look at the state the needs of the readings.
+        threads: Threads that compile, at most.
     """
     looked = [
         look_stages(look_span(Tally, part, part.envs, part.hard, needs), needs, part.no_step, None)
         for needs in looks
     ]
-    load_all(itertools.chain(*looked, *one.launches()), part.device)
+    # Looks first: these kernels are the largest.
+    load_all(itertools.chain(*looked, *stepper.launches()), part.device, threads)
 
 
 def _captured_bytes(launched: list[Any]) -> int:

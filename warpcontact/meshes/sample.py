@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact import checks
 from warpcontact.meshes.blue_noise import blue_noise
 from warpcontact.meshes.mesh import Mesh
 from warpcontact.meshes.topology import angles, directions
@@ -77,8 +76,8 @@ def sample_surface(
         return SurfaceSamples(corners.mean(axis=1), areas, normals, chosen)
     if method == "vertices":
         return _vertices(mesh, chosen, corners, areas, normals)
-    number = checks.whole("count", count, 1)
-    positions, areas, face = blue_noise(corners, areas, normals, number, checks.whole("seed", seed, 0))
+    number = _whole("count", count, 1)
+    positions, areas, face = blue_noise(corners, areas, normals, number, _whole("seed", seed, 0))
     return SurfaceSamples(positions, areas, normals[face], chosen[face])
 
 
@@ -121,3 +120,10 @@ def _chosen(faces: npt.ArrayLike | None, count: int) -> npt.NDArray[np.int64]:
     if len(outside):
         raise ValueError(f"faces must be face numbers from 0 to {count - 1}, got {outside[0]}")
     return numbers.astype(np.int64)
+
+
+# As ``checks.whole``, which imports Warp.
+def _whole(name: str, value: object, least: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    return int(value)
