@@ -1,4 +1,4 @@
-"""How many environments a slice has: as many as fit into the cache of a core, of large meshes with the faces read."""
+"""How many environments a slice has: what fits into the cache of a core, of large meshes with the faces read."""
 
 import numpy as np
 import pytest
