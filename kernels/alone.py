@@ -51,7 +51,7 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
     of_contact = meeting.functions(parts, real, False, projected, EITHER)
     pair_of, meet_pair, forget = of_contact.pair_of, of_contact.meet, of_contact.forget
     remembers = any(part.memories for part in parts)
-    enter = history.entering(real)
+    enter, remember = history.entering(real), history.remembering(parts, real)
 
     @wp.struct
     class Met:
@@ -154,14 +154,7 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
         if wp.static(remembers):
             # Of others nobody asks for it, without latches.
             history.armed[env, contact] = armed
-        if wp.static(bool(parts.law.memories)):
-            memory.law[env, contact] = kept.law[env, contact]
-        if wp.static(bool(parts.friction.memories)):
-            memory.friction[env, contact] = kept.friction[env, contact]
-        if wp.static(bool(parts.rolling.memories)):
-            memory.rolling[env, contact] = kept.rolling[env, contact]
-        if wp.static(bool(parts.torsion.memories)):
-            memory.torsion[env, contact] = kept.torsion[env, contact]
+        remember(memory, kept, env, contact)
 
     @wp.func
     def move(

@@ -1,4 +1,4 @@
-"""Advances the memory of the contacts, once per accepted step; steps that one launch takes do so in ``alone.py``.
+"""Advances the memory of the contacts, once per accepted step; ``alone.py`` and ``in_place.py`` do so themselves.
 
 The record belongs to the pair of point and surface, not to a triangle: a point that slides over a mesh edge does
 not enter anew.
@@ -10,6 +10,7 @@ import warp as wp
 from warpcontact.kernels import finish
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.memory import memory_struct
+from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import CONTACT, ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
 from warpcontact.kernels.unique import unique_kernel
 
@@ -93,6 +94,25 @@ def advance(real: type, follows: bool) -> wp.Function:
                 history.face[env, contact] = face
 
     return advance
+
+
+@functools.cache
+def remembering(parts: Parts, real: type) -> wp.Function:
+    """Returns the device function that takes what the force kept of a contact into the memory of its formulas."""
+    _, Memory = group_structs(parts, real)
+
+    @wp.func
+    def remember(memory: Memory, kept: Memory, env: int, member: int):
+        if wp.static(bool(parts.law.memories)):
+            memory.law[env, member] = kept.law[env, member]
+        if wp.static(bool(parts.friction.memories)):
+            memory.friction[env, member] = kept.friction[env, member]
+        if wp.static(bool(parts.rolling.memories)):
+            memory.rolling[env, member] = kept.rolling[env, member]
+        if wp.static(bool(parts.torsion.memories)):
+            memory.torsion[env, member] = kept.torsion[env, member]
+
+    return remember
 
 
 @functools.cache

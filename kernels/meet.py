@@ -118,10 +118,10 @@ def functions(parts: Parts, real: type, moves: bool, projected: bool, part: str)
 
 
 @functools.cache
-def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = False) -> wp.Kernel:
-    """Returns the kernel that sees to sets of contacts on a CPU; items: sets of the group.
+def of_sets(parts: Parts, real: type, moves: bool, projected: bool) -> wp.Function:
+    """Returns the device function that sees to a set of contacts on a CPU.
 
-    It adds up their travel, looks at those that may touch, as ``near.kernel`` with ``cached``, and leaves what
+    It adds up its travel, looks at those that may touch, as ``near.kernel`` with ``cached``, and leaves what
     blocks do to their bodies with them, as ``contact_force.kernel`` if ``ordered``. Contacts are told no more than
     the rest of a step asks for, and those that cease to touch that nothing acts: later looks leave them out.
     Arguments: those of the latter.
@@ -136,9 +136,6 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
     of_block = nearness.functions(real, False, WHOLE)
     around_of, free_around, longer_wake = of_block.around_of, of_block.free_around, of_block.longer_wake
     settle, settle_block = of_block.settle, of_block.settle_block
-    tell_model, tell_state, tell_history = telling(Model), telling(State), telling(History)
-    tell_cache, tell_contacts, tell_near = telling(Cache), telling(Contacts), telling(Near)
-    tell_coefficients = telling(Coefficients)
     add_travel, sleeps = travel.functions(real).add, travel.functions(real).sleeps
 
     @wp.func
@@ -210,6 +207,59 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
         near.torque_1[env, block] = torque_1
         near.torque_2[env, block] = torque_2
 
+    @wp.func
+    def meet_set(
+        model: Model,
+        state: State,
+        history: History,
+        memory: Memory,
+        dt: real,
+        first_contact: int,
+        coefficients: Coefficients,
+        kept: Memory,
+        cache: Cache,
+        contacts: Contacts,
+        near: Near,
+        env: int,
+        number: int,
+    ):
+        travelled = add_travel(model, state, cache, env, number)
+        block = natural(model.set_block_start[number])
+        stop = model.set_block_start[number + 1]
+        if sleeps(model, cache, env, number, travelled):
+            while block < stop:
+                near.count[env, block] = 0
+                block = natural(block + 1)
+            return
+        pair = pair_of(model, state, env, number)
+        while block < stop:
+            if travelled < cache.block_wake[env, block]:
+                near.count[env, block] = 0
+            else:
+                meet_block(
+                    model, state, pair, history, memory, dt, first_contact, coefficients, kept, cache, contacts,
+                    near, env, block, cache.set_travel[env, number], travelled,
+                )  # fmt: skip
+            block = natural(block + 1)
+
+    return meet_set
+
+
+@functools.cache
+def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = False) -> wp.Kernel:
+    """Returns the kernel that sees to sets of contacts on a CPU; items: sets of the group.
+
+    Arguments: those of ``contact_force.kernel``.
+    """
+    t = structs(real)
+    Model, State, History = t.Model, t.State, t.History
+    Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
+    Coefficients, Memory = group_structs(parts, real)
+    meet_set = of_sets(parts, real, moves, projected)
+    tell_model, tell_state, tell_history = telling(Model), telling(State), telling(History)
+    tell_cache, tell_contacts, tell_near = telling(Cache), telling(Contacts), telling(Near)
+    tell_coefficients = telling(Coefficients)
+
     @unique_kernel()
     def meet_sets(
         work: Work,
@@ -239,22 +289,9 @@ def kernel(parts: Parts, real: type, moves: bool = False, projected: bool = Fals
             number = natural(first_set + item_of(work, task))
             if status[env] != ENV_ACTIVE:
                 continue
-            travelled = add_travel(model, state, cache, env, number)
-            if sleeps(model, cache, env, number, travelled):
-                for block in range(model.set_block_start[number], model.set_block_start[number + 1]):
-                    near.count[env, block] = 0
-                continue
-            pair = pair_of(model, state, env, number)
-            block = natural(model.set_block_start[number])
-            stop = model.set_block_start[number + 1]
-            while block < stop:
-                if travelled < cache.block_wake[env, block]:
-                    near.count[env, block] = 0
-                else:
-                    meet_block(
-                        model, state, pair, history, memory, step[env, 0], first_contact, coefficients, kept,
-                        cache, contacts, near, env, block, cache.set_travel[env, number], travelled,
-                    )  # fmt: skip
-                block = natural(block + 1)
+            meet_set(
+                model, state, history, memory, step[env, 0], first_contact, coefficients, kept, cache, contacts,
+                near, env, number,
+            )  # fmt: skip
 
     return meet_sets

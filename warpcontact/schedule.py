@@ -5,7 +5,7 @@ Each stage reads what earlier ones wrote:
     travel → closest point → couplings → smooth contacts → contact force (one launch per law) → wrenches → piles
     → integrate, motions → sweep → outcomes → finish → history
 
-or, of bodies alone on a GPU, one launch for all of it.
+or, of bodies alone in their environment, one launch for all of it.
 
 What an integrator does between forces and ``finish`` is its own: ``integrators/``.
 """
@@ -21,6 +21,7 @@ from warpcontact.kernels import (
     contact_coupling,
     finish,
     history,
+    in_place,
     integrate,
     meet,
     meet_in_cells,
@@ -132,8 +133,19 @@ class Span:
         """Whether one launch takes a step: of bodies alone in their environments with one set of contacts."""
         model, blocks = self.model, self.model.blocks
         looks = self.queued and self.cached and model.arrays.celled and blocks.set_count == 1
-        coupled = model.couplings or model.smooth or model.piles or self._coupled
-        return looks and self._of_one and not coupled and blocks.count <= MOST_ADDED_UP
+        return looks and self._of_one and not self._else_acts and blocks.count <= MOST_ADDED_UP
+
+    @property
+    def in_place(self) -> bool:
+        """Whether one launch takes any number of steps: on a CPU, of bodies alone with one kind of contacts."""
+        by_body = not self.queued and self.meets and self.ends_by_body
+        return by_body and len(self.model.groups) == 1 and not self._else_acts and self.looked_at is None
+
+    @property
+    def _else_acts(self) -> bool:
+        """Whether other things act on bodies than contacts of points and forces from outside."""
+        model = self.model
+        return bool(model.couplings or model.smooth or model.piles or self._coupled)
 
     def prepare(
         self,
@@ -376,6 +388,16 @@ def alone_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> l
     inputs += [group.coefficients, group.kept, a.contacts, a.near, a.cache, a.ends, state_out]
     together = FEW_TOGETHER if span.few else MANY_TOGETHER
     return span.prepare(kernel, 1, inputs, -(-span.count // own) * lanes, together)
+
+
+def in_place_stages(span: Span, dt: StepLength, state: Any, steps: int) -> list[wp.Launch]:
+    """Returns the launch that takes accepted semi-implicit Euler steps of a span that is ``in_place``."""
+    model, blocks = span.model, span.model.blocks
+    a, (group,) = model.arrays, model.groups
+    kernel = in_place.kernel(group.parts, model.types.real, group.projected, model.pushed)
+    inputs = [steps, a.status, dt.dynamic, dt.clock, a.time, a.model, a.guard, a.history, group.memory]
+    inputs += [group.coefficients, group.kept, a.contacts, a.near, a.cache, a.ends]
+    return span.prepare(kernel, 1, [*inputs, blocks.set_count, blocks.count, state])
 
 
 def adopt_stage(span: Span, source: Any, target: Any) -> list[wp.Launch]:

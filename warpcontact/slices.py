@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
 CPU_GRAPH_STEPS = (8, 2, 1)
+# Those that one launch takes in place.
+IN_PLACE_STEPS = (64, 8, 1)
 # Graphs of the most steps in whose place steps to a frame have one of their own, with its look, at most.
 FRAME_GRAPHS = 2
 
@@ -208,13 +210,20 @@ class Stepper:
             self._seen = wp.zeros(1, dtype=wp.int32, device="cpu", pinned=True)
         self._integrator, self._times = integrator, buffers.times
         self._states = own, other = model.arrays.state, buffers.other
-        self._steps = [self._prepare(*way) for way in ((own, other), (other, own))]
+        # Whether steps go from a state to itself.
+        self._in_place = self._observer is None and not divides and integrator.may_step_in_place(span)
+        if self._in_place:
+            self._steps = [_Step(self._some_in_place(1), [], [], [], [])] * 2
+        else:
+            self._steps = [self._prepare(*way) for way in ((own, other), (other, own))]
         # A step from the model's state after a look has told what is near, once there are such looks.
         self._after_look: list[wp.Launch] = []
         self._wait, self._wake = (turn_stage(span, back=back) for back in (False, True))
         # What is decided on the host cannot be captured.
         self.captured = captured and not divides
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
+        if self._in_place:
+            self.graph_steps = IN_PLACE_STEPS
         # With what a look at their end is for. All are kept: few sets of needs come up in a simulation.
         self._graphs: dict[tuple[Way, frozenset[str]], wp.Graph] = {}
         # Of those, which make up ways that are taken one after the other; by what else decides that.
@@ -245,6 +254,12 @@ class Stepper:
             back=adopt_stage(span, state_out, state_in),
         )
 
+    def _some_in_place(self, steps: int) -> list[wp.Launch]:
+        """Returns the launches of ``steps`` steps in the buffer of the model."""
+        if steps == 0:
+            return []
+        return self._integrator.in_place_stages(self._span, self._times.whole, self._states[0], steps)
+
     def _stages(
         self, span: Span, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
     ) -> list[wp.Launch]:
@@ -265,11 +280,14 @@ class Stepper:
         if not self.captured:
             return []
         launches: list[wp.Launch] = []
-        for number in range(way.steps):
-            first = way.known and number == 0
-            launches += self._after_look if first else self._steps[number % 2].whole
-        if way.steps % 2:
-            launches += self._steps[0].back
+        first = int(way.known and way.steps > 0)
+        if self._in_place:
+            launches += first * self._after_look + self._some_in_place(way.steps - first)
+        else:
+            for number in range(way.steps):
+                launches += self._after_look if number < first else self._steps[number % 2].whole
+            if way.steps % 2:
+                launches += self._steps[0].back
         return launches + self._looks[self._needs] if way.looks else launches
 
     def _graphs_of(self, way: Way) -> Iterator[Way]:
@@ -346,6 +364,8 @@ class Stepper:
             span = replace(self._span, looked_at=own)
             with beside_captures():
                 self._after_look = self._stages(span, self._times.whole, own, other, self._mark)
+                if self._in_place:
+                    self._after_look += adopt_stage(self._span, other, own)
         return True
 
     def go_to_frame(self, number: int) -> None:

@@ -9,7 +9,7 @@ from warpcontact.integrators.base import Integrator, formulas_of
 from warpcontact.kernels import integrate, sweep
 from warpcontact.kernels.motions import driven, step
 from warpcontact.piles.pile import touches_of
-from warpcontact.schedule import FEW_TOGETHER, Span, StepLength, alone_stages, force_stages
+from warpcontact.schedule import FEW_TOGETHER, Span, StepLength, alone_stages, force_stages, in_place_stages
 
 if TYPE_CHECKING:
     from warpcontact.scene import Scene
@@ -81,6 +81,14 @@ class SemiImplicitEuler(Integrator):
             inputs += [int(mark is not None), marked]
             launches += span.prepare(sweep.kernel(real), model.blocks.count, inputs)
         return launches
+
+    def may_step_in_place(self, span: Span) -> bool:
+        """Of one body alone, on a CPU."""
+        return span.in_place
+
+    def in_place_stages(self, span: Span, dt: StepLength, state: Any, steps: int) -> list[wp.Launch]:
+        """Returns the one launch."""
+        return in_place_stages(span, dt, state, steps)
 
     def change_stages(self, span: Span, change: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that take the velocities, half a step behind the positions, to another step."""
