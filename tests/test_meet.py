@@ -59,7 +59,7 @@ def taken(make, device, precision, *, at_once, asks):
             seen += [model.reading(name) for name in names]
     assert any((model.reading(name) > 0).any() for name in names if name.endswith("normal_force"))
     kernels = {launch.kernel.key.split("__")[-1] for launch in sim._prepared[1]._steppers[0]._steps[0].whole}
-    assert at_once == bool(kernels & {"meet_sets", "meet_in_cells"}), kernels
+    assert at_once == bool(kernels & {"meet_sets", "meet_in_cells", "step_in_place"}), kernels
     return [model.reading(f"body.{key}") for key in STATE], seen
 
 

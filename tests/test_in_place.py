@@ -1,0 +1,88 @@
+"""Bodies alone in their environment take many steps in one launch on a CPU; nothing else comes of it."""
+
+import numpy as np
+import pytest
+from test_alone import ALONE, assert_same, built, states
+
+import warpcontact as wc
+from warpcontact.recorder import Recorder
+from warpcontact.schedule import Span
+
+pytestmark = pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+KEYS = ("normal_force", "friction_force", "gap", "armed", "status")
+
+
+def told(model):
+    names = [f"touch.{key}" for key in KEYS if f"touch.{key}" in model.reading_names]
+    return [model.reading(name) for name in names]
+
+
+def kernels_of(sim):
+    stepper = sim._prepared[1]._steppers[0]
+    return {launch.kernel.key.split("__")[-1] for launch in stepper._steps[0].whole}
+
+
+@pytest.mark.parametrize(
+    ("name", "precision"),
+    [*((name, "float32") for name in ALONE), ("a sphere with memory", "float64"), ("points in blocks", "float64")],
+)
+@pytest.mark.parametrize("graphs", [True, False], ids=["graphs", "launches"])
+def test_the_steps_of_an_environment_come_to_what_stages_do(name, precision, graphs, monkeypatch):
+    model = built(ALONE[name], "cpu", precision)
+    sim = wc.Simulation(model, dt=1e-3, graphs=graphs)
+    with monkeypatch.context() as patch:
+        patch.setattr(Span, "in_place", False)
+        other = built(ALONE[name], "cpu", precision)
+        staged = wc.Simulation(other, dt=1e-3)
+        staged.step(1)
+    sim.step(1)
+    touched = False
+    # In launches of one, of eight and of 64 steps.
+    for count in (1, 73, 8, 64, 3, 300, 130):
+        sim.step(count)
+        staged.step(count)
+        assert_same(states(model), states(other))
+        assert_same(told(model), told(other))
+        np.testing.assert_array_equal(model.arrays.time.numpy(), other.arrays.time.numpy())
+        touched |= (model.reading("touch.normal_force") > 0).any()
+    assert touched
+    assert kernels_of(sim) == {"step_in_place"}
+    assert "step_in_place" not in kernels_of(staged)
+
+
+def test_one_that_fails_stays_where_it_was_and_the_others_go_on(monkeypatch):
+    found = []
+    for in_place in (True, False):
+        with monkeypatch.context() as patch:
+            if not in_place:
+                patch.setattr(Span, "in_place", False)
+            model = built(ALONE["a pushed box"], "cpu")
+            sim = wc.Simulation(model, dt=1e-3)
+            sim.step(100)
+            force = model["body.external_force"]
+            # Beyond what a number holds, at once and after some steps.
+            force[3], force[5] = 1e38, 1e35
+            model["body.external_force"] = force
+            sim.step(200)
+            health = model.health()
+            found.append([*states(model), model.arrays.time.numpy(), health.frozen, health.times])
+    assert_same(*found)
+    np.testing.assert_array_equal(found[0][-2], [3, 5])
+    assert np.isfinite(found[0][0]).all()
+
+
+@pytest.mark.parametrize("every", [1, 5, 70])
+def test_frames_see_every_step_that_is_due(every, monkeypatch):
+    def recorded():
+        model = built(ALONE["with memory"], "cpu")
+        sim = wc.Simulation(model, dt=1e-3)
+        names = ["body.position", "touch.normal_force", "scene.kinetic_energy"]
+        recorder = Recorder(model, names, 210 // every + 1, poses=False)
+        recorder.start()
+        for _ in sim.advance(recorder, 210, every, start=0.0):
+            pass
+        return [*states(model), *recorder.frames().values()]
+
+    own = recorded()
+    monkeypatch.setattr(Span, "in_place", False)
+    assert_same(own, recorded())
