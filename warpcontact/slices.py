@@ -211,9 +211,11 @@ class Stepper:
         self._integrator, self._times = integrator, buffers.times
         self._states = own, other = model.arrays.state, buffers.other
         # Whether steps go from a state to itself.
-        self._in_place = self._observer is None and not divides and integrator.may_step_in_place(span)
+        unseen = self._observer is None and not divides
+        one = self._some_in_place(1) if unseen else []
+        self._in_place = bool(one)
         if self._in_place:
-            self._steps = [_Step(self._some_in_place(1), [], [], [], [])] * 2
+            self._steps = [_Step(one, [], [], [], [])] * 2
         else:
             self._steps = [self._prepare(*way) for way in ((own, other), (other, own))]
         # A step from the model's state after a look has told what is near, once there are such looks.

@@ -64,13 +64,12 @@ class Integrator(ABC):
         with ``None`` such a step is taken as it is.
         """
 
-    def may_step_in_place(self, span: Span) -> bool:
-        """Whether ``in_place_stages`` can take steps of these environments, if nobody has to see them between."""
-        return False
-
     def in_place_stages(self, span: Span, dt: StepLength, state: Any, steps: int) -> list[wp.Launch]:
-        """Returns the launches that take ``steps`` steps of ``state`` in place, all of which are accepted."""
-        raise NotImplementedError
+        """Returns the launches that take ``steps`` accepted steps of ``state`` in place, seen by nobody.
+
+        None: these environments have no such steps.
+        """
+        return []
 
     def change_stages(self, span: Span, change: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that ready ``state`` for steps longer by ``change`` [env, 0] than those before [s].

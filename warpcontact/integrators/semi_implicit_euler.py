@@ -82,13 +82,9 @@ class SemiImplicitEuler(Integrator):
             launches += span.prepare(sweep.kernel(real), model.blocks.count, inputs)
         return launches
 
-    def may_step_in_place(self, span: Span) -> bool:
-        """Of one body alone, on a CPU."""
-        return span.in_place
-
     def in_place_stages(self, span: Span, dt: StepLength, state: Any, steps: int) -> list[wp.Launch]:
-        """Returns the one launch."""
-        return in_place_stages(span, dt, state, steps)
+        """Returns one launch, of bodies alone on a CPU."""
+        return in_place_stages(span, dt, state, steps) if span.in_place else []
 
     def change_stages(self, span: Span, change: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that take the velocities, half a step behind the positions, to another step."""
