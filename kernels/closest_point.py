@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 from warpcontact.kernels import cells, frames, search
 from warpcontact.kernels import foot as feet
+from warpcontact.kernels import recall as lists
 from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import (
     AT_POINT,
@@ -70,16 +71,15 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     vec3, mat33, Model, State, History = t.vec3, t.mat33, t.Model, t.State, t.History
     Contacts, Cache = t.Contacts, t.Cache
     in_queues = part != WHOLE
-    of_face, of_search = feet.functions(real), search.functions(real)
+    of_face, of_list, of_search = feet.functions(real), lists.functions(real), search.functions(real)
     Foot, foot_on, inner, walk = of_face.Foot, of_face.foot_on, of_face.inner, of_face.walk
     fallen = of_face.fallen
-    Recalled, recall_sure = of_search.Recalled, of_search.recall_sure
     recall = {
-        WHOLE: of_search.recall,
-        KNOWN: recall_sure,
-        LISTED: of_search.recall_listed,
-        RECALLED: of_search.recall,
-    }.get(part, of_search.recall_nothing)
+        WHOLE: of_list.recall_at_once,
+        KNOWN: of_list.recall_sure,
+        LISTED: of_list.recall_listed,
+        RECALLED: of_list.recall,
+    }.get(part, of_list.recall_nothing)
     nearest_of_all = of_search.nearest_of_all
     nearest_to_remember = of_search.nearest_to_remember
     if in_queues:
@@ -239,17 +239,17 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         if not held:
             # A sphere sees at least what it overlaps.
             seen = wp.max(geometry.search_radius * view.per_scale, reach)
-            recalled = Recalled()
-            if cached:
-                step = view.per_scale * cache.set_step[env, view.number]
-                recalled = recall(model, patch, cache, env, contact, p_S, step)
-            elif wp.static(part == WHOLE):
-                # Far away a search settles no ties, as what is remembered does.
-                recalled = recall_sure(model, patch, cache, env, contact, p_S, real(0.0))
+            step = view.per_scale * cache.set_step[env, view.number]
+            recalled = recall(model, patch, cache, env, contact, p_S, step)
+            if wp.static(part == WHOLE):  # noqa: SIM102  Warp would evaluate both sides
                 if recalled.known:
-                    sure = recalled.foot.distance
-                    sure += model.patch_slack[patch] + query_epsilon * (extent + sure)
-                    recalled.known = sure < reach + model.patch_skin[patch]
+                    if cached:
+                        cache.nearest[env, contact] = recalled.foot.row
+                    else:
+                        # Far away a search settles no ties, as what is remembered does.
+                        sure = recalled.foot.distance
+                        sure += model.patch_slack[patch] + query_epsilon * (extent + sure)
+                        recalled.known = sure < reach + model.patch_skin[patch]
             foot = recalled.foot
             known = recalled.known
             # A latch that is not armed waits until the surface is in sight.

@@ -353,7 +353,8 @@ def structs(real: type) -> SimpleNamespace:
         waiting: wp.array(dtype=wp.int32)  # [kind] how many
         waiting_block: wp.array(dtype=wp.int32)  # numbers of the blocks to probe, or in cells to search for
         waiting_contact: wp.array2d(dtype=wp.int32)  # [kind, …] and of those to look at
-        # The nearest of the list below, while the point is within ``sure`` of ``sure_place``; in units of the mesh
+        # The nearest of the list below; in queues, while the point is within ``sure`` of ``sure_place``; in units
+        # of the mesh
         sure: wp.array2d(dtype=real)  # [env, contact]
         sure_place: wp.array2d(dtype=vec3)  # [env, contact] S
         nearest: wp.array2d(dtype=wp.int32)  # [env, contact] its row
@@ -366,7 +367,7 @@ def structs(real: type) -> SimpleNamespace:
         beyond: wp.array2d(dtype=real)  # [env, contact] all other faces are farther from there
         # [env, contact] how many are remembered; in cells, where none are: 1 if the point was near the surface
         faces: wp.array2d(dtype=wp.int32)
-        face: wp.array2d(dtype=wp.int32)  # [env, contact × remembered] their rows, rivals first
+        face: wp.array2d(dtype=wp.int32)  # [env, contact × remembered] their rows, rivals first if any
         distance: wp.array2d(dtype=real)  # [env, contact × remembered] from there
         direction: wp.array2d(dtype=vec3)  # [env, contact × remembered] its slope there, unit or zero, S
 

@@ -4,6 +4,7 @@ The angle-weighted pseudonormal of the feature that is nearest to a point tells 
 error (Bærentzen & Aanæs, IEEE TVCG 11 (2005) 243); a face normal, or Warp's own sign, does not.
 """
 
+import math
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from warpcontact.arrays import Layout
 from warpcontact.cells import Grid, declare_grids
 from warpcontact.checks import Array
+from warpcontact.kernels.simd import WIDTH
 from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_COUNT
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.examine import SLIVER_LIMIT
@@ -160,13 +162,13 @@ class Patches:
         """Returns how many faces are worth remembering of each contact on a CPU: of that with the most.
 
         Those that are farther from the middle of a sphere, where it touches a plane, than that by no more
-        than the skin lie in a disk.
+        than the skin lie in a disk. As many more as fill up several at once.
         """
-        most = FEWEST_REMEMBERED
+        most = float(FEWEST_REMEMBERED)
         for patch, reach in zip(self.patches, self.reaches(), strict=True):
             disk = np.sqrt(patch.skin * (2.0 * reach + patch.skin)) + 0.5 * patch.edge
-            most = max(most, round(np.pi * disk**2 * len(patch.corner) / patch.area))
-        return min(most, MOST_REMEMBERED)
+            most = max(most, np.pi * disk**2 * len(patch.corner) / patch.area)
+        return WIDTH * math.ceil(min(most, MOST_REMEMBERED) / WIDTH)
 
 
 def make_patches(contacts: list[Contact]) -> Patches:

@@ -1,0 +1,77 @@
+"""Several remembered faces at once: a core computes with as many numbers in the time of one."""
+
+import functools
+
+import warp as wp
+from warpcontact.kernels.types import structs
+
+#: Faces at once. Lists have room for a multiple of it.
+WIDTH = 8
+
+
+@functools.cache
+def as_near(real: type) -> wp.Function:
+    """Returns the device function that tells which of the next remembered faces may be as near as ``distance``.
+
+    As bits; of those from place ``start`` on, of which ``count`` are there, and no more than ``WIDTH``; never the
+    face ``first``. ``gone`` is the way from the place of the list to the point, ``slack`` the rounding of what is
+    remembered. See ``recall.least_listed`` for the bound; a GPU takes one after the other.
+    """
+    vec3 = structs(real).vec3
+    Rows, Distances, Slopes = wp.array2d(dtype=wp.int32), wp.array2d(dtype=real), wp.array2d(dtype=vec3)
+    scalar = {wp.float32: "float", wp.float64: "double"}[real]
+
+    # Vectors of Clang, which splits those that are wider than a core's. Of a slope x, y, z lie side by side.
+    @wp.func_native(
+        f"""
+        const {scalar}* distance_of = wp::address(distances, env, start);
+        const {scalar}* slope_of = reinterpret_cast<const {scalar}*>(wp::address(slopes, env, start));
+        const int* row_of = wp::address(rows, env, start);
+        #if defined(__CUDA_ARCH__)
+        int those = 0;
+        for (int k = 0; k < {WIDTH} && k < count; ++k) {{
+            const {scalar}* slope = slope_of + 3 * k;
+            const {scalar} along = slope[0] * gone[0] + slope[1] * gone[1] + slope[2] * gone[2];
+            if (distance_of[k] + along - slack <= distance && row_of[k] != first) those |= 1 << k;
+        }}
+        return those;
+        #else
+        typedef {scalar} Numbers __attribute__((ext_vector_type({WIDTH})));
+        typedef int Integers __attribute__((ext_vector_type({WIDTH})));
+        typedef bool Flags __attribute__((ext_vector_type({WIDTH})));
+        Numbers a, b, c, least;
+        Integers row;
+        memcpy(&a, slope_of, sizeof(a));
+        memcpy(&b, slope_of + {WIDTH}, sizeof(b));
+        memcpy(&c, slope_of + 2 * {WIDTH}, sizeof(c));
+        memcpy(&least, distance_of, sizeof(least));
+        memcpy(&row, row_of, sizeof(row));
+        Numbers x = __builtin_shufflevector(a, b, 0, 3, 6, 9, 12, 15, 0, 0);
+        Numbers y = __builtin_shufflevector(a, b, 1, 4, 7, 10, 13, 0, 0, 0);
+        Numbers z = __builtin_shufflevector(a, b, 2, 5, 8, 11, 14, 0, 0, 0);
+        x = __builtin_shufflevector(x, c, 0, 1, 2, 3, 4, 5, 10, 13);
+        y = __builtin_shufflevector(y, c, 0, 1, 2, 3, 4, 8, 11, 14);
+        z = __builtin_shufflevector(z, c, 0, 1, 2, 3, 4, 9, 12, 15);
+        least = least + (x * gone[0] + y * gone[1] + z * gone[2]) - slack;
+        const Flags those = __builtin_convertvector(least <= distance, Flags)
+            & __builtin_convertvector(row != first, Flags);
+        unsigned char bits;
+        memcpy(&bits, &those, sizeof(bits));
+        return count < {WIDTH} ? bits & ((1 << count) - 1) : bits;
+        #endif
+        """
+    )
+    def as_near(
+        distances: Distances,
+        slopes: Slopes,
+        rows: Rows,
+        env: int,
+        start: int,
+        count: int,
+        gone: vec3,
+        slack: real,
+        distance: real,
+        first: int,
+    ) -> int: ...
+
+    return as_near
