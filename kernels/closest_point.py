@@ -47,6 +47,8 @@ POINT_ROUNDING = 4.0
 # Parts of a look.
 WHOLE, KNOWN, LISTED, RECALLED, SEARCH = "whole", "known", "listed", "recalled", "search"
 CELL, AWAY, EITHER, TREE = "cell", "away", "either", "tree"
+# Of what a point was free by: with less left it would soon be looked at again.
+FEW = 0.25
 # Result of one that is left to the next part: no distance.
 LATER = -math.inf
 # Contacts that stay with the part of the surface that they touched.
@@ -173,6 +175,11 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         cache.room_place[env, contact] = p_S
 
     @wp.func
+    def left_of_room(cache: Cache, env: int, contact: int, p_S: vec3):
+        """How far a point can still move, of what it could where that was remembered, in units of the mesh."""
+        return cache.room[env, contact] - wp.length(p_S - cache.room_place[env, contact])
+
+    @wp.func
     def lost(free: real, gap: real, status: int, armed: int, arm_W: vec3):
         """What is found of one that has no nearest point."""
         found = Found()
@@ -239,6 +246,18 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         if not held:
             # A sphere sees at least what it overlaps.
             seen = wp.max(geometry.search_radius * view.per_scale, reach)
+            # A latch that is not armed waits until the surface is in sight.
+            may_be_away = armed != 0 or (option & LATCHED) == 0
+            if wp.static(part == AWAY):
+                if may_be_away:
+                    left = left_of_room(cache, env, contact, p_S)
+                    if left > query_epsilon * extent:
+                        return away(scale * left)
+            elif wp.static(part == WHOLE):  # noqa: SIM102
+                if cached and may_be_away and cache.faces[env, contact] == 0:
+                    left = left_of_room(cache, env, contact, p_S)
+                    if left > wp.max(query_epsilon * extent, real(FEW) * cache.room[env, contact]):
+                        return away(scale * left)
             step = view.per_scale * cache.set_step[env, view.number]
             recalled = recall(model, patch, cache, env, contact, p_S, step)
             if wp.static(part == WHOLE):  # noqa: SIM102  Warp would evaluate both sides
@@ -252,12 +271,6 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                         recalled.known = sure < reach + model.patch_skin[patch]
             foot = recalled.foot
             known = recalled.known
-            # A latch that is not armed waits until the surface is in sight.
-            may_be_away = armed != 0 or (option & LATCHED) == 0
-            if wp.static(part == AWAY):
-                left = cache.room[env, contact] - wp.length(p_S - cache.room_place[env, contact])
-                if left > query_epsilon * extent and may_be_away:
-                    return away(scale * left)
             if wp.static(part in (CELL, AWAY, EITHER)):
                 cell = cell_at(model, patch, p_S)
                 if cell.free > reach and may_be_away:
@@ -390,8 +403,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 free = wp.min(nearest - radius, scale * room_on_side(model, patch, p_S))
             if (option & LATCHED) == 0:
                 free = wp.max(free, nearest - wp.max(radius, geometry.max_depth - radius))
-            if wp.static(part == AWAY):  # noqa: SIM102  Warp would evaluate both sides
-                if touching == OPEN and armed != 0 and free > real(0.0):
+            if wp.static(part in (AWAY, WHOLE)):  # noqa: SIM102  Warp would evaluate both sides
+                if cached and touching == OPEN and armed != 0 and free > real(0.0):
                     keep_away(cache, env, contact, p_S, view.per_scale * free)
 
         # K = S + κ (D − S) with D = P − RC n, the deepest point; seen from P.

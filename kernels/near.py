@@ -13,7 +13,7 @@ import warp as wp
 from warpcontact.kernels import cells
 from warpcontact.kernels import closest_point as closest
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels.closest_point import AWAY, CELL, EITHER, FOLLOWS, ROUNDING, WHOLE
+from warpcontact.kernels.closest_point import AWAY, CELL, EITHER, FEW, FOLLOWS, ROUNDING, WHOLE
 from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import (
     CONTACT,
@@ -27,9 +27,6 @@ from warpcontact.kernels.types import (
     task_count,
 )
 from warpcontact.kernels.unique import unique_kernel
-
-# Of what a block is free by: a contact with less left would soon be looked at again.
-FEW = 0.25
 
 
 @functools.cache
@@ -84,10 +81,10 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     @wp.func
     def way_to_use(model: Model, env: int, start: int, stop: int, block: int, around: real):
         """How far the points of a block have to come until their middle, with ``around``, may tell of any [m]."""
-        most = real(-wp.inf)
+        least = real(wp.inf)
         for place in range(start, stop):
-            most = wp.max(most, left_of(model, env, block, natural(model.block_contact[place]), around))
-        return wp.max(-most, real(0.0))
+            least = wp.min(least, around - left_of(model, env, block, natural(model.block_contact[place]), around))
+        return wp.max(least / real(1.0 - FEW) - around, real(0.0))
 
     @wp.func
     def to_be_armed(model: Model, history: History, env: int, contact: int):

@@ -21,7 +21,7 @@ _IN_RECORDS: dict[str, tuple[tuple[str, ...], ...] | None] = {
     "Contacts": None,
     "Near": (("count", "crossed", "force", "torque_1", "torque_2"),),
     "Cache": (
-        ("sure", "sure_place", "nearest", "rivals", "place", "beyond"),
+        ("nearest", "place", "beyond", "room", "room_place", "sure", "sure_place", "rivals"),
         ("set_position", "set_orientation", "set_travel", "set_step", "set_margin", "set_wake", "set_asleep"),
     ),
 }

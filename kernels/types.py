@@ -359,7 +359,7 @@ def structs(real: type) -> SimpleNamespace:
         sure_place: wp.array2d(dtype=vec3)  # [env, contact] S
         nearest: wp.array2d(dtype=wp.int32)  # [env, contact] its row
         rivals: wp.array2d(dtype=wp.int32)  # [env, contact] how many of the first in the list it may be as well
-        # In cells: within ``room`` of ``room_place`` it does not touch; in units of the mesh
+        # On a CPU, and in cells: within ``room`` of ``room_place`` it does not touch; in units of the mesh
         room: wp.array2d(dtype=real)  # [env, contact]
         room_place: wp.array2d(dtype=vec3)  # [env, contact] S
         # Faces nearest to a point, from where it was when they were looked for; in units of the mesh

@@ -191,7 +191,7 @@ def _cache(t: SimpleNamespace, layout: Layout, made: Blocks, records: bool, sear
     if searched is not None:
         remembered = types.REMEMBERED_IN_QUEUES if queued else searched.remembered()
     faces = per_env(contacts * remembered)
-    room = per_env(contacts if searched is None else 0)
+    room = per_env(0 if searched is not None and queued else contacts)
     return layout.struct(
         "cache",
         t.Cache,
