@@ -5,7 +5,7 @@
     python benchmarks/compare.py --engines warpcontact --works W1 --envs 1 64 1024
 
 Peers get an environment of their own when they are first needed; ``--here`` runs all engines in the present
-interpreter, ``--python newton=PATH`` one in another. Every round runs each engine once, so that what else a
+interpreter, ``--python newton=PATH`` one in another. In every round each engine has a turn, so that what else a
 machine does hits all alike. Each engine is then taken at its best number of environments.
 """
 
@@ -65,6 +65,7 @@ def compare(
             bar.update()
 
     arguments = ["--steps", options.steps, "--device", options.device, "--threads", options.threads]
+    arguments += ["--at-least", options.at_least]
     with tempfile.TemporaryDirectory() as folder:
         cold = Path(folder) if options.cold else None
         race = SideBySide(work, envs, pythons, [str(part) for part in arguments], cold, options.patience, progress)
@@ -104,6 +105,7 @@ def report(about: dict[str, Any], options: argparse.Namespace, entries: list[dic
         "facts": about,
         "steps": options.steps,
         "rounds": options.rounds,
+        "at_least_s": options.at_least,
         "cold_start": options.cold,
         "versions": versions,
         "best": summarise(entries),
@@ -120,6 +122,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--envs", type=int, nargs="+", help="numbers of environments to try, rising")
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument(
+        "--at-least", type=float, default=1.0, help="seconds of a turn, in as many runs as it takes"
+    )
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="of engines that have threads")
     parser.add_argument("--here", action="store_true", help="the present interpreter has all engines")
     parser.add_argument("--python", nargs="+", default=[], metavar="ENGINE=PATH", help="interpreter of an engine")

@@ -3,8 +3,11 @@
     python benchmarks/measure.py newton-xpbd --work W1 --envs 1024 --device cpu
 
 It needs the engine and NumPy. A run goes from the start of the work through all steps; compiling and building are
-measured apart. With ``--turns`` a run begins when a line arrives on the standard input, so that engines can take
-turns: there is a line when the engine is ready, one after each run, and the result when the input ends.
+measured apart. With ``--turns`` one begins when a line arrives on the standard input, so that engines can take
+turns: there is a line when the engine is ready, one after each turn, and the result when the input ends.
+
+A turn lasts about a second for every engine, in as many runs as it takes: after those of others caches are cold
+and cores not yet free, which would weigh most on the shortest run.
 """
 
 import argparse
@@ -54,7 +57,7 @@ def main() -> None:
         print(json.dumps({"ready": result["start_s"]}), file=report)
     rates, cores = [], []
     for _ in sys.stdin if options.turns else range(options.repeats):
-        rate, busy = _measure(run, options.envs, options.steps)
+        rate, busy = _measure(run, options.envs, options.steps, options.at_least)
         rates.append(rate)
         cores.append(busy)
         if options.turns:
@@ -69,15 +72,19 @@ def main() -> None:
 WARM_UP = 20
 
 
-def _measure(run: Any, envs: int, steps: int) -> tuple[float, float]:
+def _measure(run: Any, envs: int, steps: int, at_least: float) -> tuple[float, float]:
     """Returns environment-steps per second from the start, and how many cores were busy with them."""
-    run.reset()
-    run.wait()
-    start, used = time.perf_counter(), time.process_time()
-    run.step(steps)
-    run.wait()
-    passed = time.perf_counter() - start
-    return round(envs * steps / passed), round((time.process_time() - used) / passed, 2)
+    runs, passed, used = 0, 0.0, 0.0
+    while not runs or passed < at_least:
+        run.reset()
+        run.wait()
+        start, used_before = time.perf_counter(), time.process_time()
+        run.step(steps)
+        run.wait()
+        passed += time.perf_counter() - start
+        used += time.process_time() - used_before
+        runs += 1
+    return round(runs * envs * steps / passed), round(used / passed, 2)
 
 
 def _version(package: str) -> str:
@@ -93,10 +100,13 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--work", default="W1", help="W1, W2p8, W2p64 or W3")
     parser.add_argument("--envs", type=int, default=1024)
     parser.add_argument("--steps", type=int, default=1000, help="a multiple of 10, which graphs hold")
-    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--repeats", type=int, default=3, help="turns")
+    parser.add_argument(
+        "--at-least", type=float, default=1.0, help="seconds of a turn, in as many runs as it takes"
+    )
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="for engines that are told")
-    parser.add_argument("--turns", action="store_true", help="wait for a line on the standard input before a run")
+    parser.add_argument("--turns", action="store_true", help="wait for a line on the standard input before a turn")
     options = parser.parse_args()
     if options.steps < 10 or options.steps % 10:
         parser.error(f"--steps must be a multiple of 10, got {options.steps}")

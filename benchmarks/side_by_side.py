@@ -63,7 +63,7 @@ class SideBySide:
                 self._leave(name, "not available")
 
     def round(self) -> dict[str, float]:
-        """Lets every engine run once; returns their environment-steps per second."""
+        """Gives every engine a turn; returns their environment-steps per second."""
         rates = {}
         for name in list(self._workers):
             with self._turn(name):
