@@ -41,12 +41,12 @@ def first_step(options: argparse.Namespace) -> dict[str, float]:
 
     ``ended`` is when it was done, by the clock that all processes have in common.
     """
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
     import warpcontact as wc
 
     load, Simulation = wc.Experiment.from_toml, wc.Simulation
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
     imported = time.perf_counter()
     experiment = load(EXAMPLE)
     read = time.perf_counter()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from brute_force import Surface, nearest_on_triangles
-from like_a_gpu import cells_everywhere
+from like_a_gpu import cells_everywhere, with_queues
 from warpcontact.kernels import cells as device_cells
 from warpcontact.kernels.types import structs
 
@@ -393,3 +393,27 @@ def test_where_lists_run_out_cells_have_none(device, monkeypatch):
     assert 0 < len(count) < 4
     assert (device_cells.PLACED * start + count <= 12).all()
     np.testing.assert_array_equal(few["free"], usual["free"])
+
+
+def test_a_reading_of_a_state_that_is_no_number_finds_nothing_in_cells(monkeypatch):
+    """Points near the surface are marked as if a face were remembered, and none is."""
+    cells_everywhere(monkeypatch)
+    with_queues(monkeypatch)
+    monkeypatch.setattr("warpcontact.schedule.FEW", 0)
+    scene = wc.Scene()
+    ground = scene.add_surface(wc.meshes.sinusoidal_terrain((4, 4), (20, 20), 0.2, 2.5))
+    rng = np.random.default_rng(3)
+    for name in ("touch", "other"):
+        body = scene.add_body(1.0, (4e-3, 5e-3, 6e-3), position=(0, 0, 0.4))
+        points = scene.add_points(body, rng.uniform(-0.1, 0.1, (20, 3)))
+        template = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+        scene.add_contact(points, ground, template, radius=0.01, name=name)
+    model = scene.build(envs=4, device="cpu")
+    wc.Simulation(model, dt=1e-3).step(400)
+    own = model.parts[0].arrays
+    assert own.celled
+    assert own.cache.faces.numpy().max() == 1
+    assert own.cache.face.size == 0
+    assert np.isfinite(model.reading("touch.gap")).any()
+    own.state.body_position.fill_(np.nan)
+    assert (model.reading("touch.status") == wc.Status.FAR).all()

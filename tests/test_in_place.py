@@ -5,21 +5,33 @@ import pytest
 from test_alone import ALONE, assert_same, built, states
 
 import warpcontact as wc
+from warpcontact import stepping
 from warpcontact.recorder import Recorder
 from warpcontact.schedule import Span
 
 pytestmark = pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-KEYS = ("normal_force", "friction_force", "gap", "armed", "status")
+KEYS = ("normal_force", "friction_force", "gap", "status")
 
 
 def told(model):
-    names = [f"touch.{key}" for key in KEYS if f"touch.{key}" in model.reading_names]
-    return [model.reading(name) for name in names]
+    """Returns readings of contacts, and what is known of them from step to step."""
+    history = model.arrays.history
+    return [
+        *(model.reading(f"touch.{key}") for key in KEYS),
+        *(getattr(history, key).numpy() for key in ("armed", "entry_speed")),
+    ]
+
+
+def names_of(launches):
+    return [launch.kernel.key.split("__")[-1] for launch in launches]
+
+
+def stepper_of(sim):
+    return sim._prepared[1]._steppers[0]
 
 
 def kernels_of(sim):
-    stepper = sim._prepared[1]._steppers[0]
-    return {launch.kernel.key.split("__")[-1] for launch in stepper._steps[0].whole}
+    return set(names_of(stepper_of(sim)._steps[0].whole))
 
 
 @pytest.mark.parametrize(
@@ -37,7 +49,7 @@ def test_the_steps_of_an_environment_come_to_what_stages_do(name, precision, gra
         staged.step(1)
     sim.step(1)
     touched = False
-    # In launches of one, of eight and of 64 steps.
+    # In launches of one, of eight and of 64 steps, captured or not.
     for count in (1, 73, 8, 64, 3, 300, 130):
         sim.step(count)
         staged.step(count)
@@ -48,6 +60,12 @@ def test_the_steps_of_an_environment_come_to_what_stages_do(name, precision, gra
     assert touched
     assert kernels_of(sim) == {"step_in_place"}
     assert "step_in_place" not in kernels_of(staged)
+    stepper = stepper_of(sim)
+    assert {way.steps for way, _ in stepper._graphs} == ({1, 8, 64} if graphs else set())
+    assert all(len(stepper.graph(way)) == 1 for way, _ in stepper._graphs)
+    assert {steps: len(launches) for steps, launches in stepper._launched.items()} == (
+        {} if graphs else {1: 1, 8: 1, 64: 1}
+    )
 
 
 def test_one_that_fails_stays_where_it_was_and_the_others_go_on(monkeypatch):
@@ -81,8 +99,42 @@ def test_frames_see_every_step_that_is_due(every, monkeypatch):
         recorder.start()
         for _ in sim.advance(recorder, 210, every, start=0.0):
             pass
-        return [*states(model), *recorder.frames().values()]
+        return stepper_of(sim), [*states(model), *recorder.frames().values()]
 
-    own = recorded()
+    stepper, own = recorded()
+    assert names_of(stepper._steps[0].whole) == ["step_in_place"]
+    # The step after a frame knows what is near.
+    after_look = names_of(stepper._after_look)
+    assert "step_in_place" not in after_look
+    assert after_look[-1] == "adopt"
     monkeypatch.setattr(Span, "in_place", False)
-    assert_same(own, recorded())
+    assert_same(own, recorded()[1])
+
+
+def test_a_subclass_with_steps_of_its_own_is_asked_for_them():
+    asked = []
+
+    class Own(wc.integrators.SemiImplicitEuler):
+        def step_stages(self, span, *arguments, **options):
+            asked.append(span)
+            return super().step_stages(span, *arguments, **options)
+
+    sim = wc.Simulation(built(ALONE["with memory"], "cpu"), dt=1e-3, integrator=Own())
+    sim.step(20)
+    assert asked
+    assert "step_in_place" not in kernels_of(sim)
+
+
+@pytest.mark.parametrize("readings", [["body.position"], ["touch.normal_force"]])
+def test_all_that_a_recorded_run_launches_is_compiled_ahead(readings, monkeypatch):
+    ahead = []
+    monkeypatch.setattr(stepping, "load_all", lambda kernels, *_: ahead.extend(kernels))
+    model = built(ALONE["with memory"], "cpu")
+    sim = wc.Simulation(model, dt=1e-3)
+    recorder = Recorder(model, readings, 5, poses=False)
+    recorder.start()
+    for _ in sim.advance(recorder, 20, 5, start=0.0):
+        pass
+    stepper = stepper_of(sim)
+    assert bool(stepper._after_look) == (readings == ["touch.normal_force"])
+    assert {one.kernel for launches in stepper.launches() for one in launches} <= set(ahead)

@@ -140,3 +140,18 @@ def test_garbage_is_collected_again_after_a_pause_if_it_was_before():
     with pytest.raises(ValueError, match="meanwhile"):
         fails()
     assert gc.isenabled()
+
+
+def test_what_was_made_in_a_pause_is_old_and_what_others_froze_stays_so():
+    with collecting.paused():
+        made = [[] for _ in range(10)]
+    assert any(one is made for one in gc.get_objects(generation=2))
+    gc.freeze()
+    try:
+        frozen = gc.get_freeze_count()
+        with collecting.paused():
+            made = [[] for _ in range(10)]
+        assert any(one is made for one in gc.get_objects(generation=0))
+        assert abs(gc.get_freeze_count() - frozen) < 100
+    finally:
+        gc.unfreeze()

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from warpcontact.simulation import Simulation
 
 #: Goes up when files of earlier versions can no longer be read as they are.
-SCHEMA = 2
+SCHEMA = 3
 _HEADER = "header"
 
 # What a file that is damaged anywhere may raise; sizes in it may be anything, and so may ways of compression.

@@ -226,6 +226,9 @@ class Stepper:
         self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
         if self._in_place:
             self.graph_steps = IN_PLACE_STEPS
+        # Of steps in place that are not captured, by how many.
+        alone = self.graph_steps if self._in_place and not self.captured else ()
+        self._launched = {steps: self._some_in_place(steps) for steps in alone}
         # With what a look at their end is for. All are kept: few sets of needs come up in a simulation.
         self._graphs: dict[tuple[Way, frozenset[str]], wp.Graph] = {}
         # Of those, which make up ways that are taken one after the other; by what else decides that.
@@ -275,7 +278,7 @@ class Stepper:
     def launches(self) -> list[list[wp.Launch]]:
         """Returns everything that is prepared."""
         steps = [part for step in self._steps for part in vars(step).values()]
-        return [*steps, self._wait, self._wake]
+        return [*steps, self._after_look, self._wait, self._wake]
 
     def graph(self, way: Way) -> list[wp.Launch]:
         """Returns the launches of a graph, none if nothing is captured."""
@@ -339,10 +342,13 @@ class Stepper:
             return
         with beside_captures():
             for way in ways:
-                for number in range(way.steps):
-                    self._take(number % 2)
-                if way.steps % 2:
-                    _launch(self._steps[0].back)
+                if self._in_place:
+                    self._take_in_place(way.steps)
+                else:
+                    for number in range(way.steps):
+                        self._take(number % 2)
+                    if way.steps % 2:
+                        _launch(self._steps[0].back)
                 if way.looks:
                     _launch(self._looks[self._needs])
 
@@ -382,6 +388,13 @@ class Stepper:
     def hand_on(self, frames: Frames, number: int) -> None:
         """Hands on frame ``number`` of its environments, which was looked at."""
         frames.take(self._span.model, self.slice, number)
+
+    def _take_in_place(self, count: int) -> None:
+        """Takes steps in as few launches as graphs have."""
+        for steps in self.graph_steps:
+            for _ in range(count // steps):
+                _launch(self._launched[steps])
+            count %= steps
 
     def _take(self, way: int) -> None:
         """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""

@@ -160,6 +160,8 @@ def compile_steps(part: "Model", stepper: Stepper, looks: Sequence[Set[str]], th
         look_stages(look_span(Tally, part, part.envs, part.hard, needs), needs, part.no_step, None)
         for needs in looks
     ]
+    for needs in looks:
+        stepper.ready_after_look(needs)
     # Looks first: these kernels are the largest.
     load_all(itertools.chain(*looked, *stepper.launches()), part.device, threads)
 
