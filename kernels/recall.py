@@ -240,80 +240,69 @@ def functions(real: type) -> SimpleNamespace:
         cache.sure_place[env, contact] = p
         cache.nearest[env, contact] = best.row
 
-    @wp.func
-    def recall_listed(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
-        """Looks for the nearest point among the remembered faces.
+    def looking_through(at_once: bool) -> wp.Function:
+        """Returns the device function that looks through a list, by bounds of several faces ``at_once`` or not.
 
-        ``step``: how far the point came in the last step, about.
+        On a CPU the first costs less than to know of which one need not ask, as threads of a GPU do.
         """
-        answer = Recalled()
-        answer.known = False
-        count = cache.faces[env, contact]
-        if count == 0:
-            return answer
-        first = cache.nearest[env, contact]
-        best = foot_on(model, first, p)
-        answer.foot = best
-        gone = p - cache.place[env, contact]
-        moved = wp.length(gone)
-        if not (moved < cache.beyond[env, contact]):
-            return answer
-        slot = natural(contact * room_of(cache))
-        slack = slack_of(model, patch, best, moved)
-        k = wp.int32(0)
-        while k < count:
-            best = nearer_listed(model, cache, env, natural(slot + k), first, p, gone, slack, best)
-            k += 1
-        settled = not fallen(best)
-        best.distance = wp.length(best.to_point)
-        answer.foot = best
-        answer.known = settled and reached(model, patch, cache, env, contact, gone, best)
-        if answer.known:
-            be_sure(cache, env, contact, p, gone, slack, best, step)
-        return answer
 
-    @wp.func
-    def recall_at_once(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
-        """Takes the nearest face if it is among the remembered ones, by bounds of several at once.
+        @wp.func
+        def recall_listed(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):
+            """Looks for the nearest point among the remembered faces.
 
-        On a CPU that costs less than to know of which one need not ask, as threads of a GPU do. A look leaves
-        closer bounds, one for readings as well; in cells, where none are kept, it finds nothing.
-        """
-        answer = Recalled()
-        answer.known = False
-        count = cache.faces[env, contact]
-        if count == 0:
-            return answer
-        first = cache.nearest[env, contact]
-        best = foot_on(model, first, p)
-        answer.foot = best
-        gone = p - cache.place[env, contact]
-        moved = wp.length(gone)
-        if not (moved < cache.beyond[env, contact]):
-            return answer
-        slot = natural(contact * room_of(cache))
-        slack = slack_of(model, patch, best, moved)
-        asked = wp.bool(False)
-        k = wp.int32(0)
-        while k < count:
-            start = natural(slot + k)
-            those = as_near(
-                cache.distance, cache.direction, cache.face, env, start, count - k, gone, slack, best.distance,
-                first,
-            )  # fmt: skip
-            while those != 0:
-                asked = True
-                i = natural(start + first_of(those))
-                best = nearer_listed(model, cache, env, i, first, p, gone, slack, best)
-                those = those & (those - 1)
-            k += wp.static(WIDTH)
-        settled = wp.bool(True)
-        if asked:
-            settled = not fallen(best)
-            best.distance = wp.length(best.to_point)
+            A look leaves closer bounds, one for readings as well; in cells, where none are kept, it finds nothing.
+            ``step``: how far the point came in the last step, about.
+            """
+            answer = Recalled()
+            answer.known = False
+            count = cache.faces[env, contact]
+            if count == 0:
+                return answer
+            first = cache.nearest[env, contact]
+            best = foot_on(model, first, p)
             answer.foot = best
-        answer.known = settled and reached(model, patch, cache, env, contact, gone, best)
-        return answer
+            gone = p - cache.place[env, contact]
+            moved = wp.length(gone)
+            if not (moved < cache.beyond[env, contact]):
+                return answer
+            slot = natural(contact * room_of(cache))
+            slack = slack_of(model, patch, best, moved)
+            settled = wp.bool(True)
+            if wp.static(at_once):
+                asked = wp.bool(False)
+                k = wp.int32(0)
+                while k < count:
+                    start = natural(slot + k)
+                    those = as_near(
+                        cache.distance, cache.direction, cache.face, env, start, count - k, gone, slack,
+                        best.distance, first,
+                    )  # fmt: skip
+                    while those != 0:
+                        asked = True
+                        i = natural(start + first_of(those))
+                        best = nearer_listed(model, cache, env, i, first, p, gone, slack, best)
+                        those = those & (those - 1)
+                    k += wp.static(WIDTH)
+                if asked:
+                    settled = not fallen(best)
+                    best.distance = wp.length(best.to_point)
+            else:
+                k = wp.int32(0)
+                while k < count:
+                    best = nearer_listed(model, cache, env, natural(slot + k), first, p, gone, slack, best)
+                    k += 1
+                settled = not fallen(best)
+                best.distance = wp.length(best.to_point)
+            answer.foot = best
+            answer.known = settled and reached(model, patch, cache, env, contact, gone, best)
+            if wp.static(not at_once):  # noqa: SIM102  Warp would evaluate both sides
+                if answer.known:
+                    be_sure(cache, env, contact, p, gone, slack, best, step)
+            return answer
+
+        return recall_listed
+
+    recall_listed, recall_at_once = looking_through(at_once=False), looking_through(at_once=True)
 
     @wp.func
     def recall(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, step: real):

@@ -152,6 +152,7 @@ def test_what_was_made_in_a_pause_is_old_and_what_others_froze_stays_so():
         with collecting.paused():
             made = [[] for _ in range(10)]
         assert any(one is made for one in gc.get_objects(generation=0))
-        assert abs(gc.get_freeze_count() - frozen) < 100
+        # Some of what is frozen may be freed meanwhile.
+        assert 0 < gc.get_freeze_count() <= frozen
     finally:
         gc.unfreeze()
