@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels import cells, frames, search
+from warpcontact.kernels import cells, frames, search, tree
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels import recall as lists
 from warpcontact.kernels.sides import room_on_side as sides_of
@@ -83,9 +83,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         RECALLED: of_list.recall,
     }.get(part, of_list.recall_nothing)
     nearest_of_all = of_search.nearest_of_all
-    nearest_to_remember = of_search.nearest_to_remember
-    if in_queues:
-        nearest_to_remember = search.nearest_to_remember_aside(real, REMEMBERED_IN_QUEUES)
+    nearest_to_remember = search.nearest_to_remember(real, REMEMBERED_IN_QUEUES)
+    of_tree = tree.functions(real)
+    nearest_of_tree, remember_about = of_tree.nearest, of_tree.remember_about
     cell_at, nearest_listed = cells.functions(real).cell_at, cells.functions(real).nearest_listed
     room_on_side = sides_of(real)
     frame = frames.functions(real)
@@ -216,6 +216,20 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         contacts.armed[env, contact] = 1
 
     @wp.func
+    def nearest_foot(model: Model, view: View, p_S: vec3, hint: int):
+        """Searches for the nearest point by the tree of a patch; ``hint`` is a face that may be near, or none."""
+        row = hint
+        if row < view.start or row >= view.stop:
+            row = view.start
+        foot = nearest_of_tree(model, view.patch, p_S, foot_on(model, row, p_S))
+        if fallen(foot):
+            extent = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
+            unsure = model.patch_slack[view.patch] + query_epsilon * (extent + foot.distance)
+            foot = nearest_of_all(model, view.patch, p_S, foot, unsure)
+        foot.distance = wp.length(foot.to_point)
+        return foot
+
+    @wp.func
     def find(model: Model, view: View, history: History, cached: bool, cache: Cache, env: int, contact: int):
         """Looks at a contact."""
         geometry = model.contact_geometry[env, contact]
@@ -281,10 +295,21 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 if known:
                     margin = model.patch_slack[patch] + query_epsilon * (extent + reach)
                     foot = nearest_listed(model, cell.faces, p_S, margin)
-            if wp.static(part in (KNOWN, LISTED, RECALLED, CELL, AWAY)):
+            if wp.static(part in (KNOWN, LISTED, RECALLED, CELL, AWAY)):  # noqa: SIM102
                 if not known:
                     return later()
-            elif not known:
+            if wp.static(part == WHOLE):  # noqa: SIM102
+                if cached and not known:
+                    foot = nearest_foot(model, view, p_S, cache.nearest[env, contact])
+                    cache.faces[env, contact] = 0
+                    # A point that is no number has none.
+                    if not (foot.distance < real(wp.inf)):
+                        return lost(real(0.0), out_of_sight, FAR, armed, arm_W)
+                    if foot.distance < reach + model.patch_skin[patch] or inner(model, foot):
+                        remember_about(model, patch, p_S, foot, cache, env, contact)
+                    cache.nearest[env, contact] = foot.row
+                    known = True
+            if not known:
                 # With a cache it looks farther, to know how long it need not look again. It never looks beyond the
                 # face that was nearest last: whichever that was, what is found is the same.
                 ahead = wp.where(cached, real(2.0) * seen, seen)
@@ -325,7 +350,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     if cached:
                         cache.faces[env, contact] = 0
                     margin = unsure
-                    if cached and close:
+                    if wp.static(in_queues) and cached and close:
                         foot = nearest_to_remember(model, patch, p_S, foot, unsure, cache, env, contact)
                         doubtful = fallen(foot)
                         foot.distance = wp.length(foot.to_point)
@@ -466,6 +491,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         View=View,
         Found=Found,
         view_of=view_of,
+        nearest_foot=nearest_foot,
         nearest_of_all=nearest_of_all,
         find=find,
         leave=leave,

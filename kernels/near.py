@@ -36,7 +36,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     Model, History, Contacts, Near, Cache = t.Model, t.History, t.Contacts, t.Near, t.Cache
     contact_of = closest.functions(real, follows, part)
     View, view_of = contact_of.View, contact_of.view_of
-    nearest_of_all, leave = contact_of.nearest_of_all, contact_of.leave
+    nearest_foot, nearest_of_all, leave = contact_of.nearest_foot, contact_of.nearest_of_all, contact_of.leave
     room_on_side, cell_at = sides_of(real), cells.functions(real).cell_at
     foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
     query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
@@ -44,7 +44,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     rounded_up = wp.constant(real(1.0 + 16.0 * t.epsilon))
 
     @wp.func
-    def probe(model: Model, view: View, env: int, block: int):
+    def probe(model: Model, view: View, cache: Cache, env: int, block: int):
         """How far a point in the middle of a block is from coming to touch, or to be on the inner side [m].
 
         All that lies nearer to it than this is as free. Negative: nothing is known.
@@ -55,19 +55,24 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         if wp.static(part in (CELL, AWAY, EITHER)):
             # Where that is little, each point looks into its own.
             return view.scale * cell_at(model, patch, c_S).free
-        query = wp.mesh_query_point_no_sign(
-            model.patch_mesh[patch],
-            wp.vec3f(wp.float32(c_S[0]), wp.float32(c_S[1]), wp.float32(c_S[2])),
-            wp.float32(wp.inf),
-        )
-        if not query.result:
-            return real(-1.0)
-        foot = foot_on(model, view.start + query.face, c_S)
         extent = wp.max(wp.max(wp.abs(c_S[0]), wp.abs(c_S[1])), wp.abs(c_S[2]))
-        unsure = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
-        if wp.static(real is wp.float64) or model.patch_thin[patch] > real(0.0):
-            # One that the query takes for as near may show the other side.
-            foot = nearest_of_all(model, patch, c_S, foot, unsure)
+        if wp.static(part == WHOLE):
+            hint = cache.nearest[env, natural(model.block_contact[natural(model.block_start[block])])]
+            foot = nearest_foot(model, view, c_S, hint)
+            unsure = query_epsilon * (extent + foot.distance)
+        else:
+            query = wp.mesh_query_point_no_sign(
+                model.patch_mesh[patch],
+                wp.vec3f(wp.float32(c_S[0]), wp.float32(c_S[1]), wp.float32(c_S[2])),
+                wp.float32(wp.inf),
+            )
+            if not query.result:
+                return real(-1.0)
+            foot = foot_on(model, view.start + query.face, c_S)
+            unsure = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
+            if wp.static(real is wp.float64) or model.patch_thin[patch] > real(0.0):
+                # One that the query takes for as near may show the other side.
+                foot = nearest_of_all(model, patch, c_S, foot, unsure)
         if inner(model, foot):
             return real(-1.0)
         return view.scale * wp.min(foot.distance - unsure, room_on_side(model, patch, c_S))
@@ -199,7 +204,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         if stop - start > 1 and travel >= cache.block_probe[env, block]:  # noqa: SIM102
             # (Nested, as Warp computes both sides of an ``and``.)
             if unknown(model, cache, env, start, stop, travelled):
-                return probe(model, view, env, block)
+                return probe(model, view, cache, env, block)
         return real(-1.0)
 
     @wp.func

@@ -127,7 +127,7 @@ def kernel(real: type, follows: bool, width: int, whole: bool) -> wp.Kernel:
                 stop = model.block_start[block + 1]
                 around = real(-1.0)
                 if stop - start > 1:
-                    around = probe(model, view, env, block)
+                    around = probe(model, view, cache, env, block)
                 later = wp.bool(False)
                 for place in range(start, stop):
                     contact = natural(model.block_contact[place])
@@ -158,7 +158,7 @@ def kernel(real: type, follows: bool, width: int, whole: bool) -> wp.Kernel:
                     view = view_of(model, state, env, natural(model.block_set[block]))
                     around = real(-1.0)
                     if wp.static(width > 1):
-                        around = probe(model, view, env, block)
+                        around = probe(model, view, cache, env, block)
                     quiet = cache.block_quiet[env, block] != 0
                     new = news_of(model, view, history, contacts, cache, near, env, block, contact, around, quiet)
             later = wp.bool(new == wp.static(TO_SEARCH))

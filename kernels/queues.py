@@ -104,7 +104,7 @@ def probe(real: type, follows: bool, celled: bool) -> wp.Kernel:
             number = model.block_set[block]
             travel = cache.set_travel[env, number]
             travelled = travel + cache.set_margin[env, number]
-            around = probe(model, view_of(model, state, env, number), env, block)
+            around = probe(model, view_of(model, state, env, number), cache, env, block)
             for place in range(model.block_start[block], model.block_start[block + 1]):
                 contact = model.block_contact[place]
                 if travelled < cache.wake[env, contact]:

@@ -3,7 +3,7 @@
 As in the neighbour lists of molecular dynamics: faces within a skin of a place are remembered, each with its
 distance and the slope of that. A triangle is convex, so its distance is nowhere less than the slope says; and a
 point at m from that place is at least the skin less m away from all others. So the nearest is in the list, or a
-new one is due, which ``search.py`` makes.
+new one is due, which ``search.py`` makes, or on a CPU ``tree.py``.
 
 A CPU holds these bounds of all faces of a list against the distance of the nearest so far, at each look. On a GPU
 threads keep how far a point can move until that may change, and which faces are rivals then.
@@ -70,6 +70,14 @@ def functions(real: type) -> SimpleNamespace:
     def room_of(cache: Cache):
         """How many faces are remembered per contact."""
         return cache.face.shape[1] // cache.faces.shape[1]
+
+    @wp.func
+    def list_faces(cache: Cache, env: int, contact: int, count: int, p: vec3, beyond: real):
+        """Says what was found from ``p``: ``count`` faces, all others farther than ``beyond``."""
+        cache.faces[env, contact] = count
+        cache.sure[env, contact] = real(0.0)
+        cache.place[env, contact] = p
+        cache.beyond[env, contact] = beyond
 
     @wp.func
     def lead(best: Foot, direction: vec3, distance: real, most: real, per_most: real):
@@ -295,6 +303,9 @@ def functions(real: type) -> SimpleNamespace:
                 best.distance = wp.length(best.to_point)
             answer.foot = best
             answer.known = settled and reached(model, patch, cache, env, contact, gone, best)
+            if wp.static(at_once):
+                # ``tree.py`` left out what is no nearer within the skin.
+                answer.known = answer.known and moved + slack < model.patch_skin[patch]
             if wp.static(not at_once):  # noqa: SIM102  Warp would evaluate both sides
                 if answer.known:
                     be_sure(cache, env, contact, p, gone, slack, best, step)
@@ -313,7 +324,9 @@ def functions(real: type) -> SimpleNamespace:
         return answer
 
     return SimpleNamespace(
+        Recalled=Recalled,
         slope_of=slope_of,
+        list_faces=list_faces,
         least_of=least_of,
         remember=remember,
         room_of=room_of,

@@ -1,4 +1,7 @@
-"""Search for the face nearest to a point, and lists of those near it, for ``recall.py``."""
+"""Search for the face nearest to a point by a query of Warp, and lists of those near it for ``recall.py``.
+
+A CPU that remembers searches by a tree of its own: ``tree.py``.
+"""
 
 import functools
 from types import SimpleNamespace
@@ -6,21 +9,16 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels import recall
-from warpcontact.kernels.types import natural, structs
-
-# Of the skin: how far a list is made ahead of a point, which serves for longer then. Less than one, for ties.
-AHEAD = 0.8
+from warpcontact.kernels.types import structs
 
 
 @functools.cache
 def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``."""
     t = structs(real)
-    vec3, Model, Cache = t.vec3, t.Model, t.Cache
-    near, of_list = feet.functions(real), recall.functions(real)
+    vec3, Model = t.vec3, t.Model
+    near = feet.functions(real)
     Foot, foot_on, nearer, fallen, taken = near.Foot, near.foot_on, near.nearer, near.fallen, near.taken
-    slope_of, least_of, room_of = of_list.slope_of, of_list.least_of, of_list.room_of
-    ahead_of = wp.constant(real(AHEAD))
 
     @wp.func
     def faces_about(model: Model, patch: int, p: vec3, reach: real):
@@ -59,83 +57,15 @@ def functions(real: type) -> SimpleNamespace:
         best.distance = wp.length(best.to_point)
         return best
 
-    @wp.func
-    def way_ahead(model: Model, patch: int, cache: Cache, env: int, contact: int, p: vec3, distance: real):
-        """From a point to where its list is to be made, in the direction in which it left that of the last.
-
-        As far as a part of what the last list reached beyond the nearest face: what there was room for.
-        """
-        moved = p - cache.place[env, contact]
-        length = wp.length(moved)
-        reached = wp.min(cache.beyond[env, contact] - distance, model.patch_skin[patch])
-        # Not where it never was, nor after a jump, nor where a state was not finite.
-        if length > real(0.0) and length <= real(2.0) * reached:
-            return (ahead_of * reached / length) * moved
-        return vec3()
-
-    @wp.func
-    def list_faces(cache: Cache, env: int, contact: int, count: int, p: vec3, beyond: real):
-        """Says what was found from ``p``: ``count`` faces, all others farther than ``beyond``."""
-        cache.faces[env, contact] = count
-        cache.sure[env, contact] = real(0.0)
-        cache.place[env, contact] = p
-        cache.beyond[env, contact] = beyond
-
-    @wp.func
-    def nearest_to_remember(
-        model: Model, patch: int, p: vec3, first: Foot, margin: real, cache: Cache, env: int, contact: int
-    ):
-        """The same, looking about a place ahead and remembering the faces, in the order they are found.
-
-        Of the foot ``distance`` is that of the nearest: if it is ``fallen``, another may have to be taken.
-        """
-        start = model.patch_face_start[patch]
-        best = first
-        ahead = way_ahead(model, patch, cache, env, contact, p, first.distance)
-        gone = -ahead
-        # All others are farther from that place than this.
-        beyond = first.distance + model.patch_skin[patch]
-        found = faces_about(model, patch, p + ahead, beyond + margin)
-        face = wp.int32(0)
-        room = room_of(cache)
-        slot = natural(contact * room)
-        count = wp.int32(0)
-        while wp.mesh_query_next(found, face):
-            other = foot_on(model, start + face, p)
-            best = nearer(model, best, other)
-            direction = slope_of(other)
-            least = least_of(other, direction, gone)
-            if least < beyond:
-                place = slot + count
-                if count == room:
-                    # The farthest makes room, and ends the reach of the list.
-                    beyond = least
-                    for k in range(room):
-                        i = natural(slot + k)
-                        if cache.distance[env, i] > beyond:
-                            beyond = cache.distance[env, i]
-                            place = i
-                else:
-                    count += 1
-                if place < slot + room:
-                    place = natural(place)
-                    cache.face[env, place] = start + face
-                    cache.distance[env, place] = least
-                    cache.direction[env, place] = direction
-        list_faces(cache, env, contact, count, p + ahead, beyond)
-        return best
-
     return SimpleNamespace(
         faces_about=faces_about,
         nearest_of_all=nearest_of_all,
-        nearest_to_remember=nearest_to_remember,
-        list_faces=list_faces,
     )
 
 
 @functools.cache
-def nearest_to_remember_aside(real: type, remembered: int) -> wp.Function:
-    """Returns ``nearest_to_remember`` for threads side by side, which would wait for each other's memory.
+def nearest_to_remember(real: type, remembered: int) -> wp.Function:
+    """Returns the device function that lists faces, for threads side by side, which wait for each other.
 
     Args:
         real: Type of a real number.
@@ -146,15 +76,18 @@ def nearest_to_remember_aside(real: type, remembered: int) -> wp.Function:
     near, of_list, of_search = feet.functions(real), recall.functions(real), functions(real)
     Foot, foot_on, nearer = near.Foot, near.foot_on, near.nearer
     remember, room_of = of_list.remember, of_list.room_of
-    faces_about, list_faces = of_search.faces_about, of_search.list_faces
+    faces_about, list_faces = of_search.faces_about, of_list.list_faces
     Distances = wp.types.vector(length=remembered, dtype=real)
     Rows = wp.types.vector(length=remembered, dtype=wp.int32)
 
     @wp.func
-    def nearest_to_remember_aside(
+    def nearest_to_remember(
         model: Model, patch: int, p: vec3, first: Foot, margin: real, cache: Cache, env: int, contact: int
     ):
-        """As ``nearest_to_remember``, about the point itself, with the list in registers while it is made."""
+        """As ``nearest_of_all``, looking farther and remembering the faces, in registers while they are found.
+
+        Of the foot ``distance`` is that of the nearest: if it is ``fallen``, another may have to be taken.
+        """
         start = model.patch_face_start[patch]
         best = first
         beyond = first.distance + model.patch_skin[patch]
@@ -189,4 +122,4 @@ def nearest_to_remember_aside(real: type, remembered: int) -> wp.Function:
         list_faces(cache, env, contact, count, p, beyond)
         return best
 
-    return nearest_to_remember_aside
+    return nearest_to_remember

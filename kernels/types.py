@@ -240,6 +240,10 @@ def structs(real: type) -> SimpleNamespace:
         patch_cells_margin: wp.array(dtype=real)  # [patch] from their border to the mesh, at least
         cells: wp.array(dtype=Cell)  # [cell]
         listed_face: wp.array(dtype=wp.int32)  # rows of faces, by the cells that list them
+        # Tree over the faces of a patch, on a CPU: ``tree.py``
+        patch_tree: wp.array(dtype=wp.vec4i)  # [patch] its first node, how many, branches of its root, first face
+        tree_bound: wp.array(dtype=wp.float32)  # by node, what bounds its branches: ``warpcontact/tree.py``
+        tree_face: wp.array(dtype=wp.int32)  # faces in the order of the branches, from the first of the patch
         face_corner: wp.array2d(dtype=vec3)  # [face, 0 to 2] its corners, [face, 3] its unit normal; S
         face_frame: wp.array2d(
             dtype=vec3

@@ -1,11 +1,11 @@
-"""Lists of near faces: those that are kept in registers, for a GPU, are those that are kept in memory."""
+"""Lists of near faces, made by a query for a GPU and by a tree for a CPU, hold the nearest of all places about."""
 
 import numpy as np
 import pytest
 import warp as wp
 from like_a_gpu import cells_everywhere
 from scipy.spatial.transform import Rotation
-from warpcontact.kernels import cells, recall, search
+from warpcontact.kernels import cells, recall, search, tree
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels.simd import WIDTH
 from warpcontact.kernels.types import structs
@@ -15,20 +15,33 @@ import warpcontact as wc
 POINTS = 2000
 
 
-def lister(real, aside):
+def lister(real, room):
     """Returns the kernel that makes the list of each of some places, and tells the row of its nearest face.
 
-    ``aside``: how many faces are kept in registers; ``None``: in memory, as many as there is room for.
+    By a tree on a CPU if ``room`` is ``None``, or by a query with so many faces in registers.
     """
     t = structs(real)
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
     foot_on = feet.functions(real).foot_on
-    to_list = search.functions(real).nearest_to_remember
-    if aside is not None:
-        to_list = search.nearest_to_remember_aside(real, aside)
+    if room is None:
+        nearest, remember_about = tree.functions(real).nearest, tree.functions(real).remember_about
+
+        @wp.kernel(module="unique", enable_backward=False)
+        def list_by_tree(
+            model: model_type, cache: cache_type, places: wp.array(dtype=vec3), best: wp.array(dtype=wp.int32)
+        ):
+            contact = wp.tid()
+            p = places[contact]
+            foot = nearest(model, 0, p, foot_on(model, contact % model.face_corner.shape[0], p))
+            remember_about(model, 0, p, foot, cache, 0, contact)
+            best[contact] = foot.row
+
+        return list_by_tree
+
+    to_list = search.nearest_to_remember(real, room)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def list_all(
+    def list_aside(
         model: model_type, cache: cache_type, places: wp.array(dtype=vec3), best: wp.array(dtype=wp.int32)
     ):
         contact = wp.tid()
@@ -39,7 +52,7 @@ def lister(real, aside):
         foot = to_list(model, 0, p, first, real(1e-6), cache, 0, contact)
         best[contact] = foot.row
 
-    return list_all
+    return list_aside
 
 
 def over_terrain(real, points, device):
@@ -60,44 +73,39 @@ def room_in(model):
     return cache.face.shape[1] // cache.faces.shape[1]
 
 
-def nearest_listed(real, aside, model, points, device):
+def nearest_listed(real, room, model, points, device):
     """Makes the lists of all points; returns the rows of their nearest faces."""
     arrays = model.parts[0].arrays
     places = wp.array(points, dtype=structs(real).vec3, device=device)
     best = wp.zeros(len(points), dtype=wp.int32, device=device)
-    wp.launch(lister(real, aside), len(points), [arrays.model, arrays.cache, places, best], device=device)
+    inputs = [arrays.model, arrays.cache, places, best]
+    wp.launch(lister(real, room), len(points), inputs, device=device)
     return best.numpy()
 
 
-def listed(real, how, points, device):
-    """Returns (number, reach, rows of faces, row of the nearest) of the list of each point over a terrain."""
+@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+def test_lists_in_registers_hold_the_nearest_of_all_faces(real, device):
+    points = np.random.default_rng(5).uniform([-1.9, -1.9, -0.1], [1.9, 1.9, 0.6], (POINTS, 3))
     model = over_terrain(real, points, device)
     room = room_in(model)
-    best = nearest_listed(real, room if how == "aside" else None, model, points, device)
-    arrays = model.parts[0].arrays
-    cache = arrays.cache
+    best = nearest_listed(real, room, model, points, device)
+    cache, apart = model.parts[0].arrays.cache, distances(real, model, points, device)
+    skin = float(model.parts[0].arrays.model.patch_skin.numpy()[0])
     count, reach = cache.faces.numpy()[0], cache.beyond.numpy()[0]
-    rows = []
-    for contact, number in enumerate(count):
-        own = slice(contact * room, contact * room + number)
-        faces, distances = cache.face.numpy()[0][own], cache.distance.numpy()[0][own]
-        # Of several that are the farthest any may be there.
-        rows.append(sorted(faces[distances < reach[contact]]))
-    return count, reach, rows, best, room
-
-
-@pytest.mark.parametrize("real", [wp.float32, wp.float64])
-def test_lists_in_registers_are_those_in_memory(real, device):
-    points = np.random.default_rng(5).uniform([-1.9, -1.9, -0.1], [1.9, 1.9, 0.6], (POINTS, 3))
-    in_memory, aside = (listed(real, how, points, device) for how in ("in memory", "aside"))
     # Some have room left, and of others the farthest had to go.
-    count, room = in_memory[0], in_memory[-1]
     assert ((count > 0) & (count < room)).sum() > 50
     assert (count == room).sum() > 50
-    np.testing.assert_array_equal(aside[0], count)
-    np.testing.assert_array_equal(aside[1], in_memory[1])
-    assert aside[2] == in_memory[2]
-    np.testing.assert_array_equal(aside[3], in_memory[3])
+    # Rounding of coordinates of two metres.
+    off = 1e-6 if real is wp.float32 else 1e-14
+    nearest = apart.min(axis=1)
+    assert (apart[np.arange(POINTS), best] <= nearest + off).all()
+    assert (reach[count < room] >= nearest[count < room] + skin - off).all()
+    for contact, number in enumerate(count):
+        own = slice(contact * room, contact * room + number)
+        faces = cache.face.numpy()[0][own]
+        assert len(set(faces)) == number
+        assert apart[contact, faces].max() <= reach[contact] + off
+        assert np.delete(apart[contact], faces).min() >= reach[contact] - off
 
 
 def distances(real, model, points, device):
@@ -147,17 +155,27 @@ def test_a_list_made_ahead_holds_all_faces_about_there_and_the_nearest_here(real
     forward = np.einsum("pk,pk->p", place - here, way) / np.linalg.norm(way, axis=1)
     assert (forward[~stay] > 0.4 * reached[~stay]).mean() > 0.7
     assert forward[~stay].min() > -1e-6
-    from_here, from_there = (distances(real, model, where, "cpu") for where in (here, place))
+    # Places within the skin of those of the lists, most of them almost as far as that.
+    about = rng.normal(size=points.shape)
+    skin = float(model.parts[0].arrays.model.patch_skin.numpy()[0])
+    gone = 0.99 * skin * rng.random(len(points)) ** 0.2
+    about = place + about * (gone / np.linalg.norm(about, axis=1))[:, None]
+    from_here, from_there, from_about = (distances(real, model, where, "cpu") for where in (here, place, about))
     # Rounding of coordinates of two metres.
-    room = 1e-6 if real is wp.float32 else 1e-14
+    room, asked = 1e-6 if real is wp.float32 else 1e-14, 0
     assert (from_here[np.arange(len(here)), nearest] <= from_here.min(axis=1) + room).all()
     for point, number in enumerate(count):
         own = slice(point * room_in(model), point * room_in(model) + number)
         faces, least = cache.face.numpy()[0][own], cache.distance.numpy()[0][own]
         assert len(set(faces)) == number > 0
         assert (least <= from_there[point, faces] + room).all()
-        others = np.delete(from_there[point], faces)
-        assert others.min() >= beyond[point] - room
+        # What is not in the list is farther than that of what is, wherever the list is said to do.
+        others = np.delete(from_about[point], faces).min()
+        own = from_about[point, faces].min()
+        if own < beyond[point] - gone[point]:
+            asked += 1
+            assert others > own - room
+    assert asked > len(points) // 2
 
 
 @pytest.mark.parametrize(
@@ -199,7 +217,7 @@ def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(re
     """
     t = structs(real)
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
-    to_list, of_feet = search.functions(real).nearest_to_remember, feet.functions(real)
+    remember_about, of_feet = tree.functions(real).remember_about, feet.functions(real)
     foot_on, nearer = of_feet.foot_on, of_feet.nearer
     recall_it = getattr(recall.functions(real), way_to_recall)
 
@@ -214,7 +232,7 @@ def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(re
     ):
         contact = wp.tid()
         p = places[contact]
-        to_list(model, 0, p, foot_on(model, edge, p), real(1e-3), cache, 0, contact)
+        remember_about(model, 0, p, foot_on(model, edge, p), cache, 0, contact)
         q = cache.place[0, contact]
         cache.nearest[0, contact] = 1 - edge
         answer = recall_it(model, 0, cache, 0, contact, q, real(0.0))
@@ -338,7 +356,8 @@ def test_what_a_list_is_sure_of_is_the_nearest(mesh, axes, low, high, way, rival
     model_type, cache_type, vec3 = t.Model, t.Cache, t.vec3
     of_search, of_feet = search.functions(real), feet.functions(real)
     foot_on, nearest_of_all = of_feet.foot_on, of_search.nearest_of_all
-    to_list = of_search.nearest_to_remember
+    remember_about = tree.functions(real).remember_about
+    by_tree, to_list = "recall_at_once" in ways_to_recall, search.nearest_to_remember(real, 16)
     recall_first, recall_again = (getattr(recall.functions(real), name) for name in ways_to_recall)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -355,7 +374,10 @@ def test_what_a_list_is_sure_of_is_the_nearest(mesh, axes, low, high, way, rival
         contact = wp.tid()
         margin = real(1e-4)
         first = nearest_of_all(model, 0, begin[contact], foot_on(model, 0, begin[contact]), margin)
-        to_list(model, 0, begin[contact], first, margin, cache, 0, contact)
+        if wp.static(by_tree):
+            remember_about(model, 0, begin[contact], first, cache, 0, contact)
+        else:
+            to_list(model, 0, begin[contact], first, margin, cache, 0, contact)
         cache.nearest[0, contact] = first.row
         answer = recall_first(model, 0, cache, 0, contact, through[contact], step)
         found[contact] = -1

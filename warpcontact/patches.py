@@ -23,6 +23,7 @@ from warpcontact.meshes.examine import SLIVER_LIMIT
 from warpcontact.meshes.topology import angles, directions, slenderness
 from warpcontact.scene import Contact
 from warpcontact.sides import Sides, sides_of
+from warpcontact.tree import declare_trees
 
 # Warp's queries skip triangles slimmer than the limit, which they compute in float32.
 SLIVER = 1.2 * SLIVER_LIMIT
@@ -250,6 +251,9 @@ def upload_patches(
             for patch, start in zip(patches, starts, strict=False)
         ]
         send("face_neighbor", np.concatenate(shifted), wp.int32)
+        first = [made.searched.index(mesh) for mesh in range(len(made.corners))]
+        faces = [(patches[patch].corner, patches[patch].normal[:, 0]) for patch in first]
+        declare_trees(faces, made.searched, model, layout)
         # Last, as they are filled from all of this.
         declare_grids(grids, len(patches), model, layout, t)
     return meshes

@@ -1,0 +1,138 @@
+"""The tree over the faces of a patch: it has all of them, bounds hold, and what it finds is the nearest."""
+
+import numpy as np
+import pytest
+import warp as wp
+from warpcontact.kernels import foot as feet
+from warpcontact.kernels import tree as trees
+from warpcontact.kernels.types import structs
+
+import warpcontact as wc
+from warpcontact.tree import BRANCHES, make_tree, node_count, place_count
+
+
+def faces_of(mesh):
+    """Returns corners (F, 3, 3) and unit normals (F, 3)."""
+    corner = np.asarray(mesh.vertices)[mesh.faces]
+    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    return corner, across / np.linalg.norm(across, axis=1, keepdims=True)
+
+
+def below(tree, node):
+    """Returns the places of the faces at or below what a branch leads to."""
+    nodes = [node]
+    while nodes[0] < len(tree.bounds):
+        nodes = [child for node in nodes for child in children(tree, node)]
+    return np.array(nodes) - len(tree.bounds)
+
+
+def children(tree, node):
+    first = 1 if node == 0 else BRANCHES * node + tree.width - 7
+    return range(first, first + (tree.width if node == 0 else BRANCHES))
+
+
+def sheets():
+    """Two sheets back to back: where they are one branch, normals add up to nothing."""
+    side = wc.meshes.grid((1.0, 1.0), (7, 7))
+    vertices = np.concatenate([side.vertices, side.vertices - [0.0, 0.0, 0.01]])
+    return wc.Mesh(vertices, np.concatenate([side.faces, side.faces[:, ::-1] + len(side.vertices)]))
+
+
+MESHES = {
+    "one face": wc.Mesh(np.eye(3), np.array([[0, 1, 2]])),
+    "eight faces": wc.meshes.grid((1.0, 2.0), (2, 2)),
+    "eighteen faces": wc.meshes.grid((1.0, 2.0), (3, 3)),
+    "box": wc.meshes.box((1.0, 2.0, 0.5)),
+    "ball": wc.meshes.icosphere(0.5, 4),
+    "sheets": sheets(),
+    "terrain": wc.meshes.sinusoidal_terrain((4, 4), (41, 43), 0.2, 2.5),
+}
+
+
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+def test_a_tree_has_every_face_once_and_bounds_what_is_below(mesh):
+    corner, normal = faces_of(mesh)
+    count = len(corner)
+    # Off the origin, where float32 rounds the corners of tables.
+    corner = corner + np.array([3.0, -200.0, 17.0])
+    tree = make_tree(corner, normal)
+    assert tree.bounds.shape == (node_count(count), 8, BRANCHES)
+    assert tree.faces.shape == (place_count(count),)
+    found = tree.faces[below(tree, 0)]
+    np.testing.assert_array_equal(np.sort(found[found < count]), np.arange(count))
+    in_table = corner.astype(np.float32).astype(np.float64)
+    for node, of_node in enumerate(tree.bounds.astype(np.float64)):
+        lanes = list(children(tree, node))
+        assert np.isnan(of_node[:, len(lanes) :]).all()
+        for lane, child in enumerate(lanes):
+            faces = tree.faces[below(tree, child)]
+            faces = faces[faces < count]
+            centre, radius, across, half = np.split(of_node[:, lane], [3, 4, 7])
+            if not len(faces):
+                assert np.isnan(of_node[:, lane]).all()
+                continue
+            assert np.linalg.norm(across) == pytest.approx(1.0, abs=1e-6)
+            for points in (corner[faces], in_table[faces]):
+                away = points.reshape(-1, 3) - centre
+                height = away @ across
+                lateral = np.sqrt(np.maximum((away**2).sum(axis=1) - height**2, 0.0))
+                assert (np.abs(height) <= half).all()
+                assert (lateral <= radius).all()
+
+
+def test_disks_of_a_smooth_surface_are_as_thin_as_it_is_flat():
+    """Half as large, a quarter as thick: so a search of a fine mesh looks at few."""
+    thick = []
+    for cells in (32, 64):
+        corner, normal = faces_of(wc.meshes.sinusoidal_terrain((4, 4), (cells, cells), 0.2, 2.5))
+        tree, last = make_tree(corner, normal), place_count(len(corner)) // BRANCHES
+        of_faces, of_eight = tree.bounds[-last:, 7], tree.bounds[-last - last // BRANCHES : -last, 7]
+        # A face is flat, but for what widens all.
+        assert of_faces.max() < 1e-5
+        thick.append(np.median(of_eight))
+    assert 3.0 < thick[0] / thick[1] < 5.0
+
+
+@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+def test_the_nearest_of_a_tree_is_that_of_all_faces(mesh, real):
+    """Near the surface and far away, wherever one begins; of a point that is no number it is where one began."""
+    t = structs(real)
+    model_type, vec3, foot_on = t.Model, t.vec3, feet.functions(real).foot_on
+    nearest = trees.functions(real).nearest
+    scene = wc.Scene()
+    body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+    law = wc.laws.Hooke(stiffness=1e4)
+    scene.add_contact(scene.add_point(body, (0, 0, 0)), scene.add_surface(mesh), wc.Template(law=law))
+    model = scene.build(device="cpu", precision="float32" if real is wp.float32 else "float64")
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def search(
+        model: model_type,
+        places: wp.array(dtype=vec3),
+        found: wp.array(dtype=real),
+        least: wp.array(dtype=real),
+    ):
+        point = wp.tid()
+        p = places[point]
+        faces = model.face_corner.shape[0]
+        found[point] = nearest(model, 0, p, foot_on(model, point % faces, p)).distance
+        best = real(wp.inf)
+        for face in range(faces):
+            best = wp.min(best, foot_on(model, face, p).distance)
+        least[point] = best
+
+    rng = np.random.default_rng(3)
+    count = 2000
+    own = np.asarray(mesh.vertices)
+    points = own[rng.integers(0, len(own), count)] - own.mean(axis=0)
+    points = points + rng.exponential(0.1, (count, 1)) * rng.normal(size=(count, 3))
+    points[::10] *= 30.0
+    points[5] = np.nan
+    places = wp.array(points, dtype=vec3, device="cpu")
+    found, least = (wp.zeros(count, dtype=real, device="cpu") for _ in range(2))
+    wp.launch(search, count, [model.parts[0].arrays.model, places, found, least], device="cpu")
+    found, least = found.numpy(), least.numpy()
+    assert np.isnan(found[5])
+    known = np.arange(count) != 5
+    np.testing.assert_array_equal(found[known], least[known])
