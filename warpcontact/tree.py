@@ -33,7 +33,7 @@ class Tree:
         width: Branches of the root, at most 8. Nodes are counted from there, one level after the other: with the
             root's they are the next, and those of node i are 8 i + width − 7 and the following. Beyond the last
             node that means faces.
-        faces: Their numbers, (F,); of fewer than there is room for, the first.
+        faces: Their numbers, as many as there is room for; those from the number of faces on are none.
         bounds: (nodes, 8 numbers, 8 branches); NaN where there is no branch.
     """
 
@@ -124,7 +124,6 @@ def _disks(points: Array, normals: Array, off: float) -> tuple[NDArray[np.float3
     """Returns what bounds points (3, K, N), (8, N), and the corners (3, 8, N) of boxes about them."""
     length = np.sqrt((normals**2).sum(axis=0))
     normal = np.where(length > 0.0, normals / np.where(length > 0.0, length, 1.0), [[0.0], [0.0], [1.0]])
-    normal = normal.astype(np.float32).astype(np.float64)
     # Two more axes, across the one along which the normal has least.
     first = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=0)].T, axis=0)
     first /= np.sqrt((first**2).sum(axis=0))
@@ -142,6 +141,7 @@ def _disks(points: Array, normals: Array, off: float) -> tuple[NDArray[np.float3
     height = _dot(away, normal)
     lateral = np.sqrt(np.maximum(_dot(away, away) - height**2, 0.0).max(axis=0))
     widened = [(1.0 + 1e-6) * bound + off for bound in (lateral, np.abs(height).max(axis=0))]
+    # Of the normal it is rounding alone, which who goes through the tree allows for.
     return np.concatenate([centre, widened[:1], normal, widened[1:]]).astype(np.float32), corners
 
 
