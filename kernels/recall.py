@@ -324,7 +324,6 @@ def functions(real: type) -> SimpleNamespace:
         return answer
 
     return SimpleNamespace(
-        Recalled=Recalled,
         slope_of=slope_of,
         list_faces=list_faces,
         least_of=least_of,
