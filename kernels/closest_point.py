@@ -1,9 +1,9 @@
 """Closest point and orientation: the kinematics of a point or sphere against an oriented surface.
 
 The algorithm of EULER's ``contactPS2`` element on a triangle mesh: the nearest
-point S over the whole patch, then whether S is active, then the side. The BVH query runs in float32 in the
-mesh's own frame and only names a face; the distance, the feature hit and its pseudonormal are computed here in
-the precision of the simulation.
+point S over the whole patch, then whether S is active, then the side. Warp's query runs in float32 in the mesh's
+own frame and only names a face; the distance, the feature hit and its pseudonormal are computed here in the
+precision of the simulation. Where a CPU remembers faces it searches in that as well, by a tree of its own.
 """
 
 import functools
@@ -46,7 +46,7 @@ ROUNDING = 16.0
 POINT_ROUNDING = 4.0
 # Parts of a look.
 WHOLE, KNOWN, LISTED, RECALLED, SEARCH = "whole", "known", "listed", "recalled", "search"
-CELL, AWAY, EITHER, TREE = "cell", "away", "either", "tree"
+CELL, AWAY, EITHER, QUERY = "cell", "away", "either", "query"
 # Of what a point was free by: with less left it would soon be looked at again.
 FEW = 0.25
 # Result of one that is left to the next part: no distance.
@@ -66,7 +66,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     ``part`` is ``WHOLE``, or one of some that do it in turn, each putting off what it does not know: ``KNOWN``
     takes the face that is sure to be nearest, ``LISTED`` looks through the remembered ones, ``RECALLED`` does
     both, and ``SEARCH`` searches. Or, about meshes with cells, with no faces remembered: ``CELL`` looks through
-    the faces of a cell, ``AWAY`` does unless it remembers that none is near, ``TREE`` searches, and ``EITHER``
+    the faces of a cell, ``AWAY`` does unless it remembers that none is near, ``QUERY`` searches, and ``EITHER``
     does what is due.
     """
     t = structs(real)
@@ -82,10 +82,10 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         LISTED: of_list.recall_listed,
         RECALLED: of_list.recall,
     }.get(part, of_list.recall_nothing)
-    nearest_of_all = of_search.nearest_of_all
+    nearest_of_all, extent_of, unsure_of = of_search.nearest_of_all, of_search.extent_of, of_search.unsure_of
     nearest_to_remember = search.nearest_to_remember(real, REMEMBERED_IN_QUEUES)
     of_tree = tree.functions(real)
-    nearest_of_tree, remember_about = of_tree.nearest, of_tree.remember_about
+    search_tree, rounding_of, remember_about = of_tree.nearest, of_tree.rounding_of, of_tree.remember_about
     cell_at, nearest_listed = cells.functions(real).cell_at, cells.functions(real).nearest_listed
     room_on_side = sides_of(real)
     frame = frames.functions(real)
@@ -94,7 +94,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
     point_epsilon = wp.constant(real(t.epsilon * POINT_ROUNDING))
     # The mesh that the query searches is stored in float32, whatever the precision of the simulation.
-    query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
+    query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * search.QUERY_ROUNDING))
     border_tolerance = wp.constant(real(BORDER_TOLERANCE))
 
     @wp.func
@@ -216,20 +216,6 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         contacts.armed[env, contact] = 1
 
     @wp.func
-    def nearest_foot(model: Model, view: View, p_S: vec3, hint: int):
-        """Searches for the nearest point by the tree of a patch; ``hint`` is a face that may be near, or none."""
-        row = hint
-        if row < view.start or row >= view.stop:
-            row = view.start
-        foot = nearest_of_tree(model, view.patch, p_S, foot_on(model, row, p_S))
-        if fallen(foot):
-            extent = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
-            unsure = model.patch_slack[view.patch] + query_epsilon * (extent + foot.distance)
-            foot = nearest_of_all(model, view.patch, p_S, foot, unsure)
-        foot.distance = wp.length(foot.to_point)
-        return foot
-
-    @wp.func
     def find(model: Model, view: View, history: History, cached: bool, cache: Cache, env: int, contact: int):
         """Looks at a contact."""
         geometry = model.contact_geometry[env, contact]
@@ -246,7 +232,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         p_S = view.per_scale * (wp.transpose(view.R_WS) * (view.apart_W + arm_W))
 
         option = model.contact_options[contact]
-        extent = wp.max(wp.max(wp.abs(p_S[0]), wp.abs(p_S[1])), wp.abs(p_S[2]))
+        extent = extent_of(p_S)
         foot = Foot()
         # How far the nearest face may be nearer than the foot.
         unsure = real(0.0)
@@ -280,9 +266,9 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                         cache.nearest[env, contact] = recalled.foot.row
                     else:
                         # Far away a search settles no ties, as what is remembered does.
-                        sure = recalled.foot.distance
-                        sure += model.patch_slack[patch] + query_epsilon * (extent + sure)
-                        recalled.known = sure < reach + model.patch_skin[patch]
+                        farthest = recalled.foot.distance
+                        farthest += unsure_of(model, patch, extent, farthest)
+                        recalled.known = farthest < reach + model.patch_skin[patch]
             foot = recalled.foot
             known = recalled.known
             if wp.static(part in (CELL, AWAY, EITHER)):
@@ -293,14 +279,14 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     return away(scale * (cell.free - reach))
                 known = cell.faces >= 0
                 if known:
-                    margin = model.patch_slack[patch] + query_epsilon * (extent + reach)
+                    margin = unsure_of(model, patch, extent, reach)
                     foot = nearest_listed(model, cell.faces, p_S, margin)
             if wp.static(part in (KNOWN, LISTED, RECALLED, CELL, AWAY)):  # noqa: SIM102
                 if not known:
                     return later()
             if wp.static(part == WHOLE):  # noqa: SIM102
                 if cached and not known:
-                    foot = nearest_foot(model, view, p_S, cache.nearest[env, contact])
+                    foot = search_tree(model, patch, p_S, cache.nearest[env, contact])
                     cache.faces[env, contact] = 0
                     # A point that is no number has none.
                     if not (foot.distance < real(wp.inf)):
@@ -308,6 +294,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     if foot.distance < reach + model.patch_skin[patch] or inner(model, foot):
                         remember_about(model, patch, p_S, foot, cache, env, contact)
                     cache.nearest[env, contact] = foot.row
+                    unsure = rounding_of(extent, foot)
                     known = True
             if not known:
                 # With a cache it looks farther, to know how long it need not look again. It never looks beyond the
@@ -317,11 +304,11 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                 hinted = wp.bool(False)
                 hint = cache.nearest[env, contact]
                 if hint >= view.start and hint < view.stop:
-                    if wp.static(part in (SEARCH, EITHER, TREE)) or not cached or cache.faces[env, contact] == 0:
+                    if wp.static(part in (SEARCH, EITHER, QUERY)) or not cached or cache.faces[env, contact] == 0:
                         foot = foot_on(model, hint, p_S)
                     hinted = foot.distance < ahead
                     limit = wp.min(limit, foot.distance)
-                margin = model.patch_slack[patch] + query_epsilon * (extent + limit)
+                margin = unsure_of(model, patch, extent, limit)
                 # Ties are settled from the nearest on; what is remembered keeps the choice of an earlier search.
                 enough = cached and hinted and foot.distance + margin < reach + model.patch_skin[patch]
                 if not enough:
@@ -336,12 +323,12 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
                     elif not hinted:
                         return lost(scale * (ahead - seen), out_of_sight, FAR, armed, arm_W)
                 # Wherever rounding matters, the choice is looked at again.
-                unsure = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
+                unsure = unsure_of(model, patch, extent, foot.distance)
                 inside = inner(model, foot)
                 close = inside or foot.distance < reach + model.patch_skin[patch]
                 doubtful = close or foot.distance < reach + unsure or model.patch_thin[patch] > real(0.0)
                 doubtful = doubtful or wp.abs(foot.distance - seen) < unsure or (option & LATCHED) != 0
-                if wp.static(part in (EITHER, TREE)):
+                if wp.static(part in (EITHER, QUERY)):
                     if doubtful or wp.static(real is wp.float64):
                         foot = nearest_of_all(model, patch, p_S, foot, unsure)
                         unsure = real(0.0)
@@ -491,8 +478,6 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         View=View,
         Found=Found,
         view_of=view_of,
-        nearest_foot=nearest_foot,
-        nearest_of_all=nearest_of_all,
         find=find,
         leave=leave,
         tell=tell,

@@ -2,12 +2,10 @@
 
 import functools
 
-import numpy as np
 import warp as wp
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels import search
 from warpcontact.kernels.cells import LISTED, OVERLAP, PLACED
-from warpcontact.kernels.closest_point import ROUNDING
 from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import structs
 from warpcontact.kernels.unique import unique_kernel
@@ -37,9 +35,9 @@ def kernel(real: type) -> wp.Kernel:
     vec3, Model = t.vec3, t.Model
     of_search = search.functions(real)
     nearest_of_all, faces_about = of_search.nearest_of_all, of_search.faces_about
+    extent_of, unsure_of = of_search.extent_of, of_search.unsure_of
     foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
     room_on_side = sides_of(real)
-    query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
     Rows = wp.types.vector(length=CANDIDATES, dtype=wp.int32)
     Rivals = wp.types.vector(length=RIVALS, dtype=wp.int32)
     Distances = wp.types.vector(length=RIVALS, dtype=real)
@@ -101,8 +99,7 @@ def kernel(real: type) -> wp.Kernel:
             return
         start = model.patch_face_start[patch]
         nearest = foot_on(model, start + query.face, c)
-        extent = wp.max(wp.max(wp.abs(c[0]), wp.abs(c[1])), wp.abs(c[2]))
-        unsure = model.patch_slack[patch] + query_epsilon * (extent + nearest.distance)
+        unsure = unsure_of(model, patch, extent_of(c), nearest.distance)
         # One that the query takes for as near may show the other side.
         nearest = nearest_of_all(model, patch, c, nearest, unsure)
         within = inner(model, nearest)

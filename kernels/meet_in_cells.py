@@ -10,7 +10,7 @@ import warp as wp
 from warpcontact.kernels import contact_force, warps
 from warpcontact.kernels import meet as meeting
 from warpcontact.kernels import near as nearness
-from warpcontact.kernels.closest_point import AWAY, EITHER, LATER, TREE
+from warpcontact.kernels.closest_point import AWAY, EITHER, LATER, QUERY
 from warpcontact.kernels.touch import Parts, group_structs
 from warpcontact.kernels.types import (
     CONTACT,
@@ -148,7 +148,7 @@ def rest(parts: Parts, real: type, moves: bool, projected: bool) -> wp.Kernel:
     Model, State, History = t.Model, t.State, t.History
     Contacts, Near, Cache, Wrenches = t.Contacts, t.Near, t.Cache, t.Wrenches
     Coefficients, Memory = group_structs(parts, real)
-    take = _take(parts, real, moves, projected, TREE)
+    take = _take(parts, real, moves, projected, QUERY)
 
     @unique_kernel()
     def meet_the_rest(

@@ -8,12 +8,11 @@ a GPU contact by contact, by ``queues.py``.
 import functools
 from types import SimpleNamespace
 
-import numpy as np
 import warp as wp
-from warpcontact.kernels import cells
+from warpcontact.kernels import cells, search, tree
 from warpcontact.kernels import closest_point as closest
 from warpcontact.kernels import foot as feet
-from warpcontact.kernels.closest_point import AWAY, CELL, EITHER, FEW, FOLLOWS, ROUNDING, WHOLE
+from warpcontact.kernels.closest_point import AWAY, CELL, EITHER, FEW, FOLLOWS, WHOLE
 from warpcontact.kernels.sides import room_on_side as sides_of
 from warpcontact.kernels.types import (
     CONTACT,
@@ -36,10 +35,13 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     Model, History, Contacts, Near, Cache = t.Model, t.History, t.Contacts, t.Near, t.Cache
     contact_of = closest.functions(real, follows, part)
     View, view_of = contact_of.View, contact_of.view_of
-    nearest_foot, nearest_of_all, leave = contact_of.nearest_foot, contact_of.nearest_of_all, contact_of.leave
+    leave = contact_of.leave
+    of_search, of_tree = search.functions(real), tree.functions(real)
+    extent_of, unsure_of = of_search.extent_of, of_search.unsure_of
+    nearest_of_all = of_search.nearest_of_all
+    nearest, rounding_of = of_tree.nearest, of_tree.rounding_of
     room_on_side, cell_at = sides_of(real), cells.functions(real).cell_at
     foot_on, inner = feet.functions(real).foot_on, feet.functions(real).inner
-    query_epsilon = wp.constant(real(float(np.finfo(np.float32).eps) * ROUNDING))
     rounded_down = wp.constant(real(1.0 - 4.0 * t.epsilon))
     rounded_up = wp.constant(real(1.0 + 16.0 * t.epsilon))
 
@@ -55,11 +57,13 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         if wp.static(part in (CELL, AWAY, EITHER)):
             # Where that is little, each point looks into its own.
             return view.scale * cell_at(model, patch, c_S).free
-        extent = wp.max(wp.max(wp.abs(c_S[0]), wp.abs(c_S[1])), wp.abs(c_S[2]))
+        extent = extent_of(c_S)
         if wp.static(part == WHOLE):
             hint = cache.nearest[env, natural(model.block_contact[natural(model.block_start[block])])]
-            foot = nearest_foot(model, view, c_S, hint)
-            unsure = query_epsilon * (extent + foot.distance)
+            foot = nearest(model, patch, c_S, hint)
+            if not (foot.distance < real(wp.inf)):
+                return real(-1.0)
+            unsure = rounding_of(extent, foot)
         else:
             query = wp.mesh_query_point_no_sign(
                 model.patch_mesh[patch],
@@ -69,7 +73,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
             if not query.result:
                 return real(-1.0)
             foot = foot_on(model, view.start + query.face, c_S)
-            unsure = model.patch_slack[patch] + query_epsilon * (extent + foot.distance)
+            unsure = unsure_of(model, patch, extent, foot.distance)
             if wp.static(real is wp.float64) or model.patch_thin[patch] > real(0.0):
                 # One that the query takes for as near may show the other side.
                 foot = nearest_of_all(model, patch, c_S, foot, unsure)

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import warp as wp
 from warpcontact.kernels import near as nearness
 from warpcontact.kernels import warps
-from warpcontact.kernels.closest_point import AWAY, EITHER, LATER, TREE
+from warpcontact.kernels.closest_point import AWAY, EITHER, LATER, QUERY
 from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, item_of, natural, structs, task_count
 from warpcontact.kernels.unique import unique_kernel
 
@@ -185,7 +185,7 @@ def rest(real: type, follows: bool) -> wp.Kernel:
     t = structs(real)
     Model, State, History = t.Model, t.State, t.History
     Contacts, Near, Cache = t.Contacts, t.Near, t.Cache
-    of_block = _functions(real, follows, TREE)
+    of_block = _functions(real, follows, QUERY)
     view_of, look, news, gather = of_block.view_of, of_block.look, of_block.news, of_block.gather
 
     @unique_kernel()

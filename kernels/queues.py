@@ -12,12 +12,12 @@ import functools
 import warp as wp
 from warpcontact.kernels import near as nearness
 from warpcontact.kernels import warps
-from warpcontact.kernels.closest_point import CELL, KNOWN, LATER, LISTED, RECALLED, SEARCH, TREE
+from warpcontact.kernels.closest_point import CELL, KNOWN, LATER, LISTED, QUERY, RECALLED, SEARCH
 from warpcontact.kernels.types import ENV_ACTIVE, Work, env_of, first_env, item_of, structs, task_count
 from warpcontact.kernels.unique import unique_kernel
 
 # Queues of contacts, by what they need; that of blocks to probe comes first.
-QUEUE_OF = {KNOWN: 1, RECALLED: 1, CELL: 1, LISTED: 2, SEARCH: 3, TREE: 3}
+QUEUE_OF = {KNOWN: 1, RECALLED: 1, CELL: 1, LISTED: 2, SEARCH: 3, QUERY: 3}
 # Registers of a search in float32, which would take 200: with so few an H200 holds all its threads at once
 # (``schedule.SEARCHING``). They wait for memory most of the time.
 SEARCH_REGISTERS = 128
@@ -130,7 +130,7 @@ def work_off(real: type, follows: bool, part: str, next_part: str) -> wp.Kernel:
     view_of, look, wake_of, news = block_of.view_of, block_of.look, block_of.wake_of, block_of.news
     put = _put(real)
     queue, next_queue = QUEUE_OF[part], QUEUE_OF[next_part]
-    registers = {SEARCH: SEARCH_REGISTERS, TREE: SEARCH_REGISTERS, CELL: CELL_REGISTERS}.get(part)
+    registers = {SEARCH: SEARCH_REGISTERS, QUERY: SEARCH_REGISTERS, CELL: CELL_REGISTERS}.get(part)
     registers = registers if real is wp.float32 else None
 
     @unique_kernel(registers)
@@ -144,7 +144,7 @@ def work_off(real: type, follows: bool, part: str, next_part: str) -> wp.Kernel:
         near: Near,
     ):
         thread = wp.tid()
-        if wp.static(part in (SEARCH, TREE)):
+        if wp.static(part in (SEARCH, QUERY)):
             thread = warps.spread(thread, work.threads)
         for i in range(thread, cache.waiting[queue], work.threads):
             task = cache.waiting_contact[queue, i]
@@ -154,12 +154,12 @@ def work_off(real: type, follows: bool, part: str, next_part: str) -> wp.Kernel:
             view = view_of(model, state, env, number)
             before = contacts.status[env, contact]
             free = look(model, view, history, contacts, True, cache, env, contact)
-            if wp.static(part not in (SEARCH, TREE)) and free == real(LATER):
+            if wp.static(part not in (SEARCH, QUERY)) and free == real(LATER):
                 put(cache, next_queue, task)
             else:
                 cache.wake[env, contact] = wake_of(cache.set_travel[env, number], free)
                 near.news[env, contact] = news(contacts, history, env, contact, before)
-                if wp.static(part in (CELL, TREE)):
+                if wp.static(part in (CELL, QUERY)):
                     # Of what is near a look in the middle of its block tells nothing.
                     size = view.scale * model.patch_cells_size[view.patch]
                     cache.faces[env, contact] = wp.where(free < size, 1, 0)

@@ -3,7 +3,8 @@
 As in the neighbour lists of molecular dynamics: faces within a skin of a place are remembered, each with its
 distance and the slope of that. A triangle is convex, so its distance is nowhere less than the slope says; and a
 point at m from that place is at least the skin less m away from all others. So the nearest is in the list, or a
-new one is due, which ``search.py`` makes, or on a CPU ``tree.py``.
+new one is due, which ``search.py`` makes, or on a CPU ``tree.py``. That one leaves out as well what some face of
+the list is nearer than within the skin, so a point that went farther has to have a new one.
 
 A CPU holds these bounds of all faces of a list against the distance of the nearest so far, at each look. On a GPU
 threads keep how far a point can move until that may change, and which faces are rivals then.

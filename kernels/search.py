@@ -6,10 +6,14 @@ A CPU that remembers searches by a tree of its own: ``tree.py``.
 import functools
 from types import SimpleNamespace
 
+import numpy as np
 import warp as wp
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels import recall
 from warpcontact.kernels.types import structs
+
+# Rounding of the query, in units of epsilon of float32, in which its mesh is stored, times coordinates.
+QUERY_ROUNDING = 16.0
 
 
 @functools.cache
@@ -19,6 +23,18 @@ def functions(real: type) -> SimpleNamespace:
     vec3, Model = t.vec3, t.Model
     near = feet.functions(real)
     Foot, foot_on, nearer, fallen, taken = near.Foot, near.foot_on, near.nearer, near.fallen, near.taken
+
+    query_rounding = wp.constant(real(float(np.finfo(np.float32).eps) * QUERY_ROUNDING))
+
+    @wp.func
+    def extent_of(p: vec3):
+        """The largest of its coordinates, with which they round."""
+        return wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.abs(p[2]))
+
+    @wp.func
+    def unsure_of(model: Model, patch: int, extent: real, distance: real):
+        """How much nearer the nearest face may be than one at ``distance`` that the query found."""
+        return model.patch_slack[patch] + query_rounding * (extent + distance)
 
     @wp.func
     def faces_about(model: Model, patch: int, p: vec3, reach: real):
@@ -58,6 +74,8 @@ def functions(real: type) -> SimpleNamespace:
         return best
 
     return SimpleNamespace(
+        extent_of=extent_of,
+        unsure_of=unsure_of,
         faces_about=faces_about,
         nearest_of_all=nearest_of_all,
     )

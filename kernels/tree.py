@@ -10,7 +10,7 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels import branches, recall
+from warpcontact.kernels import branches, recall, search
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels.types import natural, structs
 
@@ -24,7 +24,10 @@ def functions(real: type) -> SimpleNamespace:
     t = structs(real)
     vec3, Model, Cache = t.vec3, t.Model, t.Cache
     near, of_list, of_tree = feet.functions(real), recall.functions(real), branches.functions(real)
-    Foot, foot_on, nearer = near.Foot, near.foot_on, near.nearer
+    of_search = search.functions(real)
+    Foot, foot_on, nearer, fallen = near.Foot, near.foot_on, near.nearer, near.fallen
+    extent_of, unsure_of = of_search.extent_of, of_search.unsure_of
+    nearest_of_all = of_search.nearest_of_all
     slope_of, least_of = of_list.slope_of, of_list.least_of
     room_of, list_faces = of_list.room_of, of_list.list_faces
     Leader, way_from_root, next_place = of_tree.Leader, of_tree.way_from_root, of_tree.next_place
@@ -32,16 +35,27 @@ def functions(real: type) -> SimpleNamespace:
     rounding = wp.constant(real(t.epsilon * recall.ROUNDING))
 
     @wp.func
-    def nearest(model: Model, patch: int, p: vec3, first: Foot):
-        """Returns the nearest foot, by ``nearer``, with ``first`` on any face to begin with."""
+    def rounding_of(extent: real, foot: Foot):
+        """How much nearer than ``foot`` the nearest face may be of a point with coordinates up to ``extent``."""
+        return rounding * (extent + foot.span)
+
+    @wp.func
+    def nearest(model: Model, patch: int, p: vec3, hint: int):
+        """Returns the nearest foot; ``hint`` is a face that may be near, or none."""
         tree = model.patch_tree[patch]
         start = model.patch_face_start[patch]
-        best = first
+        row = hint
+        if row < start or row >= model.patch_face_start[patch + 1]:
+            row = start
+        best = foot_on(model, row, p)
         way = way_from_root()
         place = next_place(way, model.tree_bound, tree, p, best.distance, Leader())
         while place >= 0:
             best = nearer(model, best, foot_on(model, start + model.tree_face[place], p))
             place = next_place(way, model.tree_bound, tree, p, best.distance, Leader())
+        if fallen(best):
+            best = nearest_of_all(model, patch, p, best, unsure_of(model, patch, extent_of(p), best.distance))
+        best.distance = wp.length(best.to_point)
         return best
 
     @wp.func
@@ -116,4 +130,4 @@ def functions(real: type) -> SimpleNamespace:
                         cache.direction[env, place] = direction
         list_faces(cache, env, contact, count, at, beyond)
 
-    return SimpleNamespace(nearest=nearest, remember_about=remember_about)
+    return SimpleNamespace(nearest=nearest, rounding_of=rounding_of, remember_about=remember_about)

@@ -368,7 +368,8 @@ def structs(real: type) -> SimpleNamespace:
         room_place: wp.array2d(dtype=vec3)  # [env, contact] S
         # Faces nearest to a point, from where it was when they were looked for; in units of the mesh
         place: wp.array2d(dtype=vec3)  # [env, contact] S
-        beyond: wp.array2d(dtype=real)  # [env, contact] all other faces are farther from there
+        # [env, contact] all other faces are farther from there; or, on a CPU, than one listed wherever in the skin
+        beyond: wp.array2d(dtype=real)
         # [env, contact] how many are remembered; in cells, where none are: 1 if the point was near the surface
         faces: wp.array2d(dtype=wp.int32)
         face: wp.array2d(dtype=wp.int32)  # [env, contact × remembered] their rows, rivals first if any

@@ -32,7 +32,7 @@ def lister(real, room):
         ):
             contact = wp.tid()
             p = places[contact]
-            foot = nearest(model, 0, p, foot_on(model, contact % model.face_corner.shape[0], p))
+            foot = nearest(model, 0, p, contact % model.face_corner.shape[0])
             remember_about(model, 0, p, foot, cache, 0, contact)
             best[contact] = foot.row
 

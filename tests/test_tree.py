@@ -1,10 +1,14 @@
 """The tree over the faces of a patch: it has all of them, bounds hold, and what it finds is the nearest."""
 
+import functools
+
 import numpy as np
 import pytest
 import warp as wp
 from warpcontact.kernels import foot as feet
+from warpcontact.kernels import near
 from warpcontact.kernels import tree as trees
+from warpcontact.kernels.closest_point import WHOLE
 from warpcontact.kernels.types import structs
 
 import warpcontact as wc
@@ -93,35 +97,59 @@ def test_disks_of_a_smooth_surface_are_as_thin_as_it_is_flat():
     assert 3.0 < thick[0] / thick[1] < 5.0
 
 
-@pytest.mark.parametrize("real", [wp.float32, wp.float64])
-@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
-def test_the_nearest_of_a_tree_is_that_of_all_faces(mesh, real):
-    """Near the surface and far away, wherever one begins; of a point that is no number it is where one began."""
+def over(mesh, real, points=((0.0, 0.0, 0.0),)):
+    """Returns a model of points above a mesh."""
+    scene = wc.Scene()
+    body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, 3.0))
+    law = wc.laws.Hooke(stiffness=1e4)
+    ground = scene.add_surface(mesh)
+    scene.add_contact(scene.add_points(body, points), ground, wc.Template(law=law))
+    return scene.build(device="cpu", precision="float32" if real is wp.float32 else "float64")
+
+
+@functools.cache
+def searcher(real):
+    """Returns the kernel that searches from given faces on, and among all."""
     t = structs(real)
     model_type, vec3, foot_on = t.Model, t.vec3, feet.functions(real).foot_on
     nearest = trees.functions(real).nearest
-    scene = wc.Scene()
-    body = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
-    law = wc.laws.Hooke(stiffness=1e4)
-    scene.add_contact(scene.add_point(body, (0, 0, 0)), scene.add_surface(mesh), wc.Template(law=law))
-    model = scene.build(device="cpu", precision="float32" if real is wp.float32 else "float64")
 
     @wp.kernel(module="unique", enable_backward=False)
     def search(
         model: model_type,
         places: wp.array(dtype=vec3),
+        hints: wp.array(dtype=wp.int32),
         found: wp.array(dtype=real),
+        span: wp.array(dtype=real),
         least: wp.array(dtype=real),
     ):
         point = wp.tid()
         p = places[point]
-        faces = model.face_corner.shape[0]
-        found[point] = nearest(model, 0, p, foot_on(model, point % faces, p)).distance
+        foot = nearest(model, 0, p, hints[point])
+        found[point] = foot.distance
+        span[point] = foot.span
         best = real(wp.inf)
-        for face in range(faces):
+        for face in range(model.face_corner.shape[0]):
             best = wp.min(best, foot_on(model, face, p).distance)
         least[point] = best
 
+    return search
+
+
+def searched(model, real, points, hints):
+    """Returns the distance and span of what is found of each of ``points``, and the least of all faces."""
+    count = len(points)
+    places = wp.array(points, dtype=structs(real).vec3, device="cpu")
+    out = [wp.zeros(count, dtype=real, device="cpu") for _ in range(3)]
+    inputs = [model.parts[0].arrays.model, places, wp.array(hints, dtype=wp.int32, device="cpu"), *out]
+    wp.launch(searcher(real), count, inputs, device="cpu")
+    return [one.numpy() for one in out]
+
+
+@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+def test_the_nearest_of_a_tree_is_that_of_all_faces(mesh, real):
+    """Near the surface and far away, wherever one begins; of a point that is no number it is where one began."""
     rng = np.random.default_rng(3)
     count = 2000
     own = np.asarray(mesh.vertices)
@@ -129,10 +157,46 @@ def test_the_nearest_of_a_tree_is_that_of_all_faces(mesh, real):
     points = points + rng.exponential(0.1, (count, 1)) * rng.normal(size=(count, 3))
     points[::10] *= 30.0
     points[5] = np.nan
-    places = wp.array(points, dtype=vec3, device="cpu")
-    found, least = (wp.zeros(count, dtype=real, device="cpu") for _ in range(2))
-    wp.launch(search, count, [model.parts[0].arrays.model, places, found, least], device="cpu")
-    found, least = found.numpy(), least.numpy()
+    # Any face, or none.
+    hints = rng.integers(-1, len(mesh.faces) + 1, count)
+    found, span, least = searched(over(mesh, real), real, points, hints)
     assert np.isnan(found[5])
     known = np.arange(count) != 5
-    np.testing.assert_array_equal(found[known], least[known])
+    # One that is taken may be tied with the nearest.
+    tie = feet.TIE * np.finfo(found.dtype).eps * span
+    assert (found[known] >= least[known]).all()
+    assert (found[known] <= (least + tie)[known]).all()
+
+
+@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+@pytest.mark.parametrize("height", [np.nan, np.inf, 1e20, 1e200])
+def test_nothing_is_known_of_a_block_that_is_nowhere(height, real):
+    """What is no number, or whose square is none, is not free to move as far as it likes."""
+    t, of_near = structs(real), near.functions(real, False, WHOLE)
+    model_type, state_type, cache_type = t.Model, t.State, t.Cache
+    probe, view_of = of_near.probe, of_near.view_of
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def probe_first(model: model_type, state: state_type, cache: cache_type, free: wp.array(dtype=real)):
+        free[0] = probe(model, view_of(model, state, 0, 0), cache, 0, 0)
+
+    # A box is closed: nothing but the distance limits how far one can move.
+    model = over(wc.meshes.box((1.0, 1.0, 1.0)), real, np.eye(3) * 0.1)
+    arrays = model.parts[0].arrays
+    free = wp.zeros(1, dtype=real, device="cpu")
+
+    def probed(z):
+        position = model.state.body_position.numpy()
+        with np.errstate(over="ignore"):
+            position[..., 2] = z
+        model.state.body_position.assign(position)
+        wp.launch(probe_first, 1, [arrays.model, arrays.state, arrays.cache, free], device="cpu")
+        return free.numpy()[0]
+
+    assert probed(3.0) == pytest.approx(2.5, abs=0.2)
+    with np.errstate(over="ignore"):
+        squared = np.array(height, dtype=wp.dtype_to_numpy(real)) ** 2
+    if np.isfinite(squared):
+        assert probed(height) == pytest.approx(height, rel=1e-3)
+    else:
+        assert probed(height) == -1.0

@@ -33,7 +33,7 @@ from warpcontact.kernels import (
     warps,
     wrenches,
 )
-from warpcontact.kernels.closest_point import CELL, KNOWN, LISTED, RECALLED, SEARCH, TREE
+from warpcontact.kernels.closest_point import CELL, KNOWN, LISTED, QUERY, RECALLED, SEARCH
 from warpcontact.kernels.types import Work
 
 if TYPE_CHECKING:
@@ -305,10 +305,10 @@ def _queue_stages(span: Span, state: Any, status: wp.array) -> list[wp.Launch]:
     if contacts > blocks:
         kernel, threads = queues.probe(real, follows, a.celled), min(SEARCHING, _whole_warps(span.count * blocks))
         launches += span.prepare(kernel, blocks, [contacts, *inputs], threads, FEW_TOGETHER)
-    parts = [CELL, TREE] if a.celled else [RECALLED, SEARCH] if span.few else [KNOWN, LISTED, SEARCH]
+    parts = [CELL, QUERY] if a.celled else [RECALLED, SEARCH] if span.few else [KNOWN, LISTED, SEARCH]
     for part, next_part in zip(parts, [*parts[1:], parts[-1]], strict=True):
         kernel = queues.work_off(real, follows, part, next_part)
-        most = SEARCHING if part in (SEARCH, TREE) else LOOKING
+        most = SEARCHING if part in (SEARCH, QUERY) else LOOKING
         threads = min(most, _whole_warps(span.count * contacts))
         launches += span.prepare(kernel, contacts, inputs, threads, FEW_TOGETHER)
     return launches + span.prepare(queues.gather(real), blocks, [status, a.model, a.cache, a.near])

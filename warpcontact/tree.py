@@ -33,7 +33,8 @@ class Tree:
         width: Branches of the root, at most 8. Nodes are counted from there, one level after the other: with the
             root's they are the next, and those of node i are 8 i + width − 7 and the following. Beyond the last
             node that means faces.
-        faces: Their numbers, as many as there is room for; those from the number of faces on are none.
+        faces: Their numbers, as many as there is room for, which is less than twice as many as there are; those
+            from the number of faces on are none.
         bounds: (nodes, 8 numbers, 8 branches); NaN where there is no branch.
     """
 
@@ -84,13 +85,14 @@ def make_tree(corner: NDArray[np.float64], normal: NDArray[np.float64]) -> Tree:
             normals = normals.reshape(3, -1, BRANCHES).sum(axis=2)
             empty = np.logical_and.reduce(empty.reshape(-1, BRANCHES), axis=1)
         parts = [slice(k, k + TOGETHER) for k in range(0, len(empty), TOGETHER)]
-        own = [_disks(np.ascontiguousarray(points[:, :, part]), normals[:, part], off) for part in parts]
+        boxed = BRANCHES * points.shape[1] > MOST_POINTS
+        own = [_disks(np.ascontiguousarray(points[:, :, part]), normals[:, part], off, boxed) for part in parts]
         disks = np.concatenate([part for part, _ in own], axis=1)
         disks[:, empty] = np.nan
         missing = -len(empty) % BRANCHES
         disks = np.pad(disks, ((0, 0), (0, missing)), constant_values=np.nan)
         bounds.append(disks.reshape(BOUND, -1, BRANCHES).swapaxes(0, 1))
-        if BRANCHES * points.shape[1] > MOST_POINTS:
+        if boxed:
             points = np.concatenate([boxes for _, boxes in own], axis=2)
     return Tree(width, order.astype(np.int32), np.concatenate(bounds[::-1]))
 
@@ -120,8 +122,8 @@ def _halved(middle: Array, width: int, levels: int) -> NDArray[np.intp]:
     return order
 
 
-def _disks(points: Array, normals: Array, off: float) -> tuple[NDArray[np.float32], Array]:
-    """Returns what bounds points (3, K, N), (8, N), and the corners (3, 8, N) of boxes about them."""
+def _disks(points: Array, normals: Array, off: float, boxed: bool) -> tuple[NDArray[np.float32], Array]:
+    """Returns what bounds points (3, K, N), (8, N), and if asked the corners (3, 8, N) of boxes about them."""
     length = np.sqrt((normals**2).sum(axis=0))
     normal = np.where(length > 0.0, normals / np.where(length > 0.0, length, 1.0), [[0.0], [0.0], [1.0]])
     # Two more axes, across the one along which the normal has least.
@@ -131,10 +133,10 @@ def _disks(points: Array, normals: Array, off: float) -> tuple[NDArray[np.float3
     along = [_dot(points, axis) for axis in axes]
     low, high = [one.min(axis=0) for one in along], [one.max(axis=0) for one in along]
     centre = np.zeros_like(normal)
-    corners = np.zeros((3, 8, normal.shape[1]))
+    corners = np.zeros((3, 8, normal.shape[1] if boxed else 0))
     for j, axis in enumerate(axes):
         centre += 0.5 * (low[j] + high[j]) * axis
-        for k in range(8):
+        for k in range(8 if boxed else 0):
             corners[:, k] += (high if k >> j & 1 else low)[j] * axis
     centre = centre.astype(np.float32)
     away = points - centre.astype(np.float64)[:, None]
