@@ -15,6 +15,7 @@ wp.config.log_level = wp.LOG_ERROR
 
 def pytest_addoption(parser):
     parser.addoption("--device", default="cpu", help="Warp device to test on, such as cuda:0")
+    parser.addoption("--thorough", action="store_true", help="five times as many random cases in slow tests")
     parser.addoption("--bounds-check", action="store_true", help="compile kernels with array bounds checks")
 
 
@@ -31,6 +32,12 @@ def pytest_configure(config):
 def device(request):
     """The device that simulations under test run on."""
     return request.config.getoption("--device")
+
+
+@pytest.fixture(scope="session")
+def times(request):
+    """By how many times the random cases of slow tests are multiplied: before a release, with --thorough."""
+    return 5 if request.config.getoption("--thorough") else 1
 
 
 @pytest.fixture(scope="session")

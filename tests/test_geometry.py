@@ -81,8 +81,8 @@ def test_closed_meshes_are_exact_where_it_is_hard(name, precision, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("name", hard_cases.CLOSED)
-def test_closed_meshes_are_exact_at_very_many_points(name, precision, device):
-    assert_exact_on_closed(*placed(name), 100_000, precision, device)
+def test_closed_meshes_are_exact_at_very_many_points(name, precision, times, device):
+    assert_exact_on_closed(*placed(name), 20_000 * times, precision, device)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

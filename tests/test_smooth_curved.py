@@ -103,8 +103,9 @@ def test_a_ring_that_a_body_pierces_leaves_it_on_the_shortest_way(other, device)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("other", SOLIDS, **names)
-def test_a_hundred_thousand_tori(other, device):
-    assert check_ring(other, 100_000, 5, device, angles=150) == 0
+def test_many_tori(other, times, device):
+    """20 000, or 100 000 with --thorough."""
+    assert check_ring(other, 20_000 * times, 5, device, angles=150) == 0
 
 
 def sizes(kind, random):
@@ -118,11 +119,11 @@ def sizes(kind, random):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", PIERCED, ids=lambda kind: kind.__name__)
-def test_bodies_of_any_size_leave_a_ring(kind, device):
+def test_bodies_of_any_size_leave_a_ring(kind, times, device):
     """Plates and rods that are wider than the ring, too, from just apart to all but centred in it."""
     random = np.random.default_rng(12)
     missed = 0
-    for seed in range(20):
+    for seed in range(4 * times):
         other = sizes(kind, random)
         x, q, least = ring_case(other, 5000, seed, angles=20)
         met = meetings(RING, other, x, q, device)
@@ -295,14 +296,17 @@ def test_a_body_meets_a_patch_where_it_is_deepest(body, device):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("body", [*BODIES, S.Sphere(0.25), S.Capsule(0.1, 0.2), S.Cone(0.2, 0.4)], **names)
-def test_a_hundred_thousand_bodies_on_patches_meet(body, device):
-    """All of them converge, with facing normals; of thousands, sampling sees no deeper or nearer place."""
+def test_many_bodies_on_patches_meet(body, times, device):
+    """20 000, or 100 000 with --thorough: all of them converge, with facing normals.
+
+    Of hundreds, or thousands, sampling sees no deeper or nearer place.
+    """
     line = np.linspace(-1.0, 1.0, 41)
     u, v = (values.ravel() for values in np.meshgrid(line, line))
     # That of an ellipsoid is found by bisection.
-    sampled = 200 if isinstance(body, S.Ellipsoid) else 3000
+    sampled = (40 if isinstance(body, S.Ellipsoid) else 600) * times
     for sheet in SHEETS.values():
-        x, q = sheet_case(sheet, 33_334, 9)
+        x, q = sheet_case(sheet, 6667 * times, 9)
         met = meetings(body, sheet, x, q, device)
         assert (met["status"] == NOT_CONVERGED).sum() <= 1
         good = met["status"] == MET

@@ -54,18 +54,19 @@ def test_planes_meet_patches_or_are_nearest_to_their_edges(P, device):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", COMBINATIONS, **names)
-def test_no_pair_of_25_000_is_wrong(pair, device):
-    """100 000 of each shape, on four patches."""
-    counts = check(*pair, 25_000, 100, device)
-    assert counts["met"] > 24_000
+def test_no_pair_of_many_is_wrong(pair, times, device):
+    """20 000 of each shape on four patches, or 100 000 with --thorough."""
+    count = 5000 * times
+    counts = check(*pair, count, 100, device)
+    assert counts["met"] > 0.96 * count
     # Deeper than half the radius of curvature of the patch are a few.
-    assert counts["too deep"] < 0.03 * 25_000
+    assert counts["too deep"] < 0.03 * count
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("P", [Quadric, Waves], ids=lambda kind: kind.__name__)
-def test_no_plane_of_50_000_is_wrong(P, device):
-    check(S.Plane, P, 50_000, 100, device)
+def test_no_plane_of_many_is_wrong(P, times, device):
+    check(S.Plane, P, 10_000 * times, 100, device)
 
 
 @pytest.mark.slow
