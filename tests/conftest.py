@@ -28,6 +28,12 @@ def pytest_configure(config):
     wp.init()
 
 
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if "times" in getattr(item, "fixturenames", ()):
+            item.add_marker("sampled")
+
+
 @pytest.fixture(scope="session")
 def device(request):
     """The device that simulations under test run on."""
@@ -36,7 +42,7 @@ def device(request):
 
 @pytest.fixture(scope="session")
 def times(request):
-    """By how many times the random cases of slow tests are multiplied: before a release, with --thorough."""
+    """By how many times the random cases of slow tests are multiplied."""
     return 5 if request.config.getoption("--thorough") else 1
 
 

@@ -307,13 +307,10 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
     assert_same(alone, shared)
 
 
+@PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-# Each of the three with either of another: all eight would take twice as long.
-@pytest.mark.parametrize(
-    ("few", "celled", "precision"),
-    [(False, False, "float32"), (False, True, "float64"), (True, False, "float64"), (True, True, "float32")],
-    ids=["of many-float32", "of many-in cells-float64", "of few-float64", "of few-in cells-float32"],
-)
+@pytest.mark.parametrize("celled", [False, True], ids=["", "in cells"])
+@pytest.mark.parametrize("few", [False, True], ids=["of many", "of few"])
 # Cells about faces that are small beside spheres take a CPU long to fill.
 @pytest.mark.parametrize("name", [name for name in SCENES if not name.endswith("edges")])
 def test_queues_change_nothing(name, few, celled, precision, monkeypatch):
