@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpcontact.checks import Array
+from warpcontact.clearance import is_clear
 from warpcontact.contact_coupling_advice import contact_coupling_advice
 from warpcontact.couplings.advice import coupling_advice
 from warpcontact.friction_advice import LOOKED_AT, USUAL_SPEED, friction_advice
@@ -41,6 +42,14 @@ def level_outside() -> int:
     return level
 
 
+def looks(model: "Environments") -> bool:
+    """Returns whether ``advice`` looks for what touches: not where bounds tell that nothing does."""
+    scene = model.scene
+    if scene.smooth_contacts or scene.contact_couplings:
+        return True
+    return not all(is_clear(model, contact) for contact in scene.contacts)
+
+
 def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> list[str]:
     """Returns what to say about the start of a model, a sentence or two per contact or coupling.
 
@@ -61,13 +70,13 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
         return [] if hard is not None and hard.recovery > 0.0 else _about_rigid_overlap(model, name, dt)
 
     sentences = []
-    if model.scene.contacts or model.scene.smooth_contacts:
+    if looks(model):
         model.evaluate()
     for coupling in model.scene.contact_couplings:
         sentences += contact_coupling_advice(model, coupling, dt)
     for contact in model.scene.contacts:
         if not acts(contact.name):
-            sentences += about_overlap(f"{contact.name}.penetration")
+            sentences += [] if is_clear(model, contact) else about_overlap(f"{contact.name}.penetration")
             continue
         sentences += friction_advice(model, contact, dt)
         if contact.facing is not None:
@@ -86,6 +95,8 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
         stiffness, exponent = (np.broadcast_to(part, (envs, contact.count)) for part in elastic)
         together = _together(contact, stiffness, exponent, mass, speed)
         sentences += _about_steps(model, contact.name, contact_time(together, exponent, mass, speed), dt)
+        if is_clear(model, contact):
+            continue
         depth = np.where(
             _reading(model, contact, "status") == CONTACT, _reading(model, contact, "penetration"), 0.0
         )[:envs]

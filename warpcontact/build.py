@@ -180,6 +180,7 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         drives=drives,
         blocks=blocks,
         readings=readings_of(scene, t, start_of, groups, contact_couplings, couplings, smooth, piles),
+        sides=common.patches.sides(),
         meshes=meshes,
     )
 

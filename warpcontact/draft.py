@@ -19,7 +19,8 @@ from warpcontact.model import Model
 from warpcontact.of_scene import OfScene
 from warpcontact.parameters import Parameter, Parameters, needs_of
 from warpcontact.readings import Reading
-from warpcontact.scene import Scene
+from warpcontact.scene import Contact, Scene
+from warpcontact.sides import Sides
 from warpcontact.split_model import SplitModel
 from warpcontact.stepping import stepping_footprint
 
@@ -47,6 +48,7 @@ class PartDraft(OfScene):
         drives: The bodies that follow functions of time, by class.
         blocks: The contacts by what lies together.
         readings: What can be measured.
+        sides: Where the surface of each contact keeps its sides apart, mesh by mesh.
         meshes: What is searched, once it is built.
         no_step: What a model has as an array; see there.
         bounces: Whether restitution is to be looked after, where it may come.
@@ -66,6 +68,7 @@ class PartDraft(OfScene):
     drives: list[Drive]
     blocks: Blocks
     readings: dict[str, Reading]
+    sides: dict[Contact, list[Sides]]
     meshes: list[wp.Mesh]
     no_step: None = None
     bounces: bool = True
@@ -114,6 +117,7 @@ class PartDraft(OfScene):
             drives=self.drives,
             blocks=self.blocks,
             readings=self.readings,
+            sides=self.sides,
             meshes=self.meshes,
         )
 

@@ -23,6 +23,7 @@ from warpcontact.parameters import Parameter, Upload, needs_of
 from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
 from warpcontact.schedule import Span
+from warpcontact.sides import Sides
 
 if TYPE_CHECKING:
     from warpcontact.outcomes.observer import Observer
@@ -103,6 +104,7 @@ class Model(Environments, OfScene):
         drives: list[Drive],
         blocks: Blocks,
         readings: dict[str, Reading],
+        sides: dict[Contact, list[Sides]],
         meshes: list[wp.Mesh],
     ) -> None:
         self.scene = scene
@@ -127,6 +129,7 @@ class Model(Environments, OfScene):
         # Whether the state is still the initial one, which then follows its parameters.
         self.untouched = True
         self.readings = readings
+        self.sides = sides
         self._meshes = meshes  # kept alive: a kernel only holds their ids
         # Step of 0 [env, 0]: for the forces of an instant.
         self.no_step = broadcast(arrays.instant, envs)

@@ -88,6 +88,11 @@ class Parameter:
         """Number of items."""
         return self.items.stop - self.items.start
 
+    @property
+    def values(self) -> Array:
+        """A view (1 or envs, items, *tail): one row if it is the same in all environments."""
+        return self.field.values[:, self.items]
+
     def parse(self, value: ArrayLike, envs: int) -> Array:
         """Returns ``value`` as (1 or envs, 1 or items, *tail), checked.
 
@@ -140,8 +145,7 @@ class Parameter:
 
     def read(self, envs: int) -> Array:
         """Returns a view (envs, *tail), or (envs, items, *tail) for a set."""
-        values = self.field.values[:, self.items]
-        values = np.broadcast_to(values, (envs, *values.shape[1:]))
+        values = np.broadcast_to(self.values, (envs, *self.values.shape[1:]))
         return values[:, 0] if self.single else values
 
     def widening(self, envs: int) -> list[Need]:

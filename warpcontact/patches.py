@@ -139,6 +139,13 @@ class Patches:
             reach[own] = np.maximum(reach[own], contact.radius.max() / contact.surface.scale.min())
         return reach
 
+    def sides(self) -> dict[Contact, list[Sides]]:
+        """Returns where the surface of each contact keeps its sides apart, mesh by mesh."""
+        return {
+            contact: [patch.sides for patch in self.patches[first : first + len(contact.surface.meshes)]]
+            for contact, first in self.of_contact.items()
+        }
+
     def faces_read(self) -> int:
         """Returns about how many faces an environment reads, in some steps, of meshes too large for caches.
 

@@ -30,11 +30,26 @@ class Sides:
         kind: One of SIDES_*.
         normal: Unit normals of the walls of the region, into it, (n, 3), axes of the mesh.
         offset: Where they are along their normals, (n,), unit of the mesh, from the origin of the corners.
+        away: Unit normals of planes with the whole surface behind them, (m, 3): within the walls all that is
+            before one of them is on the outer side.
+        reach: Where these are along their normals, (m,).
     """
 
     kind: int = SIDES_NOWHERE
     normal: Array = field(default_factory=lambda: np.zeros((0, 3)))
     offset: Array = field(default_factory=lambda: np.zeros(0))
+    away: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    reach: Array = field(default_factory=lambda: np.zeros(0))
+
+    def clearance(self, places: Array) -> Array:
+        """Returns how far about places all is on the outer side, at least; negative if that is not known.
+
+        Args:
+            places: In axes and unit of the mesh, from the origin of the corners, (…, 3).
+        """
+        before = (places @ self.away.T - self.reach).max(axis=-1, initial=-np.inf)
+        within = (places @ self.normal.T - self.offset).min(axis=-1, initial=np.inf)
+        return np.minimum(before, within)
 
 
 def bounds_a_region(mesh: Mesh) -> bool:
@@ -117,7 +132,7 @@ def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[n
     equal = np.allclose([within, covered], _area(hull), rtol=_TOLERANCE, atol=0.0)
     if not equal or (beside > _TOLERANCE * size).any():
         return Sides()
-    return Sides(SIDES_ABOVE, inward @ across, offset)
+    return Sides(SIDES_ABOVE, inward @ across, offset, up[None], (corner @ up).max(keepdims=True)[0])
 
 
 def _area(loop: Array) -> float:
@@ -160,5 +175,8 @@ def sides_of(
 ) -> Sides:
     """Returns where a mesh, or with ``whole`` false a part of it that has these faces, keeps its sides apart."""
     if whole and bounds_a_region(mesh):
-        return Sides(SIDES_EVERYWHERE)
+        if mesh.report.orientation != "outward":
+            return Sides(SIDES_EVERYWHERE)
+        low, high = (bound(corner, axis=(0, 1)) for bound in (np.min, np.max))
+        return Sides(SIDES_EVERYWHERE, away=np.vstack([np.eye(3), -np.eye(3)]), reach=np.append(high, -low))
     return sides_of_graph(corner, ends, neighbor)

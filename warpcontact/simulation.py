@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warpcontact import checkpoint, checks
-from warpcontact.advice import ContactWarning, advice, level_outside
+from warpcontact.advice import ContactWarning, advice, level_outside, looks
 from warpcontact.arrays import Layout
 from warpcontact.available import HOST, available_threads
 from warpcontact.captures import beside_captures
@@ -359,11 +359,11 @@ class Simulation:
         """Compiles what comes up from here on, with looks for ``needs``, unless somebody steps already."""
         if self._prepared[1] is not None:
             return
-        looks = [EVALUATED, needs] if self.model.at_start and not self.advised else [needs]
+        first = [EVALUATED] if self.model.at_start and not self.advised and looks(self.model) else []
         with beside_captures():
             for part, buffers in zip(self.model.parts, self._buffers, strict=True):
                 if part.device.is_cpu:
-                    compile_steps(part, self._stepper(part, buffers, Tally), looks, self.threads)
+                    compile_steps(part, self._stepper(part, buffers, Tally), [*first, needs], self.threads)
 
     @beside_captures()
     def _shares(self) -> list[Share]:

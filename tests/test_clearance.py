@@ -1,0 +1,142 @@
+"""What bounds tell of a start: that nothing touches, only where a search finds so, too."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import warpcontact as wc
+from warpcontact import Status
+from warpcontact.advice import looks
+from warpcontact.clearance import is_clear
+
+LAW = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+TERRAIN = wc.meshes.sinusoidal_terrain(size=(2.0, 2.0), cells=(12, 12), amplitude=0.2, wavelength=1.0)
+CONTAINER = wc.meshes.box((2.0, 2.0, 1.0)).flipped()
+
+
+def surfaces(scene, kind):
+    """Adds a surface; returns it, and options of the contact with it."""
+    if kind == "terrain":
+        return scene.add_surface(TERRAIN, position=(0.1, 0.2, 0.3), scale=1.5), {}
+    if kind == "turned terrain":
+        return scene.add_surface(TERRAIN, orientation=turn(0.5, (1, 2, 0.5)), flip=True), {}
+    if kind == "solid":
+        return scene.add_surface(wc.meshes.icosphere(0.5), scale=0.8, position=(0.2, 0.0, -0.1)), {}
+    if kind == "half of a solid":
+        sphere = wc.meshes.icosphere(0.5)
+        return scene.add_surface(sphere, active_faces=lambda c: c[:, 2] > 0.0), {"search": "active"}
+    if kind == "container":
+        return scene.add_surface(CONTAINER), {}
+    if kind == "plate of a body":
+        carrier = scene.add_body(1.0, (1, 1, 1), name="carrier")
+        plate = wc.meshes.box((1.0, 1.0, 0.1))
+        return scene.add_surface(plate, carrier, position=(0.3, 0, 0), orientation=turn(0.3, (0, 0, 1))), {}
+    two = [wc.meshes.box((0.4, 0.4, 0.4)), wc.meshes.icosphere(0.4)]
+    return scene.add_surface(two), {}
+
+
+def turn(angle, axis):
+    axis = np.asarray(axis) / np.linalg.norm(axis)
+    return Rotation.from_rotvec(angle * axis).as_quat()
+
+
+def points_of(scene, form):
+    """Adds what touches; returns its points, and a radius."""
+    body = scene.add_body(1.0, (1, 1, 1), name="body")
+    if form == "sphere":
+        return scene.add_point(body, (0.05, 0, 0)), 0.1
+    if form == "points":
+        return scene.add_points(body, [(0.2, 0, 0), (-0.1, 0.1, 0.3), (0, -0.2, 0)]), 0.0
+    hull = scene.add_surface(wc.meshes.box((0.2, 0.3, 0.4)), body, position=(0.1, 0, 0), scale=0.7, name="hull")
+    return scene.add_points(hull, wc.sample_surface(hull.mesh, 30, seed=1)), 0.02
+
+
+KINDS = ["terrain", "turned terrain", "solid", "half of a solid", "container", "plate of a body", "one of two"]
+
+
+@pytest.mark.parametrize("form", ["sphere", "points", "hull"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_clear_touches_nothing(kind, form, device):
+    scene = wc.Scene(gravity=(0, 0, 0))
+    surface, options = surfaces(scene, kind)
+    points, radius = points_of(scene, form)
+    contact = scene.add_contact(points, surface, LAW, name="touch", radius=radius, **options)
+    envs = 40
+    model = scene.build(envs=envs, device=device)
+    rng = np.random.default_rng(KINDS.index(kind))
+    clear, apart = 0, 0
+    for _ in range(100):
+        # All environments about as far away, since one that is not clear speaks for all.
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        place = rng.uniform(0.0, 2.0) * direction
+        for name in ["body", "carrier"][: 1 + (kind == "plate of a body")]:
+            model[f"{name}.position"] = place * (name == "body") + rng.normal(scale=0.05, size=(envs, 3))
+            model[f"{name}.orientation"] = Rotation.random(envs, random_state=rng).as_quat()
+        if kind == "one of two":
+            model[f"{surface.name}.mesh"] = rng.integers(2, size=envs)
+        touching = model.reading("touch.status") == Status.CONTACT
+        apart += not touching.any()
+        if is_clear(model, contact):
+            clear += 1
+            assert not touching.any()
+            assert not looks(model)
+            gap = model.reading("touch.gap")
+            assert (gap[~np.isnan(gap)] > 0.0).all()
+    assert apart > 0
+    assert (clear > 0) == (kind not in ("container", "half of a solid"))
+
+
+@pytest.mark.parametrize(("height", "expected"), [(0.1001, True), (0.0999, False), (-0.5, False), (np.nan, False)])
+def test_a_sphere_is_clear_above_the_highest_place(height, expected):
+    scene = wc.Scene()
+    ground = scene.add_surface(wc.meshes.grid((4.0, 4.0), (4, 4)))
+    balls = scene.add_bodies([(0, 0, 1), (1, 0, 1)], 1.0, (1, 1, 1), name="balls")
+    contact = scene.add_contact(scene.add_points(balls, np.zeros((2, 3))), ground, LAW, radius=0.1)
+    model = scene.build(envs=3, device="cpu")
+    assert is_clear(model, contact)
+    # As it is now, whoever wrote that.
+    model.state.body_position.numpy()[1, 1, 2] = height
+    assert is_clear(model, contact) == expected
+
+
+def test_who_is_beyond_a_rim_is_looked_for():
+    scene = wc.Scene()
+    ground = scene.add_surface(wc.meshes.grid((4.0, 4.0), (4, 4)))
+    ball = scene.add_body(1.0, (1, 1, 1), (1.8, 0, 1), name="ball")
+    contact = scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, LAW, radius=0.1)
+    model = scene.build(envs=2, device="cpu")
+    assert is_clear(model, contact)
+    model["ball.position"] = [(0, 0, 1), (1.95, 0, 1)]
+    assert not is_clear(model, contact)
+
+
+def test_a_first_step_of_a_clear_start_needs_no_kernel_of_readings():
+    """Nor the force alone, whose law is of the library."""
+    code = """
+import sys, warpcontact as wc
+scene = wc.Scene()
+ground = scene.add_surface(wc.meshes.grid((4.0, 4.0), (4, 4)))
+ball = scene.add_body(1.0, (1, 1, 1), (0, 0, 1), name="ball")
+point, template = scene.add_point(ball, (0, 0, 0)), wc.Template(law=wc.laws.Hooke(stiffness=1e4))
+scene.add_contact(point, ground, template, radius=0.1)
+model = scene.build(envs=2, device="cpu")
+model["ball.position"] = [(0, 0, 1), (0, 0, float(sys.argv[1]))]
+wc.Simulation(model, dt=1e-3).step()
+import warp._src.context as context
+print(*(name for name, module in context.user_modules.items() if module.execs))
+"""
+
+    def loaded(height):
+        ended = subprocess.run([sys.executable, "-c", code, height], capture_output=True, text=True, check=True)
+        return ended.stdout.split()
+
+    steps, readings = "step_in_place", ("closest_point", "contact_force")
+    names = loaded("0.2")
+    assert any(steps in name for name in names)
+    assert not any(reading in name for name in names for reading in readings)
+    names = loaded("0.05")
+    assert all(any(part in name for name in names) for part in (steps, *readings))
