@@ -27,7 +27,7 @@ from warpcontact.kernels import types
 from warpcontact.model import Model
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
-from warpcontact.patches import Patches, make_patches, upload_patches
+from warpcontact.patches import Known, Patches, make_patches, upload_patches
 from warpcontact.piles.pile import make_piles
 from warpcontact.quarantine import add_guard
 from warpcontact.readings import readings_of
@@ -66,8 +66,10 @@ def build(
     return draw_up(scene, device, precision).build(checks.whole("envs", envs))
 
 
-def draw_up(scene: Scene, device: str | Sequence[str] = "auto", precision: str = "float32") -> Draft:
-    """Prepares a model of ``scene``; arguments and errors are those of ``build``."""
+def draw_up(
+    scene: Scene, device: str | Sequence[str] = "auto", precision: str = "float32", known: Known | None = None
+) -> Draft:
+    """Prepares a model of ``scene``; arguments and errors are those of ``build``, and of ``make_patches``."""
     checks.choice("precision", precision, tuple(PRECISIONS))
     if not scene.bodies:
         raise ValueError("the scene has no body; add_body adds one")
@@ -76,7 +78,7 @@ def draw_up(scene: Scene, device: str | Sequence[str] = "auto", precision: str =
     contacts = [contact for group in groups for contact in group]
     # What is the same on all devices.
     blocks = make_blocks(contacts, sum(body.count for body in scene.bodies))
-    common = _Common(scene.snapshot(), precision, groups, contacts, blocks, make_patches(contacts))
+    common = _Common(scene.snapshot(), precision, groups, contacts, blocks, make_patches(contacts, known))
     return Draft(tuple(_draw_up_on(where, common) for where in devices))
 
 

@@ -14,6 +14,7 @@ from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.devices import spread
 from warpcontact.drives import Drive
 from warpcontact.footprint import Footprint, Need, require, total
+from warpcontact.formula_errors import of_users
 from warpcontact.groups import Group, compile_forces
 from warpcontact.model import Model
 from warpcontact.of_scene import OfScene
@@ -89,8 +90,10 @@ class PartDraft(OfScene):
         Raises:
             TypeError: If a law, a friction, a spring or a motion does not compile.
         """
+        # What is the library's own compiles, with all that is launched, side by side.
         for group in self.groups:
-            compile_forces(group.parts, group.kernel, self.device, self.types.real)
+            if of_users(group.parts):
+                compile_forces(group.parts, group.kernel, self.device, self.types.real)
         for contacts in self.smooth:
             contacts.compile(self.device)
         for couplings in self.couplings:

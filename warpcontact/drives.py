@@ -12,7 +12,7 @@ from warpcontact.arrays import Layout
 from warpcontact.checks import Array
 from warpcontact.compiling import load
 from warpcontact.elements import Body
-from warpcontact.formula_errors import told_by_warp
+from warpcontact.formula_errors import of_users, told_by_warp
 from warpcontact.kernels.formula import unit_vectors
 from warpcontact.kernels.motions import Motion, driven
 from warpcontact.kernels.types import DRIVEN, FREE, BodyMotion
@@ -43,11 +43,13 @@ class Drive:
         return [self.arrays.members, self.arrays.coefficients, self.arrays.samples]
 
     def compile(self, device: wp.Device, real: type) -> None:
-        """Compiles its step, so that a mistake in a user's motion shows at once.
+        """Compiles the step of a user's motion, so that a mistake in it shows at once.
 
         Raises:
             TypeError: If it does not compile.
         """
+        if not of_users([self.motion]):
+            return
         try:
             load(driven.follow(self.motion, real), device)
         except Exception as error:

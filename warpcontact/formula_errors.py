@@ -18,6 +18,11 @@ _TYPE = re.compile(r"<class '(?:\w+\.)*(\w+)'>|wp::| \((?:\w+\.)+\w+\)")
 _NOT_THEIRS = tuple(Path(str(package.__file__)).parent for package in (kernels, wp))
 
 
+def of_users(formulas: Iterable[type[Formula]]) -> bool:
+    """Returns whether any of these is a user's, which may not compile."""
+    return not all(formula.__module__.startswith("warpcontact.kernels.") for formula in formulas)
+
+
 @contextlib.contextmanager
 def explained(
     formulas: Mapping[str, type[Formula]],

@@ -31,7 +31,7 @@ class Group:
         parts: The classes of law and frictions.
         projected: Whether its contacts are weighed by the normals of their points.
         moves: Whether bodies that are not free oppose to its forces what their motions let them.
-        kernel: Their force kernel.
+        real: Type of a real number.
         first: Index of the first contact.
         count: Number of contacts.
         first_block: Index of their first block.
@@ -48,7 +48,7 @@ class Group:
     parts: Parts
     projected: bool
     moves: bool
-    kernel: wp.Kernel
+    real: type
     first: int
     count: int
     first_block: int
@@ -60,6 +60,11 @@ class Group:
     coefficients: Any
     memory: Any
     kept: Any
+
+    @property
+    def kernel(self) -> wp.Kernel:
+        """Their force kernel. Where steps are taken in place it may never be needed."""
+        return contact_force.kernel(self.parts, self.real, self.moves, self.projected)
 
     def of_memory(self, part: str, name: str) -> wp.array:
         """Returns what ``part`` remembers as ``name``, a view (envs, contact of the group)."""
@@ -108,12 +113,11 @@ def make_group(
             layout.array("contacts", target, part, memory_struct(formula, real), shape)
     # Only a mass depends on how bodies may move.
     moves = moves and parts.law.needs_mass
-    kernel = contact_force.kernel(parts, real, moves, projected)
     return Group(
         parts,
         projected,
         moves,
-        kernel,
+        real,
         first,
         count,
         *blocks.of_contacts(first, count),
@@ -139,13 +143,11 @@ def memory_view(memory: wp.array, name: str) -> wp.array:
 
 
 def compile_forces(parts: Parts, kernel: wp.Kernel, device: wp.Device, real: type) -> None:
-    """Compiles a force kernel of ``parts`` if any is a user's, so that a mistake in it shows at once.
+    """Compiles a force kernel of ``parts``, so that a mistake in a user's law shows at once.
 
     Raises:
         TypeError: If a law or friction does not compile.
     """
-    if all(formula.__module__.startswith("warpcontact.") for formula in parts):
-        return  # with what is launched, side by side, if it is
     t = structs(real)
     present = {part: formula for part, formula in parts._asdict().items() if formula is not Frictionless}
     with explained(

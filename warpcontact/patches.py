@@ -6,6 +6,7 @@ error (Bærentzen & Aanæs, IEEE TVCG 11 (2005) 243); a face normal, or Warp's o
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,7 +24,7 @@ from warpcontact.meshes.examine import SLIVER_LIMIT
 from warpcontact.meshes.topology import angles, directions, slenderness
 from warpcontact.scene import Contact
 from warpcontact.sides import Sides, sides_of
-from warpcontact.tree import declare_trees
+from warpcontact.tree import Tree, declare_trees, make_tree
 
 # Warp's queries skip triangles slimmer than the limit, which they compute in float32.
 SLIVER = 1.2 * SLIVER_LIMIT
@@ -46,6 +47,11 @@ class Patch:
     edge: float  # length of a usual edge
     area: float  # of all faces together
     sides: Sides
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The tree that is searched on a CPU."""
+        return make_tree(self.corner, self.normal[:, 0])
 
     @property
     def skin(self) -> float:
@@ -107,10 +113,14 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
         normal=normal,
         flags=flags,
         neighbor=neighbor,
-        edge=float(np.median(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2))),
+        edge=_median(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).ravel()),
         area=0.5 * float(twice_area.sum()),
         sides=sides_of(mesh, corner, ends, neighbor, whole=whole),
     )
+
+
+#: Patches by their mesh, its active faces, the origin of the tables, and whether the other faces are left out.
+Known = dict[tuple[Mesh, bytes, bytes, bool], Patch]
 
 
 @dataclass(frozen=True)
@@ -179,12 +189,17 @@ class Patches:
         return WIDTH * math.ceil(min(most, MOST_REMEMBERED) / WIDTH)
 
 
-def make_patches(contacts: list[Contact]) -> Patches:
+def make_patches(contacts: list[Contact], known: Known | None = None) -> Patches:
     """Returns the patches of ``contacts``.
+
+    Args:
+        contacts: The contacts.
+        known: Patches that were made before, and will be; filled.
 
     Raises:
         ValueError: If a face has no area left in float32, in which queries search.
     """
+    known = {} if known is None else known
     rows: dict[tuple[int, bool], int] = {}
     numbers: dict[tuple[Any, ...], int] = {}
     made = Patches([], [], [], [], {})
@@ -195,7 +210,10 @@ def make_patches(contacts: list[Contact]) -> Patches:
         if key not in rows:
             rows[key] = len(made.patches)
             for mesh, active in zip(surface.meshes, surface.active, strict=True):
-                patch = make_patch(mesh, active, surface.centre, only_active=only_active)
+                what = (mesh, active.tobytes(), surface.centre.tobytes(), only_active)
+                patch = known.get(what)
+                if patch is None:
+                    patch = known[what] = make_patch(mesh, active, surface.centre, only_active=only_active)
                 made.patches.append(patch)
                 made.surfaces.append(surface.index)
                 # Meshes that differ in what is active alone are searched as one.
@@ -259,11 +277,18 @@ def upload_patches(
         ]
         send("face_neighbor", np.concatenate(shifted), wp.int32)
         first = [made.searched.index(mesh) for mesh in range(len(made.corners))]
-        faces = [(patches[patch].corner, patches[patch].normal[:, 0]) for patch in first]
-        declare_trees(faces, made.searched, model, layout)
+        own = [patches[number] for number in first]
+        counts = [len(patch.corner) for patch in own]
+        declare_trees(counts, lambda: [patch.tree for patch in own], made.searched, model, layout)
         # Last, as they are filled from all of this.
         declare_grids(grids, len(patches), model, layout, t)
     return meshes
+
+
+def _median(values: Array) -> float:
+    """Returns the median of numbers (n,), without the masked arrays that NumPy imports for that."""
+    around = [(len(values) - 1) // 2, len(values) // 2]
+    return float(np.partition(values, around)[around].mean())
 
 
 def _frames(patch: Patch) -> Array:

@@ -104,7 +104,7 @@ def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[n
     # Its rim, corner by corner: one loop.
     rim = np.argwhere(neighbor < 0)
     start, end = ends[rim[:, 0], rim[:, 1]].T
-    if not len(start) or len(np.unique(start)) < len(start):
+    if not len(start) or np.bincount(start).max() > 1:
         return Sides()
     following = dict(zip(start.tolist(), end.tolist(), strict=True))
     place = dict(zip(start.tolist(), corner[rim[:, 0], rim[:, 1]], strict=True))

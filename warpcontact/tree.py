@@ -4,7 +4,7 @@ What bounds a branch, or a face, is a disk of some thickness across the mean nor
 surface that is as thin as the surface is flat, where boxes along the axes are as thick as it is steep.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -153,29 +153,26 @@ def _dot(points: Array, axis: Array) -> Array:
 
 
 def declare_trees(
-    meshes: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
-    searched: Sequence[int],
-    model: Any,
-    layout: Layout,
+    counts: Sequence[int], grow: Callable[[], list[Tree]], searched: Sequence[int], model: Any, layout: Layout
 ) -> None:
     """Declares the trees of the patches of ``model``, on a CPU; a GPU has none.
 
     Args:
-        meshes: Corners (F, 3, 3) and unit normals (F, 3) of the faces of each mesh.
+        counts: Number of faces of each mesh.
+        grow: Returns the tree of each.
         searched: For each patch, the number of its mesh.
         model: What is to have them.
         layout: Where it lies.
     """
     if not layout.device.is_cpu:
-        meshes = ()
-    counts = [len(corner) for corner, _ in meshes]
+        counts = ()
     nodes = np.cumsum([0, *map(node_count, counts)])
     places = np.cumsum([0, *map(place_count, counts)])
-    rows = [(nodes[k], nodes[k + 1] - nodes[k], _shape(counts[k])[0], places[k]) for k in searched if meshes]
+    rows = [(nodes[k], nodes[k + 1] - nodes[k], _shape(counts[k])[0], places[k]) for k in searched if counts]
     layout.content("surfaces", model, "patch_tree", np.array(rows).reshape(-1, 4), wp.vec4i)
 
     def make(_: int) -> None:
-        trees = [make_tree(*mesh) for mesh in meshes]
+        trees = grow() if counts else []
         none = Tree(0, np.zeros(0, dtype=np.int32), np.zeros((0, BOUND, BRANCHES), dtype=np.float32))
         bounds = np.concatenate([tree.bounds for tree in (none, *trees)]).ravel()
         faces = np.concatenate([tree.faces for tree in (none, *trees)])

@@ -13,7 +13,7 @@ from warpcontact.compiling import load
 from warpcontact.couplings import elements
 from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.couplings.elements import SpringDamper
-from warpcontact.formula_errors import explained
+from warpcontact.formula_errors import explained, of_users
 from warpcontact.kernels.couplings import spring
 from warpcontact.kernels.couplings.spring import SpringParts
 from warpcontact.kernels.formula import coefficient_struct
@@ -143,11 +143,13 @@ class SpringSet(CouplingSet):
         wp.launch(kernel, dim=(envs, self.count), inputs=[chosen, self._springs], device=device)
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles the force kernel.
+        """Compiles the force kernel of a user's formulas, so that a mistake in them shows at once.
 
         Raises:
             TypeError: If a formula does not compile.
         """
+        if not of_users(self.parts):
+            return
         stretch = spring.spring_structs(self.types.real).Stretch
         present = {part: formula for part, formula in self.parts._asdict().items() if formula is not Undamped}
         said = "\nConstants take the precision of the simulation when written as type(s.length)(1.5)."

@@ -1,6 +1,7 @@
 """From the parts of an experiment to a scene; whatever cannot be added is reported with its key and left out."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from warpcontact.experiment.schema import (
     TemplateSettings,
 )
 from warpcontact.meshes import Mesh, MeshError, load_mesh
+from warpcontact.patches import Known
 from warpcontact.scene import Scene, Template
 from warpcontact.surface_contact import sample_of
 
@@ -37,8 +39,22 @@ _SHAPE = ("shape", ("shape",))
 _TEMPLATE = ("template", ("template",))
 
 
-#: Meshes by the key of their surface and by what the file says of them: of several alike, one is read.
-Loaded = dict[tuple[str, FileMesh | ShapeMesh], Mesh]
+@dataclass
+class Loaded:
+    """What was read of an experiment, and is not read again.
+
+    Attributes:
+        meshes: By the key of their surface and by what the file says of them: of several alike, one is read.
+        patches: What was made of them for a trial, as long as no model was built.
+    """
+
+    meshes: dict[tuple[str, FileMesh | ShapeMesh], Mesh] = field(default_factory=dict)
+    patches: Known = field(default_factory=dict)
+
+    def take_patches(self) -> Known:
+        """Returns the patches, which are kept no longer."""
+        patches, self.patches = self.patches, {}
+        return patches
 
 
 class _Unresolved(Exception):
@@ -51,7 +67,7 @@ class Assembler:
     Args:
         parts: What there is.
         folder: Folder to which the names of mesh files are relative.
-        loaded: Meshes that were read before; filled, so that each is read once.
+        loaded: What was read before; filled, so that each mesh is read once.
     """
 
     def __init__(self, parts: Parts, folder: Path, loaded: Loaded) -> None:
@@ -130,19 +146,19 @@ class Assembler:
         return scene.add_surface(meshes, body, **options)
 
     def _mesh(self, path: str, key: str, mesh: FileMesh | ShapeMesh, name: str, problems: Problems) -> Mesh | None:
-        if (path, mesh) in self.loaded:
-            return self.loaded[path, mesh]
+        if (path, mesh) in self.loaded.meshes:
+            return self.loaded.meshes[path, mesh]
         try:
             if isinstance(mesh, FileMesh):
                 options = mesh.model_dump(exclude={"file"})
-                self.loaded[path, mesh] = load_mesh(self.folder / mesh.file, name=name, **options)
+                self.loaded.meshes[path, mesh] = load_mesh(self.folder / mesh.file, name=name, **options)
             else:
-                self.loaded[path, mesh] = mesh.make(name)
+                self.loaded.meshes[path, mesh] = mesh.make(name)
         except MeshError as error:
             problems.add(f"{path}.{key}{'.file' if isinstance(mesh, FileMesh) else ''}", f": {error}")
         except ValueError as error:
             problems.add(f"{path}.{key}", f".{error}")
-        return self.loaded.get((path, mesh))
+        return self.loaded.meshes.get((path, mesh))
 
     def _points(self, scene: Scene, path: str, entry: PointSettings | PointsSettings, problems: Problems) -> Any:
         key, kind = ("body", _BODY) if entry.surface is None else ("surface", _SURFACE)

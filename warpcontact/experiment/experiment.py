@@ -84,7 +84,7 @@ class Experiment:
     ) -> None:
         self.folder = Path(folder)
         self.source = source
-        self._loaded: Loaded = {}
+        self._loaded = Loaded()
         self._own = OwnFiles(self.folder, on_stage or _say_nothing)
         self._check(content)
 
@@ -301,7 +301,7 @@ class Experiment:
         for i, surface in enumerate(self.settings.surface):
             for mesh in surface.meshes.values():
                 if isinstance(mesh, FileMesh):
-                    notices.add_mesh(mesh.file, self._loaded[f"surface[{i}]", mesh].report)
+                    notices.add_mesh(mesh.file, self._loaded.meshes[f"surface[{i}]", mesh].report)
 
     def _tell_of_sampling(self, notices: Notices) -> None:
         if isinstance(self.design.sampler, Sobol) and (envs := self.settings.envs) & (envs - 1):
@@ -339,7 +339,7 @@ class Experiment:
     def draft(self, device: str | Sequence[str] = "auto") -> Draft:
         """Prepares any number of environments on ``device``, with values that do not vary."""
         try:
-            return draw_up(self.scene(), device, self.settings.precision)
+            return draw_up(self.scene(), device, self.settings.precision, self._loaded.take_patches())
         except ValueError as error:
             raise ExperimentError(self.source, [str(error)]) from None
 

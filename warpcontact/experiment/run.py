@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from warpcontact.contact_coupling_report import CouplingReport, report_of
 from warpcontact.experiment import folder as files_of
-from warpcontact.experiment.assemble import Assembler
+from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.errors import ExperimentError, Problems, shown
 from warpcontact.experiment.lock import is_written
 from warpcontact.experiment.own import OwnFiles
@@ -60,7 +60,7 @@ class Run:
         if self._scene is not None:
             return self._scene
         problems = Problems()
-        scene = Assembler(Parts.of_settings(self.settings), self.folder, {}).scene(problems)
+        scene = Assembler(Parts.of_settings(self.settings), self.folder, Loaded()).scene(problems)
         problems.stop(str(self.folder / files_of.EXPERIMENT))
         return scene
 

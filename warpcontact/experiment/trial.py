@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from warpcontact import meshes
+from warpcontact.build import draw_up
 from warpcontact.environments import Environments
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FormulaSettings, own_class
@@ -20,6 +21,7 @@ from warpcontact.kernels.laws import Hooke
 from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.smooth.shapes import Shape, Sphere
 from warpcontact.kernels.springs import Damper, Linear, Spring
+from warpcontact.patches import Known
 from warpcontact.scene import Scene, Template
 
 
@@ -29,12 +31,12 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     Args:
         parts: What there is; tables with a class that does not work are taken out.
         folder: Folder to which the names of mesh files are relative.
-        loaded: Meshes that were read before; filled.
+        loaded: What was read before; filled, with patches too.
         problems: Receives what is wrong.
     """
     precision = parts.settings.precision if parts.settings else "float32"
     scene = Assembler(parts, folder, loaded).scene(problems)
-    model, error = _built(scene, precision)
+    model, error = _built(scene, precision, loaded.patches)
     # What the model contains works. The rest, or everything if there is none, is tried piece by piece.
     working = set() if model is None else _classes(scene)
     faults = 0
@@ -46,7 +48,8 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
             faults += 1
     if faults and model is None:
         # Once more without them, so that the other problems are found, too; those of the parts are known.
-        model, error = _built(Assembler(parts, folder, loaded).scene(Problems()), precision)
+        scene = Assembler(parts, folder, loaded).scene(Problems())
+        model, error = _built(scene, precision, loaded.patches)
     if isinstance(error, ValueError):
         message = str(error)
         paths = {entry.name: path for _, path, entry in parts}
@@ -57,14 +60,16 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
     return model
 
 
-def _built(scene: Scene, precision: str) -> tuple[Environments | None, Exception | None]:
-    """Returns a model of one environment, or why there is none."""
+def _built(
+    scene: Scene, precision: str, known: Known | None = None
+) -> tuple[Environments | None, Exception | None]:
+    """Returns a model of one environment, or why there is none; patches are kept as ``known``."""
     if not scene.bodies:
         return None, None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the model that runs warns again
-            return scene.build(1, "cpu", precision), None
+            return draw_up(scene, "cpu", precision, known).build(1), None
     except Exception as error:
         return None, error
 

@@ -212,7 +212,9 @@ def meets_another(points: npt.NDArray[np.float64], near: float) -> npt.NDArray[n
         along = (points[found] - points[:1]) @ direction  # from one of them: places far away are rounded
         order = np.argsort(along)
         close = np.diff(along[order]) <= near
-        found = found[np.union1d(order[1:][close], order[:-1][close])]
+        one = np.zeros(len(found), dtype=bool)
+        one[order[1:][close]] = one[order[:-1][close]] = True
+        found = found[one]
     if len(found):
         from scipy.spatial import KDTree
 

@@ -12,6 +12,7 @@ from warpcontact import checks, frames
 from warpcontact import elements as limits_of
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.checks import Array
+from warpcontact.formula_errors import of_users
 from warpcontact.groups import compile_forces
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.memory import memory_struct
@@ -330,12 +331,13 @@ class Pile:
         return ENTRY_BYTES * self.entries + SHAPE_BYTES * self.contact.count
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles the force kernel, so that a mistake in a user's law shows at once.
+        """Compiles the force kernel of a user's law, so that a mistake in it shows at once.
 
         Raises:
             TypeError: If a law or friction does not compile.
         """
-        compile_forces(self._parts, self._kernel, device, self.real)
+        if of_users(self._parts):
+            compile_forces(self._parts, self._kernel, device, self.real)
 
     @property
     def sums_by_body(self) -> bool:

@@ -12,7 +12,7 @@ from warpcontact import checks
 from warpcontact import elements as limits_of
 from warpcontact.arrays import fixed, per_env
 from warpcontact.compiling import load
-from warpcontact.formula_errors import told_by_warp
+from warpcontact.formula_errors import of_users, told_by_warp
 from warpcontact.groups import compile_forces, memory_view
 from warpcontact.kernels import reset
 from warpcontact.kernels.formula import Formula, coefficient_struct
@@ -276,12 +276,14 @@ class SmoothSet:
             wp.launch(reset.memory(formula, self.real), dim=shape, inputs=[chosen, memory], device=device)
 
     def compile(self, device: wp.Device) -> None:
-        """Compiles its kernels, so that a mistake in a user's law or shape shows at once.
+        """Compiles kernels of users' laws and shapes, so that a mistake in them shows at once.
 
         Raises:
             TypeError: If a law, a friction or a shape does not compile.
         """
         for kinds, _ in self.ranges:
+            if not of_users(kinds):
+                continue
             kernel = detect.kernel(*kinds, self.real, self.curved, self.oriented)
             try:
                 load(kernel, device)
@@ -294,7 +296,8 @@ class SmoothSet:
                     f"shape {kinds[0].__name__} with shape {kinds[1].__name__} does not compile: {text}\n{given}\n"
                     "All of a shape is in float64: constants are written as wp.float64(1.5)."
                 ) from error
-        compile_forces(self.parts, self.kernel, device, self.real)
+        if of_users(self.parts):
+            compile_forces(self.parts, self.kernel, device, self.real)
 
     def failures(self, contact: SmoothContact) -> NDArray[np.int32]:
         """Returns in how many steps since reset it was not found where ``contact`` is, (envs, items)."""
