@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import warpcontact as wc
 from warpcontact import Status
-from warpcontact.advice import looks
+from warpcontact.advice import to_search
 from warpcontact.clearance import is_clear
 
 LAW = wc.Template(law=wc.laws.Hooke(stiffness=1e4))
@@ -25,9 +25,9 @@ def surfaces(scene, kind):
         return scene.add_surface(TERRAIN, orientation=turn(0.5, (1, 2, 0.5)), flip=True), {}
     if kind == "solid":
         return scene.add_surface(wc.meshes.icosphere(0.5), scale=0.8, position=(0.2, 0.0, -0.1)), {}
-    if kind == "half of a solid":
-        sphere = wc.meshes.icosphere(0.5)
-        return scene.add_surface(sphere, active_faces=lambda c: c[:, 2] > 0.0), {"search": "active"}
+    if kind == "top of a box":
+        box = wc.meshes.box((1.0, 1.2, 0.4))
+        return scene.add_surface(box, active_faces=lambda c: c[:, 2] > 0.19), {"search": "active"}
     if kind == "container":
         return scene.add_surface(CONTAINER), {}
     if kind == "plate of a body":
@@ -45,6 +45,9 @@ def turn(angle, axis):
 
 def points_of(scene, form):
     """Adds what touches; returns its points, and a radius."""
+    if form == "set of bodies":
+        three = scene.add_bodies(np.zeros((3, 3)), 1.0, (1, 1, 1), name="body")
+        return scene.add_points(three, np.zeros((3, 3))), 0.1
     body = scene.add_body(1.0, (1, 1, 1), name="body")
     if form == "sphere":
         return scene.add_point(body, (0.05, 0, 0)), 0.1
@@ -54,40 +57,75 @@ def points_of(scene, form):
     return scene.add_points(hull, wc.sample_surface(hull.mesh, 30, seed=1)), 0.02
 
 
-KINDS = ["terrain", "turned terrain", "solid", "half of a solid", "container", "plate of a body", "one of two"]
+KINDS = ["terrain", "turned terrain", "solid", "top of a box", "container", "plate of a body", "one of two"]
 
 
-@pytest.mark.parametrize("form", ["sphere", "points", "hull"])
+@pytest.mark.parametrize("form", ["sphere", "points", "hull", "set of bodies"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_clear_touches_nothing(kind, form, device):
     scene = wc.Scene(gravity=(0, 0, 0))
     surface, options = surfaces(scene, kind)
     points, radius = points_of(scene, form)
+    options |= {"rim": "outer" if radius else "off", "entry": ("literal", "latched")[KINDS.index(kind) % 2]}
     contact = scene.add_contact(points, surface, LAW, name="touch", radius=radius, **options)
     envs = 40
-    model = scene.build(envs=envs, device=device)
-    rng = np.random.default_rng(KINDS.index(kind))
+    model = scene.build(envs=envs, device=device, precision=("float32", "float64")[len(form) % 2])
+    rng = np.random.default_rng([KINDS.index(kind), len(form)])
+
+    def vary(name, scale):
+        model[name] = model[name] + rng.normal(scale=scale, size=model[name].shape)
+
     clear, apart = 0, 0
-    for _ in range(100):
+    for number in range(100):
         # All environments about as far away, since one that is not clear speaks for all.
-        direction = rng.normal(size=3)
-        direction /= np.linalg.norm(direction)
-        place = rng.uniform(0.0, 2.0) * direction
+        place = rng.normal(size=3)
+        place *= rng.uniform(0.0, 2.0) / np.linalg.norm(place)
+        if number % 10 == 0:
+            place = np.array([0.0, 0.0, 1.5])
         for name in ["body", "carrier"][: 1 + (kind == "plate of a body")]:
-            model[f"{name}.position"] = place * (name == "body") + rng.normal(scale=0.05, size=(envs, 3))
-            model[f"{name}.orientation"] = Rotation.random(envs, random_state=rng).as_quat()
+            here = place * (name == "body") + rng.normal(scale=0.05, size=model[f"{name}.position"].shape)
+            model[f"{name}.position"] = here
+            turns = Rotation.random(here.size // 3, random_state=rng).as_quat()
+            model[f"{name}.orientation"] = turns.reshape(*here.shape[:-1], 4)
         if kind == "one of two":
             model[f"{surface.name}.mesh"] = rng.integers(2, size=envs)
+        if number == 50:  # so far all environments had the same
+            vary(f"{surface.name}.position", 0.02)
+            vary(f"{points.name}.position", 0.02)
+            model[f"{surface.name}.scale"] = model[f"{surface.name}.scale"] * rng.uniform(0.9, 1.1, size=envs)
+            model["touch.radius"] = radius * rng.uniform(0.9, 1.1, size=envs)
+            if form == "hull":
+                model["hull.scale"] = rng.uniform(0.6, 0.8, size=envs)
         touching = model.reading("touch.status") == Status.CONTACT
         apart += not touching.any()
-        if is_clear(model, contact):
+        if is_clear(model, contact, envs):
             clear += 1
             assert not touching.any()
-            assert not looks(model)
             gap = model.reading("touch.gap")
             assert (gap[~np.isnan(gap)] > 0.0).all()
+        assert is_clear(model, contact, envs) == (to_search(model, None) is None)
     assert apart > 0
-    assert (clear > 0) == (kind not in ("container", "half of a solid"))
+    # What is seen from inside has no outer side beyond its bounds.
+    assert (clear > 0) == (kind != "container")
+
+
+def test_far_from_the_origin_what_is_near_is_not_clear():
+    """Of coordinates of kilometres float32 has tenths of millimetres."""
+    tilted = turn(0.7, (1, 0.3, 0.2))
+    corners = Rotation.from_quat(tilted).apply(np.array(wc.meshes.grid((1e4, 1e4)).vertices))
+    scene = wc.Scene(gravity=(0, 0, 0))
+    plane = scene.add_surface(wc.Mesh(corners, wc.meshes.grid((1e4, 1e4)).faces))
+    up = Rotation.from_quat(tilted).apply((0, 0, 1))
+    near, away = (scene.add_body(1.0, (1, 1, 1), (0.1 + gap) * up) for gap in (1e-4, 1.0))
+    lever = scene.add_body(1.0, (1, 1, 1), (0.1 + 1e-4) * up - (1000, 0, 0))
+    arms = [
+        scene.add_point(near, (0, 0, 0)),
+        scene.add_point(lever, (1000, 0, 0)),
+        scene.add_point(away, (0, 0, 0)),
+    ]
+    contacts = [scene.add_contact(arm, plane, LAW, radius=0.1) for arm in arms]
+    model = scene.build(envs=2, device="cpu")
+    assert [is_clear(model, contact, 2) for contact in contacts] == [False, False, True]
 
 
 @pytest.mark.parametrize(("height", "expected"), [(0.1001, True), (0.0999, False), (-0.5, False), (np.nan, False)])
@@ -97,10 +135,10 @@ def test_a_sphere_is_clear_above_the_highest_place(height, expected):
     balls = scene.add_bodies([(0, 0, 1), (1, 0, 1)], 1.0, (1, 1, 1), name="balls")
     contact = scene.add_contact(scene.add_points(balls, np.zeros((2, 3))), ground, LAW, radius=0.1)
     model = scene.build(envs=3, device="cpu")
-    assert is_clear(model, contact)
+    assert is_clear(model, contact, model.envs)
     # As it is now, whoever wrote that.
     model.state.body_position.numpy()[1, 1, 2] = height
-    assert is_clear(model, contact) == expected
+    assert is_clear(model, contact, model.envs) == expected
 
 
 def test_who_is_beyond_a_rim_is_looked_for():
@@ -109,9 +147,9 @@ def test_who_is_beyond_a_rim_is_looked_for():
     ball = scene.add_body(1.0, (1, 1, 1), (1.8, 0, 1), name="ball")
     contact = scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, LAW, radius=0.1)
     model = scene.build(envs=2, device="cpu")
-    assert is_clear(model, contact)
+    assert is_clear(model, contact, model.envs)
     model["ball.position"] = [(0, 0, 1), (1.95, 0, 1)]
-    assert not is_clear(model, contact)
+    assert not is_clear(model, contact, model.envs)
 
 
 def test_a_first_step_of_a_clear_start_needs_no_kernel_of_readings():
@@ -140,3 +178,25 @@ print(*(name for name, module in context.user_modules.items() if module.execs))
     assert not any(reading in name for name in names for reading in readings)
     names = loaded("0.05")
     assert all(any(part in name for name in names) for part in (steps, *readings))
+
+
+def test_what_nobody_asks_for_is_not_searched():
+    def search(height, *, piled=False, integrator=None):
+        scene = wc.Scene()
+        ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)))
+        balls = scene.add_bodies([(0, 0, height), (1, 0, height)], 1.0, (1, 1, 1))
+        scene.add_contact(scene.add_points(balls, np.zeros((2, 3))), ground, LAW, radius=0.1, name="touch")
+        if piled:
+            scene.add_mutual_contact(scene.add_shape(balls, wc.shapes.Sphere(0.1)), LAW)
+        sim = wc.Simulation(scene.build(device="cpu"), 1e-3, integrator)
+        found = to_search(sim.model, sim._buffers[0].hard)
+        return None if found is None else [contact.name for contact in found]
+
+    assert search(0.05) == ["touch"]
+    assert search(0.2) is None
+    # How deep a pile starts is a reading that tells of contacts as well.
+    assert search(0.2, piled=True) == []
+    impulses = wc.integrators.MoreauJean()
+    assert search(0.05, integrator=impulses) == ["touch"]
+    assert search(0.2, integrator=impulses) is None
+    assert search(0.05, integrator=wc.integrators.MoreauJean(recovery_time=0.1)) is None

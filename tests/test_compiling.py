@@ -4,6 +4,7 @@ import subprocess
 import sys
 import threading
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from test_schedule import STUCK, falling_on, two_bodies
 from warpcontact.kernels import integrate
 
 import warpcontact as wc
-from warpcontact import stepping
+from warpcontact import drives, groups, stepping
 from warpcontact.compiling import load_all, round_each_product
+from warpcontact.couplings import springs
+from warpcontact.smooth import contact_sets
 
 CPU = SimpleNamespace(is_cuda=False)
 
@@ -140,3 +143,38 @@ def test_nothing_that_steps_and_frames_launch_is_left_to_be_compiled_alone(make,
     assert len(launched) > 3
     # What copies a frame is compiled in no time.
     assert {kernel.key for kernel in launched - compiled} <= {"take__locals__take_frame"}
+
+
+class OwnLaw(wc.Law):
+    stiffness: float = wc.parameter("N/m", "stiffness")
+
+    @wp.func
+    def force(p: Any, c: Any):
+        return p.stiffness * c.penetration
+
+
+def all_kinds(law):
+    """A contact, a smooth one, a pile, a spring and a motion, of formulas of the library but the law."""
+    scene = wc.Scene()
+    template = wc.Template(law=law, friction=wc.frictions.Tanh(mu=0.3, velocity_scale=0.1))
+    ground = scene.add_surface(wc.meshes.grid((4.0, 4.0)))
+    slow = wc.motions.Harmonic(direction=(0, 0, 1), amplitude=0.1, frequency=1.0)
+    ball, other, moved = (
+        scene.add_body(1.0, (1, 1, 1), (x, 0, 1), motion=motion) for x, motion in ((0, None), (1, None), (2, slow))
+    )
+    middle = scene.add_point(ball, (0, 0, 0))
+    scene.add_contact(middle, ground, template, radius=0.1)
+    round_ones = [scene.add_shape(body, wc.shapes.Sphere(0.1)) for body in (ball, other, moved)]
+    scene.add_smooth_contact(round_ones[0], round_ones[2], template)
+    scene.add_mutual_contact(round_ones[:2], template)
+    scene.add_spring_damper(middle, scene.add_point(None, (0, 0, 2)), spring=wc.springs.Linear(stiffness=1.0))
+    return scene
+
+
+@pytest.mark.parametrize(("law", "compiled"), [(wc.laws.Hooke, 0), (OwnLaw, 3)])
+def test_building_compiles_what_is_a_users_alone(law, compiled, monkeypatch):
+    loaded = []
+    for module in (groups, drives, contact_sets, springs):
+        monkeypatch.setattr(module, "load", lambda kernel, device: loaded.append(kernel))
+    all_kinds(law(stiffness=1e4)).build(device="cpu")
+    assert len(loaded) == compiled

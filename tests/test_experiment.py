@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
+from warpcontact import patches
 from warpcontact.experiment.catalogue import SHAPES
 from warpcontact.experiment.experiment import default_readings
 from warpcontact.experiment.schema import BodySettings, ContactSettings, SurfaceSettings
@@ -38,6 +39,28 @@ def content(**changes):
 
 def small_example():
     return wc.Experiment.from_toml(EXAMPLE).changed(envs=3, duration=0.06)
+
+
+def test_what_an_experiment_is_checked_with_serves_its_first_model(monkeypatch):
+    made = []
+    for name in ("make_patch", "make_tree"):
+        function = getattr(patches, name)
+
+        def counted(*args, name=name, function=function, **options):
+            made.append(name)
+            return function(*args, **options)
+
+        monkeypatch.setattr(patches, name, counted)
+    experiment = wc.Experiment.from_dict(content())
+    assert sorted(made) == ["make_patch", "make_tree"]
+    experiment.model(device="cpu")
+    assert len(made) == 2
+    # It is kept no longer, and of several experiments that are changes of one that of the last.
+    experiment.model(device=["cpu", "cpu"])
+    assert sorted(made) == ["make_patch"] * 2 + ["make_tree"] * 2
+    for envs in (2, 3):
+        experiment.changed(envs=envs)
+    assert len(experiment._loaded.patches) == 1
 
 
 def test_example_leaves_complete_results(device, tmp_path):

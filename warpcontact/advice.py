@@ -42,12 +42,29 @@ def level_outside() -> int:
     return level
 
 
-def looks(model: "Environments") -> bool:
-    """Returns whether ``advice`` looks for what touches: not where bounds tell that nothing does."""
+def to_search(model: "Environments", hard: "HardContacts | None") -> "frozenset[Contact] | None":
+    """Returns the contacts of points that ``advice`` searches for overlap; ``None``: it evaluates nothing at all.
+
+    Left out are those that bounds tell to be clear, and those whose overlap is all the same.
+    """
     scene = model.scene
-    if scene.smooth_contacts or scene.contact_couplings:
-        return True
-    return not all(is_clear(model, contact) for contact in scene.contacts)
+    found = frozenset(
+        contact
+        for contact in scene.contacts
+        if (envs := _envs_of(model, contact, hard)) and not is_clear(model, contact, envs)
+    )
+    # A reading of a pile is one of the contacts of points as well.
+    evaluated = scene.smooth_contacts or scene.contact_couplings or (scene.mutual_contacts and scene.contacts)
+    return found if found or evaluated else None
+
+
+def _envs_of(model: "Environments", contact: "Contact", hard: "HardContacts | None") -> int:
+    """Returns in how many environments the overlap at the start is looked at."""
+    if contact.facing is not None:
+        return 0
+    if hard is not None and not hard.acts(contact.name):
+        return 0 if hard.recovery > 0.0 else model.envs
+    return model.envs if contact.count == 1 else min(model.envs, LOOKED_AT)
 
 
 def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> list[str]:
@@ -70,18 +87,21 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
         return [] if hard is not None and hard.recovery > 0.0 else _about_rigid_overlap(model, name, dt)
 
     sentences = []
-    if looks(model):
+    near = to_search(model, hard)
+    if near is None:
+        near = frozenset()
+    else:
         model.evaluate()
     for coupling in model.scene.contact_couplings:
         sentences += contact_coupling_advice(model, coupling, dt)
     for contact in model.scene.contacts:
         if not acts(contact.name):
-            sentences += [] if is_clear(model, contact) else about_overlap(f"{contact.name}.penetration")
+            sentences += about_overlap(f"{contact.name}.penetration") if contact in near else []
             continue
         sentences += friction_advice(model, contact, dt)
         if contact.facing is not None:
             continue
-        envs = model.envs if contact.count == 1 else min(model.envs, LOOKED_AT)
+        envs = _envs_of(model, contact, hard)
         mass, speed = (values[:envs] for values in _mass_and_speed(model, contact))
         if contact.swept:
             sentences += _about_depth(model, contact, speed, dt)
@@ -95,7 +115,7 @@ def advice(model: "Environments", dt: float, hard: "HardContacts | None") -> lis
         stiffness, exponent = (np.broadcast_to(part, (envs, contact.count)) for part in elastic)
         together = _together(contact, stiffness, exponent, mass, speed)
         sentences += _about_steps(model, contact.name, contact_time(together, exponent, mass, speed), dt)
-        if is_clear(model, contact):
+        if contact not in near:
             continue
         depth = np.where(
             _reading(model, contact, "status") == CONTACT, _reading(model, contact, "penetration"), 0.0

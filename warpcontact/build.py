@@ -59,7 +59,7 @@ def build(
 
     Raises:
         ValueError: If an argument is out of range or the scene has no body.
-        TypeError: If a law or friction does not compile.
+        TypeError: If a law, a shape or such of a user does not compile.
         MemoryError: If they take more memory than there is on any of the devices or on this machine, with how many
             environments would fit; nothing has been allocated then.
     """

@@ -13,54 +13,74 @@ if TYPE_CHECKING:
     from warpcontact.model import Model
     from warpcontact.scene import Contact
 
-# Of the coordinates: more than float32 loses of them.
+# Of all coordinates on the way, together: more than float32 loses of them.
 ROUNDING = 1.0e-5
 
 
-def is_clear(model: "Environments", contact: "Contact") -> bool:
-    """Returns whether every point of ``contact`` is surely outside of its surface, in all environments.
+def is_clear(model: "Environments", contact: "Contact", envs: int) -> bool:
+    """Returns whether no point of ``contact`` can be inside of its surface, in the first ``envs`` environments.
 
     It is so above the whole of a terrain or bowl, over its rim, and beside the box about a solid. Of points that
     move together the ball about them is asked.
     """
-    return all(_is_clear_on(part, contact) for part in model.parts)
+    return all(
+        _is_clear_on(part, contact, min(envs - own.start, part.envs))
+        for part, own in model.shares()
+        if own.start < envs
+    )
 
 
-def _is_clear_on(part: "Model", contact: "Contact") -> bool:
+def _is_clear_on(part: "Model", contact: "Contact", envs: int) -> bool:
     points, surface = contact.points, contact.surface
-    # All are (1 or envs, items, …).
-    places = part.parameters[f"{points.name}.position"].values
-    if points.surface is not None:
-        position, orientation, scale = _pose_on_body(part, points.surface)
-        places = placed(scale[..., None] * places, position[:, 0], orientation[:, 0])
+
+    # All that follows is (1 or envs, items, …).
+    def values(name: str) -> Array:
+        return part.parameters[name].values[:envs]
+
+    def pose_on_body(own: "Surface") -> list[Array]:
+        return [values(f"{own.name}.{name}") for name in ("position", "orientation")]
+
+    places = values(f"{points.name}.position")
     low, high = places, places
     if not points.spread:
         low, high = places.min(axis=1, keepdims=True), places.max(axis=1, keepdims=True)
     middle, size = 0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=-1)
+    if points.surface is not None:
+        scale = values(f"{points.surface.name}.scale")
+        middle, size = _out_of(scale[..., None] * middle, *pose_on_body(points.surface)), scale * size
+    far = _largest(middle)
     if points.body is not None:
-        middle = placed(middle[..., None, :], *_pose(part, points.body))[..., 0, :]
-    far = np.abs(middle).max(axis=-1)
-    if surface.body is not None:
-        middle = _seen_from(middle, *_pose(part, surface.body))
-        far = far + np.abs(middle).max(axis=-1)
-    position, orientation, scale = _pose_on_body(part, surface)
-    middle = _seen_from(middle, position, orientation) / scale[..., None] - surface.centre
-    radius = part.parameters[f"{contact.name}.radius"].values.max(axis=1, keepdims=True)
+        pose = _pose(part, points.body, envs)
+        middle = _out_of(middle, *pose)
+        far = far + _largest(pose[0]) + _largest(middle)
+    poses = [] if surface.body is None else [_pose(part, surface.body, envs)]
+    for pose in (*poses, pose_on_body(surface)):
+        middle = _into(middle, *pose)
+        far = far + _largest(pose[0]) + _largest(middle)
+    scale = values(f"{surface.name}.scale")
+    far = far + scale * max(np.abs(mesh.bounds).max() for mesh in surface.meshes)
+    radius = values(f"{contact.name}.radius").max(axis=1, keepdims=True)
     needed = (size + radius + ROUNDING * far) / scale
-    return all(bool((sides.clearance(middle) > needed).all()) for sides in part.sides[contact])
+    seen = middle / scale[..., None] - surface.centre
+    return all(bool((sides.clearance(seen) > needed).all()) for sides in part.sides[contact])
 
 
-def _pose_on_body(part: "Model", surface: "Surface") -> list[Array]:
-    """Returns position, orientation and scale of a surface, (1 or envs, 1, …)."""
-    return [part.parameters[f"{surface.name}.{name}"].values for name in ("position", "orientation", "scale")]
+def _largest(places: Array) -> Array:
+    """Returns the largest coordinate of each place."""
+    return np.asarray(np.abs(places).max(axis=-1))
 
 
-def _pose(part: "Model", body: "Body") -> list[Array]:
+def _pose(part: "Model", body: "Body", envs: int) -> list[Array]:
     """Returns where a body is now, or those of a set are, and how they are turned, (envs, n, …)."""
     whole = part.state.body_position, part.state.body_orientation
-    return [values.numpy()[:, body.items].astype(np.float64) for values in whole]
+    return [array[:envs, body.items].numpy().astype(np.float64) for array in whole]
 
 
-def _seen_from(places: Array, position: Array, orientation: Array) -> Array:
-    """Returns places in a frame that has this pose where they are given."""
-    return placed((places - position)[..., None, :], np.zeros(3), inverse(orientation))[..., 0, :]
+def _out_of(places: Array, position: Array, orientation: Array) -> Array:
+    """Returns places of a frame, one of each, in the frame in which it has this pose."""
+    return placed(places[..., None, :], position, orientation)[..., 0, :]
+
+
+def _into(places: Array, position: Array, orientation: Array) -> Array:
+    """Returns places in a frame, one in each, that has this pose where they are given."""
+    return _out_of(places - position, np.zeros(3), inverse(orientation))

@@ -14,8 +14,7 @@ from warpcontact.couplings.coupling_set import CouplingSet
 from warpcontact.devices import spread
 from warpcontact.drives import Drive
 from warpcontact.footprint import Footprint, Need, require, total
-from warpcontact.formula_errors import of_users
-from warpcontact.groups import Group, compile_forces
+from warpcontact.groups import Group
 from warpcontact.model import Model
 from warpcontact.of_scene import OfScene
 from warpcontact.parameters import Parameter, Parameters, needs_of
@@ -88,12 +87,11 @@ class PartDraft(OfScene):
         """Returns the model of ``envs`` environments; once.
 
         Raises:
-            TypeError: If a law, a friction, a spring or a motion does not compile.
+            TypeError: If a law, a friction, a shape, a spring or a motion of a user does not compile.
         """
-        # What is the library's own compiles, with all that is launched, side by side.
+        # What is the library's own does, and waits for whatever launches it.
         for group in self.groups:
-            if of_users(group.parts):
-                compile_forces(group.parts, group.kernel, self.device, self.types.real)
+            group.compile(self.device)
         for contacts in self.smooth:
             contacts.compile(self.device)
         for couplings in self.couplings:
@@ -156,7 +154,7 @@ class Draft:
 
         Raises:
             MemoryError: If it takes more memory than there is.
-            TypeError: If a law or friction does not compile.
+            TypeError: If a law, a shape or such of a user does not compile.
         """
         # Whether steps are to be captured is for the simulation to say.
         require(lambda count: self.memory(count, graphs=False), envs)

@@ -1,6 +1,6 @@
 """Contacts grouped by the code of their law and friction: one launch of the force kernel per group."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.blocks import Blocks
 from warpcontact.compiling import load
 from warpcontact.contact_couplings import ContactCouplings
-from warpcontact.formula_errors import explained
+from warpcontact.formula_errors import explained, of_users
 from warpcontact.kernels import contact_force
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.frictions import Frictionless
@@ -65,6 +65,14 @@ class Group:
     def kernel(self) -> wp.Kernel:
         """Their force kernel. Where steps are taken in place it may never be needed."""
         return contact_force.kernel(self.parts, self.real, self.moves, self.projected)
+
+    def compile(self, device: wp.Device) -> None:
+        """Compiles the force kernel of users' laws and frictions, so that a mistake in them shows at once.
+
+        Raises:
+            TypeError: If one does not compile.
+        """
+        compile_forces(self.parts, lambda: self.kernel, device, self.real)
 
     def of_memory(self, part: str, name: str) -> wp.array:
         """Returns what ``part`` remembers as ``name``, a view (envs, contact of the group)."""
@@ -142,12 +150,14 @@ def memory_view(memory: wp.array, name: str) -> wp.array:
     )
 
 
-def compile_forces(parts: Parts, kernel: wp.Kernel, device: wp.Device, real: type) -> None:
-    """Compiles a force kernel of ``parts``, so that a mistake in a user's law shows at once.
+def compile_forces(parts: Parts, kernel: Callable[[], wp.Kernel], device: wp.Device, real: type) -> None:
+    """Compiles a force kernel if any of its ``parts`` is a user's, so that a mistake in that shows at once.
 
     Raises:
         TypeError: If a law or friction does not compile.
     """
+    if not of_users(parts):
+        return
     t = structs(real)
     present = {part: formula for part, formula in parts._asdict().items() if formula is not Frictionless}
     with explained(
@@ -158,7 +168,7 @@ def compile_forces(parts: Parts, kernel: wp.Kernel, device: wp.Device, real: typ
         "type(s.speed)(1.5) in a friction.",
         "\nThe force of a law is a number, that of a friction a vector.",
     ):
-        load(kernel, device)
+        load(kernel(), device)
 
 
 def _add_formula(

@@ -194,7 +194,7 @@ def make_patches(contacts: list[Contact], known: Known | None = None) -> Patches
 
     Args:
         contacts: The contacts.
-        known: Patches that were made before, and will be; filled.
+        known: Patches that are there already; those that are made here are added.
 
     Raises:
         ValueError: If a face has no area left in float32, in which queries search.

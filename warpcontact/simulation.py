@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warpcontact import checkpoint, checks
-from warpcontact.advice import ContactWarning, advice, level_outside, looks
+from warpcontact.advice import ContactWarning, advice, level_outside, to_search
 from warpcontact.arrays import Layout
 from warpcontact.available import HOST, available_threads
 from warpcontact.captures import beside_captures
@@ -357,13 +357,14 @@ class Simulation:
 
     def _compile(self, needs: Set[str]) -> None:
         """Compiles what comes up from here on, with looks for ``needs``, unless somebody steps already."""
-        if self._prepared[1] is not None:
+        on_cpu = [own for own in zip(self.model.parts, self._buffers, strict=True) if own[0].device.is_cpu]
+        if self._prepared[1] is not None or not on_cpu:
             return
-        first = [EVALUATED] if self.model.at_start and not self.advised and looks(self.model) else []
         with beside_captures():
-            for part, buffers in zip(self.model.parts, self._buffers, strict=True):
-                if part.device.is_cpu:
-                    compile_steps(part, self._stepper(part, buffers, Tally), [*first, needs], self.threads)
+            advises = self.model.at_start and not self.advised
+            first = [EVALUATED] if advises and to_search(self.model, self._buffers[0].hard) is not None else []
+            for part, buffers in on_cpu:
+                compile_steps(part, self._stepper(part, buffers, Tally), [*first, needs], self.threads)
 
     @beside_captures()
     def _shares(self) -> list[Share]:

@@ -45,7 +45,7 @@ class Loaded:
 
     Attributes:
         meshes: By the key of their surface and by what the file says of them: of several alike, one is read.
-        patches: What was made of them for a trial, as long as no model was built.
+        patches: What was made of them for the last trial, until a model is drawn up.
     """
 
     meshes: dict[tuple[str, FileMesh | ShapeMesh], Mesh] = field(default_factory=dict)

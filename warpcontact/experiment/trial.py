@@ -35,6 +35,7 @@ def trial(parts: Parts, folder: Path, loaded: Loaded, problems: Problems) -> Env
         problems: Receives what is wrong.
     """
     precision = parts.settings.precision if parts.settings else "float32"
+    loaded.patches = {}  # those of an earlier trial may be of other surfaces
     scene = Assembler(parts, folder, loaded).scene(problems)
     model, error = _built(scene, precision, loaded.patches)
     # What the model contains works. The rest, or everything if there is none, is tried piece by piece.

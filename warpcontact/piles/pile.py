@@ -12,7 +12,6 @@ from warpcontact import checks, frames
 from warpcontact import elements as limits_of
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.checks import Array
-from warpcontact.formula_errors import of_users
 from warpcontact.groups import compile_forces
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.memory import memory_struct
@@ -336,8 +335,7 @@ class Pile:
         Raises:
             TypeError: If a law or friction does not compile.
         """
-        if of_users(self._parts):
-            compile_forces(self._parts, self._kernel, device, self.real)
+        compile_forces(self._parts, lambda: self._kernel, device, self.real)
 
     @property
     def sums_by_body(self) -> bool:

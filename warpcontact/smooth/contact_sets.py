@@ -296,8 +296,7 @@ class SmoothSet:
                     f"shape {kinds[0].__name__} with shape {kinds[1].__name__} does not compile: {text}\n{given}\n"
                     "All of a shape is in float64: constants are written as wp.float64(1.5)."
                 ) from error
-        if of_users(self.parts):
-            compile_forces(self.parts, self.kernel, device, self.real)
+        compile_forces(self.parts, lambda: self.kernel, device, self.real)
 
     def failures(self, contact: SmoothContact) -> NDArray[np.int32]:
         """Returns in how many steps since reset it was not found where ``contact`` is, (envs, items)."""
