@@ -14,10 +14,15 @@ OPTIONS = {
 }
 
 
-def unique_kernel(registers: int | None = None) -> Callable[[Callable[..., Any]], wp.Kernel]:
+def unique_kernel(
+    registers: int | None = None, *, unrolled: int | None = None
+) -> Callable[[Callable[..., Any]], wp.Kernel]:
     """Makes a kernel, without a backward pass, of a function; it is compiled when it is first needed.
 
     Args:
         registers: How many a thread of a GPU may have, at most; ``None``: as the compiler sees fit.
+        unrolled: Loops of constant length are written out for the compiler if they have no more passes than this;
+            ``None``: than Warp's 16.
     """
-    return wp.kernel(module="unique", enable_backward=False, module_options=OPTIONS, cuda_max_registers=registers)
+    options = OPTIONS if unrolled is None else OPTIONS | {"max_unroll": unrolled}
+    return wp.kernel(module="unique", enable_backward=False, module_options=options, cuda_max_registers=registers)
