@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels import cells, frames, search, tree
+from warpcontact.kernels import cells, frames, rotations, search, tree
 from warpcontact.kernels import foot as feet
 from warpcontact.kernels import recall as lists
 from warpcontact.kernels.sides import room_on_side as sides_of
@@ -89,7 +89,7 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     cell_at, nearest_listed = cells.functions(real).cell_at, cells.functions(real).nearest_listed
     room_on_side = sides_of(real)
     frame = frames.functions(real)
-    apart, turned, matrix = frame.apart, frame.turned, frame.matrix
+    apart, turned, matrix = frame.apart, frame.turned, rotations.functions(real).matrix
     orientation_to_world, rotation_to_world = frame.orientation_to_world, frame.rotation_to_world
     epsilon = wp.constant(real(t.epsilon * ROUNDING))
     point_epsilon = wp.constant(real(t.epsilon * POINT_ROUNDING))

@@ -1,10 +1,10 @@
-"""Poses and velocities of what is fixed to a body or to the world, rotation vectors, and vectors in float64."""
+"""Poses and velocities of what is fixed to a body or to the world, and vectors in float64."""
 
 import functools
-import math
 from types import SimpleNamespace
 
 import warp as wp
+from warpcontact.kernels import rotations
 from warpcontact.kernels.types import structs
 
 
@@ -13,45 +13,7 @@ def functions(real: type) -> SimpleNamespace:
     """Returns the device functions for ``real``."""
     t = structs(real)
     vec3, quat, mat33, Model, State = t.vec3, t.quat, t.mat33, t.Model, t.State
-    one, two, half = wp.constant(real(1.0)), wp.constant(real(2.0)), wp.constant(real(0.5))
-    # Of (sin √x)/√x and cos √x, to the fourth power of x.
-    s_1, s_2, s_3, s_4 = (wp.constant(real((-1) ** k / math.factorial(2 * k + 1))) for k in range(1, 5))
-    c_1, c_2, c_3, c_4 = (wp.constant(real((-1) ** k / math.factorial(2 * k))) for k in range(1, 5))
-    # Newton's step to unit length leaves 3/8 of the square of the excess: below a rounding, this near.
-    nearly = wp.constant(real(t.epsilon**0.5 / 4.0))
-
-    @wp.func
-    def matrix(q: quat):
-        """The rotation that ``wp.quat_rotate`` does, of any length of ``q``, for many vectors.
-
-        That of Warp rotates three vectors, with their zeros.
-        """
-        x = two * q[0]
-        y = two * q[1]
-        z = two * q[2]
-        xx = x * q[0]
-        xy = x * q[1]
-        xz = x * q[2]
-        xw = x * q[3]
-        yy = y * q[1]
-        yz = y * q[2]
-        yw = y * q[3]
-        zz = z * q[2]
-        zw = z * q[3]
-        ww = two * q[3] * q[3] - one
-        return mat33(
-            ww + xx, xy - zw, xz + yw,
-            xy + zw, ww + yy, yz - xw,
-            xz - yw, yz + xw, ww + zz,
-        )  # fmt: skip
-
-    @wp.func
-    def unit(q: quat):
-        """A quaternion of about unit length with unit length, to a rounding."""
-        excess = wp.dot(q, q) - one
-        if wp.abs(excess) < nearly:
-            return (one - half * excess) * q
-        return wp.normalize(q)
+    matrix = rotations.functions(real).matrix
 
     @wp.func
     def apart(model: Model, state: State, env: int, point: int, surface: int):
@@ -117,37 +79,6 @@ def functions(real: type) -> SimpleNamespace:
         target.body_angular_velocity[env, body] = source.body_angular_velocity[env, body]
 
     @wp.func
-    def rotated(q: quat, angle_W: vec3):
-        """Turns orientation ``q`` by the rotation vector ``angle_W`` given in W: exp(angle/2) q, unit length."""
-        squared = real(0.25) * wp.dot(angle_W, angle_W)
-        sinc = one
-        cosine = one
-        if squared < real(0.01):
-            # A step turns a body by little: to a rounding.
-            sinc = one + squared * (s_1 + squared * (s_2 + squared * (s_3 + squared * s_4)))
-            cosine = one + squared * (c_1 + squared * (c_2 + squared * (c_3 + squared * c_4)))
-        else:
-            angle = wp.sqrt(squared)
-            sinc = wp.sin(angle) / angle
-            cosine = wp.cos(angle)
-        axis = (half * sinc) * angle_W
-        return unit(quat(axis[0], axis[1], axis[2], cosine) * q)
-
-    @wp.func
-    def rotation_vector(q: quat):
-        """Axis times angle of a rotation, the shorter way round: what ``rotated`` takes."""
-        v = vec3(q[0], q[1], q[2])
-        cosine = q[3]
-        if cosine < real(0.0):
-            v = -v
-            cosine = -cosine
-        sine = wp.length(v)
-        if sine < real(1.0e-4):
-            # asin(s)/s to a rounding.
-            return (two + sine * sine / real(3.0)) * v
-        return (two * wp.atan2(sine, cosine) / sine) * v
-
-    @wp.func
     def wide(v: vec3):
         """A vector in float64."""
         return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
@@ -158,7 +89,6 @@ def functions(real: type) -> SimpleNamespace:
         return vec3(real(v[0]), real(v[1]), real(v[2]))
 
     return SimpleNamespace(
-        matrix=matrix,
         apart=apart,
         turned=turned,
         facing=facing,
@@ -166,8 +96,6 @@ def functions(real: type) -> SimpleNamespace:
         rotation_to_world=rotation_to_world,
         velocity_at=velocity_at,
         copy_body=copy_body,
-        rotated=rotated,
-        rotation_vector=rotation_vector,
         wide=wide,
         narrow=narrow,
     )

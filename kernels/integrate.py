@@ -4,7 +4,7 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels import finish, frames, history, quarantine
+from warpcontact.kernels import finish, frames, history, quarantine, rotations
 from warpcontact.kernels import wrenches as of_wrenches
 from warpcontact.kernels.piles import sums as sums_of_piles
 from warpcontact.kernels.piles.base import pile_structs
@@ -51,7 +51,7 @@ def euler(real: type) -> SimpleNamespace:
     """
     t = structs(real)
     vec3, quat, Model, State = t.vec3, t.quat, t.Model, t.State
-    rotated = frames.functions(real).rotated
+    rotated = rotations.functions(real).rotated
     spin = _spin(real)
     of_guard = quarantine.guard(real)
     Guard, cause_of = of_guard.Guard, of_guard.cause_of

@@ -13,7 +13,7 @@ def names_of(
 
     Args:
         module: Its name.
-        homes: In which module of its package each class lives.
+        homes: Where each class lives: the name of a module, after that of the package and a dot.
         catalogues: Names of tuples, and of the classes that these have.
     """
 
@@ -21,7 +21,7 @@ def names_of(
         itself = sys.modules[module]
         value: Any
         if name in homes:
-            value = getattr(importlib.import_module(f"{itself.__package__}.{homes[name]}"), name)
+            value = getattr(importlib.import_module(f".{homes[name]}", itself.__package__), name)
         elif name in catalogues:
             value = tuple(getattr(itself, one) for one in catalogues[name])
         else:

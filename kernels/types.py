@@ -176,12 +176,21 @@ class BodyMotion:
 
 
 @functools.cache
-def structs(real: type) -> SimpleNamespace:
-    """Returns the structs for ``real``, ``wp.float32`` or ``wp.float64``."""
+def numbers(real: type) -> SimpleNamespace:
+    """Returns vectors and rotations of ``real``, ``wp.float32`` or ``wp.float64``, and its precision."""
     vec3, quat, mat33 = {
         wp.float32: (wp.vec3f, wp.quatf, wp.mat33f),
         wp.float64: (wp.vec3d, wp.quatd, wp.mat33d),
     }[real]
+    epsilon = float(np.finfo(wp.dtype_to_numpy(real)).eps)
+    return SimpleNamespace(real=real, vec3=vec3, quat=quat, mat33=mat33, epsilon=epsilon)
+
+
+@functools.cache
+def structs(real: type) -> SimpleNamespace:
+    """Returns the structs for ``real``, ``wp.float32`` or ``wp.float64``, and what ``numbers`` returns."""
+    n = numbers(real)
+    vec3, quat, mat33 = n.vec3, n.quat, n.mat33
 
     @wp.struct
     class ContactGeometry:
@@ -414,11 +423,7 @@ def structs(real: type) -> SimpleNamespace:
         axis: vec3  # tangent unit vector that the surface carries, W; only for directional frictions
 
     return SimpleNamespace(
-        real=real,
-        vec3=vec3,
-        quat=quat,
-        mat33=mat33,
-        epsilon=float(np.finfo(wp.dtype_to_numpy(real)).eps),
+        **vars(n),
         ContactGeometry=ContactGeometry,
         Cell=Cell,
         Model=Model,

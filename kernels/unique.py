@@ -24,5 +24,11 @@ def unique_kernel(
         unrolled: Loops of constant length are written out for the compiler if they have no more passes than this;
             ``None``: than Warp's 16.
     """
-    options = OPTIONS if unrolled is None else OPTIONS | {"max_unroll": unrolled}
+    options: dict[str, Any] = dict(OPTIONS)
+    if unrolled is not None:
+        options["max_unroll"] = unrolled
+    if not wp.is_cuda_available():
+        # Warp hashes a kernel for the block that its module says, and once more if launches have another: on a CPU
+        # that is one thread.
+        options["block_dim"] = 1
     return wp.kernel(module="unique", enable_backward=False, module_options=options, cuda_max_registers=registers)

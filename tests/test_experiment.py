@@ -12,7 +12,7 @@ import pytest
 import warpcontact as wc
 from warpcontact import patches
 from warpcontact.experiment.catalogue import SHAPES
-from warpcontact.experiment.experiment import default_readings
+from warpcontact.experiment.defaults import default_readings
 from warpcontact.experiment.schema import BodySettings, ContactSettings, SurfaceSettings
 
 pytestmark = pytest.mark.installed

@@ -79,18 +79,29 @@ def test_every_public_name_loads_and_is_listed_once():
         _ = warpcontact.Scenes
 
 
-@pytest.mark.parametrize("name", ["laws", "frictions", "smooth.shapes"])
-def test_type_checkers_see_every_class_that_is_loaded_on_demand(name):
-    module = importlib.import_module(f"warpcontact.kernels.{name}")
-    (checked,) = (
-        node
-        for node in ast.parse(Path(module.__file__).read_text()).body
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-    )
-    imported = [node for node in checked.body if isinstance(node, ast.ImportFrom)]
-    seen = {alias.name: node.module for node in imported for alias in node.names}
-    assert seen == {one: getattr(module, one).__module__ for one in module.NAMES}
-    assert {*seen} <= {*module.__all__}
+ON_DEMAND = ("frictions", "laws", "motions", "smooth.shapes", "springs")
+ON_DEMAND = (*(f"kernels.{name}" for name in ON_DEMAND), "experiment", "meshes", "outcomes", "unilateral")
+
+
+@pytest.mark.parametrize("name", ON_DEMAND)
+def test_type_checkers_see_every_name_that_is_loaded_on_demand(name):
+    module = importlib.import_module(f"warpcontact.{name}")
+    body = ast.parse(Path(module.__file__).read_text()).body
+    (checked,) = (node for node in body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    homes = {
+        alias.name: node.module
+        for node in checked.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    declared = {node.target.id for node in checked.body if isinstance(node, ast.AnnAssign)}
+    for one, home in homes.items():
+        assert getattr(module, one) is getattr(importlib.import_module(home), one)
+    for one in declared:  # a tuple of some of them
+        assert {kind.__name__ for kind in getattr(module, one)} <= {*homes}
+    at_once = {alias.name for node in body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    at_once |= {target.id for node in body if isinstance(node, ast.Assign) for target in node.targets}
+    assert {*homes} | declared == {*module.__all__} - at_once
 
 
 def test_importing_the_package_loads_nothing_slow(tmp_path):
@@ -113,7 +124,11 @@ def test_importing_what_a_simulation_needs_loads_nothing_that_it_may_not_need(tm
 NEEDLESS = (
     *("matplotlib", "numpy.f2py", "pandas", "pxr", "pyarrow", "ray", "scipy", "tqdm", "trimesh", "xarray", "zarr"),
     *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "frictions.lugre", "laws.tsuji")),
-    *(f"warpcontact.kernels.smooth.{part}" for part in ("curvature", "derivatives", "detect", "superellipsoid")),
+    *(f"warpcontact.kernels.smooth.{part}" for part in ("curvature", "derivatives", "detect", "sphere")),
+    *("warpcontact.kernels.motions.prescribed", "warpcontact.kernels.outcomes.catalogue"),
+    *("warpcontact.kernels.springs.elastic", "warpcontact.kernels.springs.damping"),
+    *("warpcontact.experiment.cluster", "warpcontact.experiment.execute", "warpcontact.experiment.run"),
+    *("warpcontact.meshes.picture", "warpcontact.meshes.readers", "warpcontact.unilateral.solving"),
 )
 
 

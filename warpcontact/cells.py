@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from warpcontact.arrays import Layout
 from warpcontact.kernels.cells import LISTED, PLACED
 from warpcontact.kernels.types import SIDES_NOWHERE
+from warpcontact.vectors import bounds
 
 if TYPE_CHECKING:
     from warpcontact.patches import Patch, Patches
@@ -92,7 +93,7 @@ def grid_about(patch: "Patch", reach: float, t: SimpleNamespace) -> Grid | None:
     if patch.sides.kind == SIDES_NOWHERE:
         return None
     corner = patch.corner
-    low, high = corner.min(axis=(0, 1)), corner.max(axis=(0, 1))
+    low, high = bounds(corner)
     of_cell = wp.types.type_size_in_bytes(t.Cell)
     size = FINEST * patch.edge
     while size <= COARSEST * patch.edge:

@@ -25,6 +25,7 @@ from warpcontact.meshes.topology import angles, directions, slenderness
 from warpcontact.scene import Contact
 from warpcontact.sides import Sides, sides_of
 from warpcontact.tree import Tree, declare_trees, make_tree
+from warpcontact.vectors import cross, dot, norm
 
 # Warp's queries skip triangles slimmer than the limit, which they compute in float32.
 SLIVER = 1.2 * SLIVER_LIMIT
@@ -78,14 +79,14 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
     corner = mesh.vertices[faces] - centre
     welded = mesh.welded[faces]
 
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    twice_area = np.linalg.norm(cross, axis=1, keepdims=True)
-    face_normal = cross / twice_area
+    areas = cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    twice_area = norm(areas)[:, None]
+    face_normal = areas / twice_area
 
     # Edges: both faces meet them with the angle π, so the weights are equal.
     ends = np.stack([welded, np.roll(welded, -1, axis=1)], axis=2)  # (F, 3, 2)
     count = int(welded.max()) + 1
-    low, high = np.sort(ends, axis=2).reshape(-1, 2).astype(np.int64).T
+    low, high = (end(ends[..., 0], ends[..., 1]).astype(np.int64) for end in (np.minimum, np.maximum))
     _, edge = np.unique(count * low + high, return_inverse=True)  # many times as fast as of rows
     edge = edge.reshape(-1, 3)
     face_count = np.bincount(edge.ravel())
@@ -113,7 +114,7 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
         normal=normal,
         flags=flags,
         neighbor=neighbor,
-        edge=_median(np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2).ravel()),
+        edge=_median(norm(np.roll(corner, -1, axis=1) - corner).ravel()),
         area=0.5 * float(twice_area.sum()),
         sides=sides_of(mesh, corner, ends, neighbor, whole=whole),
     )
@@ -294,11 +295,12 @@ def _median(values: Array) -> float:
 def _frames(patch: Patch) -> Array:
     """Returns the axes of the faces in their planes, and where their corners are there: ``Model.face_frame``."""
     a, b, c = patch.corner.swapaxes(0, 1)
-    squares = ((np.roll(patch.corner, -1, axis=1) - patch.corner) ** 2).sum(axis=2)
+    edges = np.roll(patch.corner, -1, axis=1) - patch.corner
+    squares = dot(edges, edges)
     length = np.sqrt(squares[:, 0])
     along = (b - a) / length[:, None]
-    across = np.cross(patch.normal[:, 0], along)
-    last = [np.einsum("nx,nx->n", c - a, axis) for axis in (along, across)]
+    across = cross(patch.normal[:, 0], along)
+    last = [dot(c - a, axis) for axis in (along, across)]
     return np.stack([along, across, np.stack([length, *last], axis=1), 1.0 / squares], axis=1)
 
 
@@ -370,8 +372,8 @@ def _query_error(patch: Patch) -> tuple[float, float]:
     """
     corner = patch.corner
     edges = np.roll(corner, -1, axis=1) - corner
-    longest = np.sqrt((edges**2).sum(axis=2)).max(axis=1)
-    height = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / longest
+    longest = norm(edges).max(axis=1)
+    height = norm(cross(edges[:, 0], edges[:, 1])) / longest
     epsilon = float(np.finfo(np.float32).eps)
     lost = epsilon * longest * (longest / height) ** 2
     rounding = 16.0 * epsilon * (np.abs(corner).max() + longest)

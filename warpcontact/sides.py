@@ -15,6 +15,7 @@ from warpcontact.kernels.types import SIDES_ABOVE, SIDES_EVERYWHERE, SIDES_NOWHE
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.overlap import MOST_FACES
 from warpcontact.meshes.topology import components
+from warpcontact.vectors import bounds, cross, norm
 
 # Of areas: far above their rounding, far below a face.
 _TOLERANCE = 1.0e-9
@@ -90,12 +91,12 @@ def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[n
         ends: Numbers of the vertices at the ends of each edge, in the order of the face, (F, 3, 2).
         neighbor: What lies across each edge, as in ``Patch``, (F, 3).
     """
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    up = cross.sum(axis=0)
+    areas = cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    up = areas.sum(axis=0)
     if not np.linalg.norm(up) > 0.0:
         return Sides()
     up /= np.linalg.norm(up)
-    steep = cross @ up <= _TOLERANCE * np.linalg.norm(cross, axis=1)
+    steep = areas @ up <= _TOLERANCE * norm(areas)
     inner = np.argwhere(neighbor >= 0)
     links = np.column_stack([inner[:, 0], neighbor[neighbor >= 0] // 3])
     if steep.any() or components(links, len(corner))[0] != 1:
@@ -128,7 +129,7 @@ def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[n
     offset = (inward * hull).sum(axis=1)
     # Whichever way round: the distance of the rim from the walls over the hull of it.
     beside = (inward @ flat.T - offset[:, None]).min(axis=0)
-    covered = 0.5 * float((cross @ up).sum())
+    covered = 0.5 * float((areas @ up).sum())
     equal = np.allclose([within, covered], _area(hull), rtol=_TOLERANCE, atol=0.0)
     if not equal or (beside > _TOLERANCE * size).any():
         return Sides()
@@ -177,6 +178,6 @@ def sides_of(
     if whole and bounds_a_region(mesh):
         if mesh.report.orientation != "outward":
             return Sides(SIDES_EVERYWHERE)
-        low, high = (bound(corner, axis=(0, 1)) for bound in (np.min, np.max))
+        low, high = bounds(corner)
         return Sides(SIDES_EVERYWHERE, away=np.vstack([np.eye(3), -np.eye(3)]), reach=np.append(high, -low))
     return sides_of_graph(corner, ends, neighbor)

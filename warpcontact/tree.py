@@ -67,7 +67,7 @@ def make_tree(corner: NDArray[np.float64], normal: NDArray[np.float64]) -> Tree:
     """Returns the tree over faces with corners (F, 3, 3) and unit normals (F, 3)."""
     count = len(corner)
     width, levels = _shape(count)
-    order = _halved(corner.mean(axis=1).T, width, levels)
+    order = _halved(((corner[:, 0] + corner[:, 1] + corner[:, 2]) / 3.0).T, width, levels)
     empty, filled = order >= count, order.clip(max=count - 1)
     # What a table of corners in float32 may be off.
     off = 2.0 * float(np.finfo(np.float32).eps) * float(np.abs(corner).max())

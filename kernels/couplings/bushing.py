@@ -4,7 +4,7 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels import frames
+from warpcontact.kernels import frames, rotations
 from warpcontact.kernels.couplings import ends
 from warpcontact.kernels.types import (
     COUPLING_ACTIVE,
@@ -58,8 +58,8 @@ def kernel(real: type) -> wp.Kernel:
     Settings, Bushings = s.Settings, s.Bushings
     end = ends.functions(real)
     arm, separation, velocity = end.arm, end.separation, end.velocity
-    frame = frames.functions(real)
-    orientation_to_world, rotation_vector = frame.orientation_to_world, frame.rotation_vector
+    orientation_to_world = frames.functions(real).orientation_to_world
+    rotation_vector = rotations.functions(real).rotation_vector
 
     @wp.func
     def spin(state: State, env: int, body: int):

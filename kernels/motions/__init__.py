@@ -1,25 +1,36 @@
 """How a body may move relative to the world: free, with a joint, or as a function of time says."""
 
-from warpcontact.kernels.motions.base import Motion
-from warpcontact.kernels.motions.joints import Ball, Fixed, Free, Hinge, Planar, Slider, Translation
-from warpcontact.kernels.motions.prescribed import Harmonic, Prescribed, Table
+from typing import TYPE_CHECKING
 
-#: Every motion that comes with the library.
-CATALOGUE: tuple[type[Motion], ...] = (
-    Free,
-    Fixed,
-    Translation,
-    Planar,
-    Hinge,
-    Slider,
-    Ball,
-    Prescribed,
-    Harmonic,
-    Table,
-)
+from warpcontact.kernels.motions.base import Motion
+from warpcontact.kernels.on_demand import names_of
+
+if TYPE_CHECKING:
+    from warpcontact.kernels.motions.joints import Ball, Fixed, Free, Hinge, Planar, Slider, Translation
+    from warpcontact.kernels.motions.prescribed import Harmonic, Prescribed, Table
+
+    CATALOGUE: tuple[type[Motion], ...]
+
+# Modules of all motions that come with the library.
+_CATALOGUE = {
+    "Free": "joints",
+    "Fixed": "joints",
+    "Translation": "joints",
+    "Planar": "joints",
+    "Hinge": "joints",
+    "Slider": "joints",
+    "Ball": "joints",
+    "Prescribed": "prescribed",
+    "Harmonic": "prescribed",
+    "Table": "prescribed",
+}
+
+#: The names of all motions.
+NAMES = tuple(_CATALOGUE)
 
 __all__ = [
     "CATALOGUE",
+    "NAMES",
     "Ball",
     "Fixed",
     "Free",
@@ -32,3 +43,6 @@ __all__ = [
     "Table",
     "Translation",
 ]
+
+if not TYPE_CHECKING:  # there it would know every name
+    __getattr__, __dir__ = names_of(__name__, _CATALOGUE, {"CATALOGUE": NAMES})

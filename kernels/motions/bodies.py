@@ -8,7 +8,7 @@ import functools
 from types import SimpleNamespace
 
 import warp as wp
-from warpcontact.kernels import frames, quarantine
+from warpcontact.kernels import frames, quarantine, rotations
 from warpcontact.kernels.types import (
     BALL,
     ENV_FAILED,
@@ -96,7 +96,7 @@ def functions(real: type) -> SimpleNamespace:
     vec3, quat, mat33, Model, State, Wrenches = t.vec3, t.quat, t.mat33, t.Model, t.State, t.Wrenches
     frame = frames.functions(real)
     wide, narrow = frame.wide, frame.narrow
-    rotated = frames.functions(wp.float64).rotated
+    rotated = rotations.functions(wp.float64).rotated
     of_guard = quarantine.guard(real)
     Guard, cause_of = of_guard.Guard, of_guard.cause_of
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
-from warpcontact.kernels import frames
+from warpcontact.kernels import rotations
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.base import Motion
@@ -31,8 +31,8 @@ def coefficients_struct(motion: type[Motion]) -> Any:
 @functools.cache
 def _functions(motion: type[Motion]) -> SimpleNamespace:
     Coefficients = coefficients_struct(motion)
-    frame = frames.functions(wp.float64)
-    rotated, rotation_vector = frame.rotated, frame.rotation_vector
+    turning = rotations.functions(wp.float64)
+    rotated, rotation_vector = turning.rotated, turning.rotation_vector
     if motion.sampled:
         displacement, rotation = motion.displacement, motion.rotation
     else:

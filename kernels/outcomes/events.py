@@ -56,11 +56,16 @@ def kernel(form: Form) -> wp.Kernel:
     return write_events
 
 
-@unique_kernel()
-def restart(mask: wp.array(dtype=wp.bool), events: Events):
-    """Forgets events. Launch with dim env."""
-    env = wp.tid()
-    if mask[env]:
-        events.count[env] = 0
-        for place in range(events.touching.shape[1]):
-            events.touching[env, place] = 0
+@functools.cache
+def restart() -> wp.Kernel:
+    """Returns the kernel that forgets events. Launch with dim env."""
+
+    @unique_kernel()
+    def forget_events(mask: wp.array(dtype=wp.bool), events: Events):
+        env = wp.tid()
+        if mask[env]:
+            events.count[env] = 0
+            for place in range(events.touching.shape[1]):
+                events.touching[env, place] = 0
+
+    return forget_events

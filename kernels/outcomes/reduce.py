@@ -138,9 +138,14 @@ def restart(length: int) -> wp.Kernel:
     return restart_memory
 
 
-@unique_kernel()
-def forget_count(mask: wp.array(dtype=wp.bool), counts: wp.array(dtype=wp.int32)):
-    """Sets counts to 0. Launch with dim env."""
-    env = wp.tid()
-    if mask[env]:
-        counts[env] = 0
+@functools.cache
+def forget_count() -> wp.Kernel:
+    """Returns the kernel that sets counts to 0. Launch with dim env."""
+
+    @unique_kernel()
+    def forget(mask: wp.array(dtype=wp.bool), counts: wp.array(dtype=wp.int32)):
+        env = wp.tid()
+        if mask[env]:
+            counts[env] = 0
+
+    return forget

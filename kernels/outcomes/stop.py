@@ -63,11 +63,16 @@ def kernel(form: Form) -> wp.Kernel:
     return stop
 
 
-@unique_kernel()
-def restart(mask: wp.array(dtype=wp.bool), count: wp.int32, stops: Stops):
-    """Forgets conditions. Launch with dim env."""
-    env = wp.tid()
-    if mask[env]:
-        stops.stopped_by[env] = -1
-        for number in range(count):
-            stops.since[env, number] = wp.float64(wp.nan)
+@functools.cache
+def restart() -> wp.Kernel:
+    """Returns the kernel that forgets conditions. Launch with dim env."""
+
+    @unique_kernel()
+    def forget_conditions(mask: wp.array(dtype=wp.bool), count: wp.int32, stops: Stops):
+        env = wp.tid()
+        if mask[env]:
+            stops.stopped_by[env] = -1
+            for number in range(count):
+                stops.since[env, number] = wp.float64(wp.nan)
+
+    return forget_conditions

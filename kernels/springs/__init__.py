@@ -1,16 +1,26 @@
 """Spring-dampers by the formula of their force: elastic parts and damping. One's own derive from the bases."""
 
-from warpcontact.kernels.springs.base import Damper, Spring
-from warpcontact.kernels.springs.damping import DampingTable, PolynomialDamping, Undamped, Viscous
-from warpcontact.kernels.springs.elastic import ForceTable, Linear, Polynomial, StiffnessTable
+from typing import TYPE_CHECKING
 
-#: All elastic parts, and all dampings, that come with the library.
-SPRINGS: tuple[type[Spring], ...] = (Linear, Polynomial, StiffnessTable, ForceTable)
-DAMPERS: tuple[type[Damper], ...] = (Undamped, Viscous, PolynomialDamping, DampingTable)
+from warpcontact.kernels.on_demand import names_of
+from warpcontact.kernels.springs.base import Damper, Spring
+
+if TYPE_CHECKING:
+    from warpcontact.kernels.springs.damping import DampingTable, PolynomialDamping, Undamped, Viscous
+    from warpcontact.kernels.springs.elastic import ForceTable, Linear, Polynomial, StiffnessTable
+
+    SPRINGS: tuple[type[Spring], ...]
+    DAMPERS: tuple[type[Damper], ...]
+
+#: The names of all elastic parts, and of all dampings, that come with the library.
+SPRING_NAMES = ("Linear", "Polynomial", "StiffnessTable", "ForceTable")
+DAMPER_NAMES = ("Undamped", "Viscous", "PolynomialDamping", "DampingTable")
 
 __all__ = [
     "DAMPERS",
+    "DAMPER_NAMES",
     "SPRINGS",
+    "SPRING_NAMES",
     "Damper",
     "DampingTable",
     "ForceTable",
@@ -22,3 +32,10 @@ __all__ = [
     "Undamped",
     "Viscous",
 ]
+
+if not TYPE_CHECKING:  # there it would know every name
+    __getattr__, __dir__ = names_of(
+        __name__,
+        {**dict.fromkeys(SPRING_NAMES, "elastic"), **dict.fromkeys(DAMPER_NAMES, "damping")},
+        {"SPRINGS": SPRING_NAMES, "DAMPERS": DAMPER_NAMES},
+    )

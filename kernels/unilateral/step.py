@@ -7,7 +7,7 @@ a free body keeps its angular momentum to rounding.
 import functools
 
 import warp as wp
-from warpcontact.kernels import frames, quarantine
+from warpcontact.kernels import quarantine, rotations
 from warpcontact.kernels.motions import bodies
 from warpcontact.kernels.motions.bodies import (
     arm_of,
@@ -50,7 +50,7 @@ def middle(real: type, moves: bool) -> wp.Kernel:
     t = structs(real)
     Model, State = t.Model, t.State
     Outcome, Restraint = row_structs(real).Outcome, record_structs(real).Restraint
-    rotated = frames.functions(real).rotated
+    rotated = rotations.functions(real).rotated
     f = bodies.functions(real)
     wide, wide_matrix, wide_quat = f.wide, f.wide_matrix, f.wide_quat
     moved, put, set_velocity = f.moved, f.put, f.set_velocity
@@ -276,7 +276,7 @@ def advance(real: type, moves: bool) -> wp.Kernel:
     t = structs(real)
     Model, State, Wrenches = t.Model, t.State, t.Wrenches
     Moving = wp.array2d(dtype=moving_struct(real, moves))
-    rotated = frames.functions(real).rotated
+    rotated = rotations.functions(real).rotated
     f = bodies.functions(real)
     wide, wide_matrix, wide_quat, moved = f.wide, f.wide_matrix, f.wide_quat, f.moved
     put, set_velocity, judge = f.put, f.set_velocity, f.judge

@@ -26,7 +26,8 @@ from warpcontact.couplings.elements import (
 )
 from warpcontact.elements import Points, Surface
 from warpcontact.frames import placed
-from warpcontact.kernels.springs import Damper, Linear, Spring, Undamped, Viscous
+from warpcontact.kernels import springs
+from warpcontact.kernels.springs import Damper, Spring
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
@@ -94,9 +95,9 @@ class Couplings:
             if value is not None and not isinstance(value, kind):
                 raise TypeError(f"{name}.{key} must be an instance of wc.{kind.__name__}, got {value!r}")
         if stiffness is not None:
-            spring = Linear(stiffness=float(checks.numbers(f"{name}.stiffness", stiffness, (), STIFFNESS)))
+            spring = springs.Linear(stiffness=float(checks.numbers(f"{name}.stiffness", stiffness, (), STIFFNESS)))
         if damping is not None:
-            damper = Viscous(damping=float(checks.numbers(f"{name}.damping", damping, (), DAMPING)))
+            damper = springs.Viscous(damping=float(checks.numbers(f"{name}.damping", damping, (), DAMPING)))
         if rest_length is None:
             rest_length = float(np.linalg.norm(place_of(point_b) - place_of(point_a)))
         coupling = SpringDamper(
@@ -104,7 +105,7 @@ class Couplings:
             point_a=point_a,
             point_b=point_b,
             spring=cast(Spring, spring),
-            damper=Undamped() if damper is None else damper,
+            damper=springs.Undamped() if damper is None else damper,
             rest_length=checks.numbers(f"{name}.rest_length", rest_length, (), LENGTH),
             tension_only=np.array(float(checks.switch(f"{name}.tension_only", tension_only))),
             break_force=checks.numbers(f"{name}.break_force", break_force, (), BREAK_FORCE),

@@ -1,8 +1,16 @@
 """Experiments from TOML files or dictionaries: checked as a whole, run, and written into a folder."""
 
+from typing import TYPE_CHECKING
+
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.experiment import Experiment
-from warpcontact.experiment.run import Run, open_run
-from warpcontact.experiment.store import StoreError
+from warpcontact.kernels.on_demand import names_of
+
+if TYPE_CHECKING:
+    from warpcontact.experiment.run import Run, open_run
+    from warpcontact.experiment.store import StoreError
 
 __all__ = ["Experiment", "ExperimentError", "Run", "StoreError", "open_run"]
+
+if not TYPE_CHECKING:  # there it would know every name
+    __getattr__, __dir__ = names_of(__name__, {"Run": "run", "StoreError": "store", "open_run": "run"}, {})

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from warpcontact import meshes
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh
 from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.reading import Parts
@@ -26,7 +27,7 @@ from warpcontact.experiment.schema import (
     SurfaceSettings,
     TemplateSettings,
 )
-from warpcontact.meshes import Mesh, MeshError, load_mesh
+from warpcontact.meshes import Mesh, MeshError
 from warpcontact.patches import Known
 from warpcontact.scene import Scene, Template
 from warpcontact.surface_contact import sample_of
@@ -151,7 +152,7 @@ class Assembler:
         try:
             if isinstance(mesh, FileMesh):
                 options = mesh.model_dump(exclude={"file"})
-                self.loaded.meshes[path, mesh] = load_mesh(self.folder / mesh.file, name=name, **options)
+                self.loaded.meshes[path, mesh] = meshes.load_mesh(self.folder / mesh.file, name=name, **options)
             else:
                 self.loaded.meshes[path, mesh] = mesh.make(name)
         except MeshError as error:

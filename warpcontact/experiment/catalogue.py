@@ -94,9 +94,11 @@ class FormulaSettings(Section):
         return self
 
 
-def _shape_model(name: str, generator: Callable[..., meshes.Mesh]) -> type[ShapeMesh]:
+@functools.cache
+def shape_model(name: str) -> type[ShapeMesh]:
+    """Returns the model of the tables of a mesh that is generated; ``name`` is one of ``SHAPES``."""
     fields: dict[str, Any] = {"shape": (Literal[name], ...)}
-    for key, parameter in inspect.signature(generator).parameters.items():
+    for key, parameter in inspect.signature(SHAPES[name]).parameters.items():
         if key == "name":
             continue
         kind, default = parameter.annotation, parameter.default
@@ -133,7 +135,7 @@ def mesh_model(value: Any, key: str = "") -> type[FileMesh] | type[ShapeMesh]:
     shape = value["shape"]
     if not isinstance(shape, str) or shape not in SHAPES:
         raise ValueError(f".shape must be {listed}, got {shown(shape)}{suggestion(shape, SHAPES)}")
-    return _SHAPE_MODELS[shape]
+    return shape_model(shape)
 
 
 def formula_model(key: str, value: Any, own: OwnFiles) -> type[FormulaSettings]:
@@ -227,12 +229,11 @@ FORMULAS: dict[str, Any] = {
 CATALOGUES: dict[Any, dict[str, Any]] = {
     laws.Law: dict.fromkeys(laws.NAMES, laws),
     frictions.Friction: dict.fromkeys(frictions.NAMES, frictions),
-    springs.Spring: {spring.__name__: springs for spring in springs.SPRINGS},
-    springs.Damper: {damper.__name__: springs for damper in springs.DAMPERS},
-    motions.Motion: {motion.__name__: motions for motion in motions.CATALOGUE},
+    springs.Spring: dict.fromkeys(springs.SPRING_NAMES, springs),
+    springs.Damper: dict.fromkeys(springs.DAMPER_NAMES, springs),
+    motions.Motion: dict.fromkeys(motions.NAMES, motions),
     shapes.Shape: dict.fromkeys(shapes.NAMES, shapes),
 }
-_SHAPE_MODELS = {name: _shape_model(name, make) for name, make in SHAPES.items()}
 
 
 def _formula(value: Any, info: ValidationInfo) -> FormulaSettings:

@@ -5,31 +5,23 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from warpcontact import collecting
 from warpcontact.build import draw_up
 from warpcontact.checks import there_are
-from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
 from warpcontact.draft import Draft
 from warpcontact.environments import Environments
-from warpcontact.experiment import cluster
-from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.changes import changed_by
+from warpcontact.experiment.defaults import default_interval, default_readings
 from warpcontact.experiment.design import Design
-from warpcontact.experiment.disk import disk_of
 from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
-from warpcontact.experiment.execute import Job, all_finished, check_resumable, here, proceed, start
-from warpcontact.experiment.lock import writing
-from warpcontact.experiment.notices import Notices
 from warpcontact.experiment.observation import check_watched, watching
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.plan import Plan, make_plan, recording_size
-from warpcontact.experiment.probe import Probe, probe
 from warpcontact.experiment.reading import Parts, load_toml, read_settings
-from warpcontact.experiment.run import Run
 from warpcontact.experiment.sampling import Sobol
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
@@ -38,21 +30,16 @@ from warpcontact.footprint import environments
 from warpcontact.integrators.base import formulas_of
 from warpcontact.model import Model
 from warpcontact.scene import Scene
-from warpcontact.signals import terminations
 from warpcontact.simulation import Simulation
 from warpcontact.split_model import SplitModel
 from warpcontact.unilateral.hard_contacts import is_of_hard_contact
 from warpcontact.whole_steps import whole_steps
 
-# Readings that tell most of a coupling.
-_TOLD: dict[type, tuple[str, str]] = {
-    SpringDamper: ("length", "force"),
-    Bushing: ("displacement", "force"),
-    Catenary: ("tension_a", "tension_b"),
-}
+if TYPE_CHECKING:
+    from warpcontact.experiment.notices import Notices
+    from warpcontact.experiment.probe import Probe
+    from warpcontact.experiment.run import Run
 
-# Frames of a recording for which nothing else is asked.
-FRAMES = 100
 #: Time between checkpoints [s].
 CHECKPOINT = 60.0
 
@@ -193,7 +180,7 @@ class Experiment:
         checkpoint: float = CHECKPOINT,
         on_stage: Callable[[str], None] | None = None,
         on_warning: Callable[[str], None] | None = None,
-    ) -> Run:
+    ) -> "Run":
         """Runs the experiment and writes the results into a folder.
 
         The folder receives the results, ``data.zarr``, a picture and an animation, the complete
@@ -229,6 +216,14 @@ class Experiment:
             KeyboardInterrupt: If somebody pressed Ctrl-C, or sent SIGTERM; what was done until then is committed.
             OSError: If the results cannot be written; what was committed is kept.
         """
+        # To check an experiment takes none of this.
+        from warpcontact.experiment import cluster
+        from warpcontact.experiment import folder as files_of
+        from warpcontact.experiment.execute import Job, all_finished, check_resumable, here, proceed, start
+        from warpcontact.experiment.lock import writing
+        from warpcontact.experiment.notices import Notices
+        from warpcontact.signals import terminations
+
         _check_shard(shard, self.source)
         _check_pace(threads, checkpoint, self.source)
         folder = Path(out)
@@ -297,13 +292,13 @@ class Experiment:
                 return proceed(job, place.runs(job))
             return proceed(job, here(runner, job))
 
-    def _tell_of_meshes(self, notices: Notices) -> None:
+    def _tell_of_meshes(self, notices: "Notices") -> None:
         for i, surface in enumerate(self.settings.surface):
             for mesh in surface.meshes.values():
                 if isinstance(mesh, FileMesh):
                     notices.add_mesh(mesh.file, self._loaded.meshes[f"surface[{i}]", mesh].report)
 
-    def _tell_of_sampling(self, notices: Notices) -> None:
+    def _tell_of_sampling(self, notices: "Notices") -> None:
         if isinstance(self.design.sampler, Sobol) and (envs := self.settings.envs) & (envs - 1):
             below = 1 << envs.bit_length() - 1
             notices.add(
@@ -329,10 +324,16 @@ class Experiment:
         with self._own.blamed():
             changed = self.changed(envs=envs, duration=duration)
             plan = make_plan(changed.draft(device), changed._size, changed.settings, changed.design, shard)
-        return plan if out is None else dataclasses.replace(plan, disk=disk_of(Path(out)))
+        if out is None:
+            return plan
+        from warpcontact.experiment.disk import disk_of
 
-    def probe(self, *, device: str | Sequence[str] = "auto", shard: int | None = None) -> Probe:
+        return dataclasses.replace(plan, disk=disk_of(Path(out)))
+
+    def probe(self, *, device: str | Sequence[str] = "auto", shard: int | None = None) -> "Probe":
         """Steps some environments, ``shard`` at most, for a few seconds; returns how long a run would take."""
+        from warpcontact.experiment.probe import probe
+
         with self._own.blamed():
             return probe(self.draft(device), self.settings, self.design, shard or self.settings.envs)
 
@@ -472,29 +473,3 @@ def _check_pace(threads: object, checkpoint: object, source: str) -> None:
 
 def _say_nothing(stage: str) -> None:
     pass
-
-
-def default_interval(settings: Settings) -> float:
-    """Returns the time between frames of an experiment that says nothing about it [s]."""
-    steps = max(1, round(settings.duration / settings.dt / FRAMES))
-    return float(f"{steps * settings.dt:.12g}")
-
-
-def default_readings(model: Environments, *, far: bool = False) -> list[str]:
-    """Returns the readings of an experiment that names none: what tells most of each element, and the energy.
-
-    Args:
-        model: The model.
-        far: Whether to tell how far points are from meshes that they do not touch: a search that steps do without.
-    """
-    scene = model.scene
-    depth = "gap" if far else "penetration"
-    told = [(contact.name, (depth, "normal_force")) for contact in scene.contacts if contact.points.single]
-    told += [(contact.name, ("gap", "normal_force")) for contact in scene.smooth_contacts if contact.single]
-    told += [(contact.name, ("contacts", "max_penetration")) for contact in scene.mutual_contacts]
-    told += [(coupling.name, _TOLD[type(coupling)]) for coupling in scene.couplings]
-    told += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
-    # Of sets what they sum up to: a value of each is for those who ask for it.
-    joints = [f"{body.name}.{key}" for body in scene.bodies if body.single for key in ("angle", "displacement")]
-    wanted = [f"{name}.{key}" for name, keys in told for key in keys]
-    return wanted + [name for name in joints if name in model.reading_names] + ["scene.kinetic_energy"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 from pydantic import Field, PlainValidator, SerializeAsAny, ValidationInfo, create_model, model_validator
 
-from warpcontact import checks
+from warpcontact import checks, outcomes
 from warpcontact.arrays import Layout
 from warpcontact.checks import limits
 from warpcontact.environments import Environments
@@ -17,7 +17,6 @@ from warpcontact.experiment.errors import Problems, key_path, shown, suggestion
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.integrators import Integrator
 from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
-from warpcontact.kernels.outcomes.catalogue import OUTCOMES
 from warpcontact.kernels.outcomes.source import EACH, FOLDS
 from warpcontact.outcomes.observer import sources_of
 from warpcontact.outcomes.sources import Finder
@@ -132,22 +131,22 @@ def outcome_model(value: Any, own: OwnFiles) -> type[OutcomeSettings]:
     Raises:
         ValueError: If there is none; the message continues the key.
     """
-    listed = f"one of {', '.join(OUTCOMES)}, or FILE.py:CLASS"
+    listed = f"one of {', '.join(outcomes.OUTCOMES)}, or FILE.py:CLASS"
     if not isinstance(value, dict):
-        hint = f"; write {{ type = {value!r}, of = … }}" if value in OUTCOMES else ""
+        hint = f"; write {{ type = {value!r}, of = … }}" if value in outcomes.OUTCOMES else ""
         raise ValueError(f"must be a table, got {shown(value)}{hint}")
     if "type" not in value:
         raise ValueError(f".type is missing: {listed}")
     given = value["type"]
-    if isinstance(given, str) and given in OUTCOMES:
-        return _settings_model(OUTCOMES[given])
+    if isinstance(given, str) and given in outcomes.OUTCOMES:
+        return _settings_model(outcomes.OUTCOMES[given])
     file, name = own_class(given)
     if file:
         try:
             return _settings_model(own.find(file, name, Outcome))
         except ValueError as error:
             raise ValueError(f".type{error}") from None
-    raise ValueError(f".type must be {listed}, got {shown(given)}{suggestion(given, OUTCOMES)}")
+    raise ValueError(f".type must be {listed}, got {shown(given)}{suggestion(given, outcomes.OUTCOMES)}")
 
 
 @cache

@@ -16,11 +16,10 @@ from warpcontact.experiment.errors import Problems
 from warpcontact.experiment.own import blame
 from warpcontact.experiment.reading import Parts
 from warpcontact.experiment.schema import FORMULA_SECTIONS
+from warpcontact.kernels import laws, springs
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.laws import Hooke
 from warpcontact.kernels.motions import Motion
-from warpcontact.kernels.smooth.shapes import Shape, Sphere
-from warpcontact.kernels.springs import Damper, Linear, Spring
+from warpcontact.kernels.smooth import shapes
 from warpcontact.patches import Known
 from warpcontact.scene import Scene, Template
 
@@ -102,15 +101,15 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
         scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), motion=formula)
         _, failure = _built(scene, precision)
         return None if failure is None else _told(failure, cls)
-    if isinstance(formula, Shape):
+    if isinstance(formula, shapes.Shape):
         scene = Scene()
         ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0))
-        shapes = scene.add_shape(ball, Sphere(1.0)), scene.add_shape(None, formula)
-        scene.add_smooth_contact(*shapes, Template(law=Hooke(stiffness=1.0)))
+        both = scene.add_shape(ball, shapes.Sphere(1.0)), scene.add_shape(None, formula)
+        scene.add_smooth_contact(*both, Template(law=laws.Hooke(stiffness=1.0)))
         _, failure = _built(scene, precision)
         return None if failure is None else _told(failure, cls)
     values = {name: np.full((1, 1), value) for name, value in formula.parameters(area=1.0).items()}
-    if along := isinstance(formula, Spring | Damper):
+    if along := isinstance(formula, springs.Spring | springs.Damper):
         values["rest_length"] = np.ones((1, 1))
     try:
         missing = set(cls.device_names()) - set(formula.coefficients(values))
@@ -122,10 +121,10 @@ def _fault(key: str, formula: Formula, precision: str) -> str | None:
     ball = scene.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0))
     if along:
         ends = (scene.add_point(None, (0.0, 0.0, 0.0)), scene.add_point(ball, (0.0, 0.0, 0.0)))
-        scene.add_spring_damper(*ends, **{"spring": Linear(stiffness=1.0), key: formula})
+        scene.add_spring_damper(*ends, **{"spring": springs.Linear(stiffness=1.0), key: formula})
     else:
         try:
-            template = Template(**{"law": Hooke(stiffness=1.0), key: formula})
+            template = Template(**{"law": laws.Hooke(stiffness=1.0), key: formula})
         except ValueError as error:
             return str(error)
         # A set, because it has areas for a formula that asks for them.

@@ -1,18 +1,26 @@
 """Oriented triangle meshes: validated, loaded from files, repaired on request, reported on, generated.
 
-Host code only: neither Warp nor SciPy nor the readers of USD are imported before they are needed.
+Host code only: neither Warp nor SciPy nor what reads files is imported before it is needed.
 """
 
+from typing import TYPE_CHECKING
+
+from warpcontact.kernels.on_demand import names_of
 from warpcontact.meshes.generate import box, grid, icosphere, sinusoidal_terrain
-from warpcontact.meshes.isolation import Limits
-from warpcontact.meshes.load import examine_file, load_mesh
 from warpcontact.meshes.mesh import Mesh, MeshError
-from warpcontact.meshes.picture import plot_file
 from warpcontact.meshes.repair import REPAIRS, repaired
 from warpcontact.meshes.report import MeshReport, RepairStep
 from warpcontact.meshes.sample import SurfaceSamples, sample_surface
 from warpcontact.meshes.topology import Component
 from warpcontact.meshes.units import UNITS
+
+if TYPE_CHECKING:
+    from warpcontact.meshes.isolation import Limits
+    from warpcontact.meshes.load import examine_file, load_mesh
+    from warpcontact.meshes.picture import plot_file
+
+# Where the names live that few need.
+_HOME = {"Limits": "isolation", "examine_file": "load", "load_mesh": "load", "plot_file": "picture"}
 
 __all__ = [
     "REPAIRS",
@@ -34,3 +42,6 @@ __all__ = [
     "sample_surface",
     "sinusoidal_terrain",
 ]
+
+if not TYPE_CHECKING:  # there it would know every name
+    __getattr__, __dir__ = names_of(__name__, _HOME, {})

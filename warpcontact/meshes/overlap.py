@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpcontact.meshes.topology import CRACK_LIMIT
+from warpcontact.vectors import bounds
 
 #: Surfaces with more faces are not examined unless asked for.
 MOST_FACES = 100_000
@@ -33,7 +34,8 @@ def intersections(v: _Floats, faces: npt.NDArray[np.int64]) -> _Pairs | None:
     if len(faces) < 2:
         return np.empty((0, 2), dtype=np.int64)
     corners = v[faces]
-    corners = corners - 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))  # for precision
+    lower, upper = bounds(corners)
+    corners = corners - 0.5 * (lower + upper)  # for precision
     pairs = _candidates(corners)
     if pairs is None:
         return None

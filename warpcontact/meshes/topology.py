@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpcontact.meshes.nesting import containers
+from warpcontact.vectors import bounds, cross, dot, norm
 
 Orientation = Literal["outward", "inward", "open surface", "mixed", "undefined"]
 
@@ -61,7 +62,8 @@ class Edges:
 
     def __init__(self, faces: npt.NDArray[np.int64]) -> None:
         self.ends = np.stack((faces, faces[:, [1, 2, 0]]), axis=2).reshape(-1, 2)
-        self.order, self.starts = _groups(np.sort(self.ends, axis=1))
+        low, high = (end(*self.ends.T) for end in (np.minimum, np.maximum))
+        self.order, self.starts = _groups(np.column_stack((low, high)))
         self.counts = np.diff(self.starts, append=len(self.order))
         upward = np.where(self.ends[:, 0] < self.ends[:, 1], 1, -1)
         self.balance = np.add.reduceat(upward[self.order], self.starts)
@@ -113,7 +115,8 @@ def examine_surface(
     edges = Edges(faces)
     ends, counts, balance, first = edges.ends, edges.counts, edges.balance, edges.first
     parts, part = components(edges.links // 3, len(faces))
-    loops, cracks = _border(v, ends[first[counts == 1]], CRACK_LIMIT * float(np.ptp(v[faces], axis=(0, 1)).max()))
+    lower, upper = bounds(v[faces])
+    loops, cracks = _border(v, ends[first[counts == 1]], CRACK_LIMIT * float((upper - lower).max()))
 
     area, volumes, nothing = volumes_of(v, faces, part, parts)
     odd, mixed = counts % 2 == 1, (counts % 2 == 0) & (balance != 0)
@@ -127,7 +130,7 @@ def examine_surface(
         orientation = "open surface"
     elif abs(total) > nothing:
         orientation = "outward" if total > 0.0 else "inward"
-    lengths = np.linalg.norm(v[ends[first, 0]] - v[ends[first, 1]], axis=1)
+    lengths = norm(v[ends[first, 0]] - v[ends[first, 1]])
     facts = {
         "edge_count": len(counts),
         "area": area,
@@ -164,10 +167,11 @@ def volumes_of(
     Returns:
         The area [m²], the volumes (parts,) [m³], which mean something for closed parts only, and the bound [m³].
     """
-    p = v[faces] - 0.5 * (v[faces].min(axis=(0, 1)) + v[faces].max(axis=(0, 1)))  # centred for precision
-    normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    area = 0.5 * float(np.linalg.norm(normals, axis=1).sum())
-    pyramids = np.einsum("ij,ij->i", normals, p[:, 0]) / 6.0
+    lower, upper = bounds(v[faces])
+    p = v[faces] - 0.5 * (lower + upper)  # centred for precision
+    normals = cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    area = 0.5 * float(norm(normals).sum())
+    pyramids = dot(normals, p[:, 0]) / 6.0
     volumes = np.bincount(part, pyramids, parts).astype(np.float64)
     return area, volumes, 1e-12 * area * float(np.abs(p).max())
 
@@ -292,8 +296,8 @@ def slenderness(corners: npt.NDArray[Any]) -> npt.NDArray[Any]:
         Ratios, (n,).
     """
     a, b, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], corners[:, 2] - corners[:, 1]
-    squares = sum(np.einsum("ij,ij->i", e, e) for e in (a, b, c))
-    return np.linalg.norm(np.cross(a, b), axis=1) / np.where(squares > 0.0, squares, 1.0)
+    squares = dot(a, a) + dot(b, b) + dot(c, c)
+    return norm(cross(a, b)) / np.where(squares > 0.0, squares, 1.0)
 
 
 def seen_from(lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -317,9 +321,10 @@ def angles(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     Returns:
         Angles, (n, 3).
     """
-    after, before = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
-    after, before = (edges / np.linalg.norm(edges, axis=2, keepdims=True) for edges in (after, before))
-    return np.arctan2(np.linalg.norm(np.cross(after, before), axis=2), (after * before).sum(axis=2))
+    after = np.roll(corners, -1, axis=1) - corners
+    after /= norm(after)[..., None]
+    before = -np.roll(after, 1, axis=1)
+    return np.arctan2(norm(cross(after, before)), dot(after, before))
 
 
 def directions(sums: npt.NDArray[np.float64], instead: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -329,5 +334,5 @@ def directions(sums: npt.NDArray[np.float64], instead: npt.NDArray[np.float64]) 
         sums: Vectors, (…, 3).
         instead: What to take where two sheets back to back leave no sum to speak of, likewise.
     """
-    length = np.linalg.norm(sums, axis=-1, keepdims=True)
+    length = norm(sums)[..., None]
     return np.where(length > 1.0e-9, sums / np.maximum(length, 1.0e-9), instead)

@@ -1,24 +1,29 @@
 """Outcomes: what is kept of readings over time, by a few numbers per environment, while it is stepped."""
 
+from typing import TYPE_CHECKING
+
+from warpcontact.kernels.on_demand import names_of
 from warpcontact.kernels.outcomes.base import OfContact, Outcome
-from warpcontact.kernels.outcomes.catalogue import (
-    OUTCOMES,
-    Change,
-    Count,
-    Duration,
-    Final,
-    FirstTime,
-    Initial,
-    Integral,
-    Max,
-    Mean,
-    Min,
-    Range,
-    Restitution,
-    Rms,
-    TimeOfMax,
-    Work,
-)
+
+if TYPE_CHECKING:
+    from warpcontact.kernels.outcomes.catalogue import (
+        OUTCOMES,
+        Change,
+        Count,
+        Duration,
+        Final,
+        FirstTime,
+        Initial,
+        Integral,
+        Max,
+        Mean,
+        Min,
+        Range,
+        Restitution,
+        Rms,
+        TimeOfMax,
+        Work,
+    )
 
 __all__ = [
     "OUTCOMES",
@@ -40,3 +45,7 @@ __all__ = [
     "TimeOfMax",
     "Work",
 ]
+
+if not TYPE_CHECKING:  # there it would know every name
+    _LATER = [name for name in __all__ if name not in ("OfContact", "Outcome")]
+    __getattr__, __dir__ = names_of(__name__, dict.fromkeys(_LATER, ".kernels.outcomes.catalogue"), {})

@@ -188,10 +188,10 @@ class Observer:
             wp.launch(kernel, dim=shape, inputs=[chosen, start, kept.memory], device=self._device)
         if self._stops:
             inputs = [chosen, len(self._stops), self.stops]
-            wp.launch(stop.restart, dim=envs, inputs=inputs, device=self._device)
+            wp.launch(stop.restart(), dim=envs, inputs=inputs, device=self._device)
         if self.watched:
-            wp.launch(events.restart, dim=envs, inputs=[chosen, self.events], device=self._device)
-        wp.launch(reduce.forget_count, dim=envs, inputs=[chosen, self.resets], device=self._device)
+            wp.launch(events.restart(), dim=envs, inputs=[chosen, self.events], device=self._device)
+        wp.launch(reduce.forget_count(), dim=envs, inputs=[chosen, self.resets], device=self._device)
 
     @beside_captures()
     def results(self, kept: Kept) -> NDArray[np.float64]:

@@ -9,15 +9,12 @@ from numpy.typing import ArrayLike
 from warpcontact import checks
 from warpcontact.checks import limits
 from warpcontact.elements import Template
-from warpcontact.kernels.smooth.capsule import Capsule
-from warpcontact.kernels.smooth.sphere import Sphere
+from warpcontact.kernels.smooth import shapes as forms
 from warpcontact.piles.elements import MutualContact
 from warpcontact.scene_checks import options_of
 from warpcontact.smooth.adding import check_template
 from warpcontact.smooth.elements import Shape
 
-#: Forms that a pile may have.
-FORMS = (Sphere, Capsule)
 # Of the mean radius: lists that are longer are made less often.
 SKIN = 0.3
 
@@ -84,7 +81,7 @@ class MutualContacts:
                 raise ValueError(
                     f"shapes of {name!r} must come from add_shape of this scene, got {checks.element(shape)}"
                 )
-            if shape.kind not in FORMS:
+            if shape.kind not in (forms.Sphere, forms.Capsule):
                 raise ValueError(
                     f"{name}: shape {shape.name!r} is a {shape.kind.__name__}; mutual contacts are of spheres and "
                     "capsules, add_smooth_contact is for others"

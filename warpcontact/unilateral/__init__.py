@@ -1,34 +1,36 @@
-"""Unilateral contact: static problems, equilibrium, and the hard contacts of time stepping.
+"""Unilateral contact: static problems, equilibrium, and the hard contacts of time stepping."""
 
-What takes a model is loaded on first use.
-"""
+from typing import TYPE_CHECKING
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
-from warpcontact.unilateral.diagnosis import Diagnosis
-from warpcontact.unilateral.problem import Problem
-from warpcontact.unilateral.solution import Solution
-from warpcontact.unilateral.solve import solve, solve_delassus
+from warpcontact.kernels.on_demand import names_of
 
 if TYPE_CHECKING:
+    from warpcontact.unilateral.diagnosis import Diagnosis
+    from warpcontact.unilateral.problem import Problem
     from warpcontact.unilateral.rigid.acceleration import ParadoxError
     from warpcontact.unilateral.rigid.assembly import Assembly, assemble
     from warpcontact.unilateral.rigid.equilibrium import Equilibrium, equilibrium
     from warpcontact.unilateral.rigid.event_driven import EventDriven
     from warpcontact.unilateral.rigid.events import Event, EventKind, EventRun
+    from warpcontact.unilateral.solution import Solution
+    from warpcontact.unilateral.solving import solve, solve_delassus
 
 # Where each public name lives.
 _HOME = {
     "Assembly": "rigid.assembly",
+    "Diagnosis": "diagnosis",
     "Equilibrium": "rigid.equilibrium",
     "Event": "rigid.events",
     "EventDriven": "rigid.event_driven",
     "EventKind": "rigid.events",
     "EventRun": "rigid.events",
     "ParadoxError": "rigid.acceleration",
+    "Problem": "problem",
+    "Solution": "solution",
     "assemble": "rigid.assembly",
     "equilibrium": "rigid.equilibrium",
+    "solve": "solving",
+    "solve_delassus": "solving",
 }
 
 __all__ = [
@@ -48,14 +50,5 @@ __all__ = [
     "solve_delassus",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'warpcontact.unilateral' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"warpcontact.unilateral.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(set(globals()) | set(__all__))
+if not TYPE_CHECKING:  # there it would know every name
+    __getattr__, __dir__ = names_of(__name__, _HOME, {})

@@ -86,7 +86,7 @@ class Problem:
         device: str = "cpu",
     ) -> Solution:
         """Returns a solution; arguments are those of ``solve``."""
-        from warpcontact.unilateral.solve import solve_problem
+        from warpcontact.unilateral.solving import solve_problem
 
         return solve_problem(self, method, tolerance, iterations, initial, parameter, device)
 

@@ -66,7 +66,7 @@ def first_solution(problem: Problem, tolerance: float) -> Solution:
 
 def _without_contact(problem: Problem) -> Solution:
     """Returns what is no solution: the load is one that nothing holds in any state."""
-    from warpcontact.unilateral.solve import finish
+    from warpcontact.unilateral.solving import finish
 
     K = problem.K.toarray() if hasattr(problem.K, "tocsc") else np.asarray(problem.K)
     u = np.linalg.pinv(K, rcond=1e-12) @ np.asarray(problem.f)
@@ -86,7 +86,7 @@ def _near(one: Array, other: Array, usual: float) -> bool:
 
 def _solutions(problem: Problem, tolerance: float | None) -> Iterator[Solution]:
     """Yields what is a solution to the tolerance, or without one all that keeps equilibrium."""
-    from warpcontact.unilateral.solve import finish
+    from warpcontact.unilateral.solving import finish
 
     if problem.count is not None:
         raise ValueError(f"all states are gone through of a single problem, got {problem.count} problems")

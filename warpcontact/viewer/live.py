@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warpcontact.experiment.experiment import default_readings
+from warpcontact.experiment.defaults import default_readings
 from warpcontact.recorder import Recorder
 from warpcontact.replay.drawing import Drawing
 from warpcontact.simulation import Simulation

@@ -149,7 +149,7 @@ def _guesses(
 
 def _solved(W: Array, b: Array, mu: Array, method: str) -> Array:
     """Returns forces (contacts, 3) of ``wc.unilateral.solve_delassus``; without friction of normal parts alone."""
-    from warpcontact.unilateral.solve import solve_delassus
+    from warpcontact.unilateral.solving import solve_delassus
 
     if (mu > 0.0).any():
         return np.array(solve_delassus(W, b, mu, method=method).lam).reshape(-1, 3)

@@ -12,7 +12,8 @@ from warpcontact.checks import Array
 from warpcontact.kernels.types import WORLD
 from warpcontact.unilateral.rigid.bodies import Bodies
 from warpcontact.unilateral.rigid.candidates import Candidates, Measured
-from warpcontact.unilateral.rigid.snapshot import Place, Snapshot, cross, find_environment
+from warpcontact.unilateral.rigid.snapshot import Place, Snapshot, find_environment
+from warpcontact.vectors import cross
 
 
 @dataclass(frozen=True)

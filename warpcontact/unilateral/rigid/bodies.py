@@ -8,7 +8,8 @@ from warpcontact.checks import Array
 from warpcontact.frames import inverse, product
 from warpcontact.kernels.types import BALL, DRIVEN, FREE, HINGE, PLANAR, SLIDER, TRANSLATION
 from warpcontact.model import Model
-from warpcontact.unilateral.rigid.snapshot import Snapshot, cross
+from warpcontact.unilateral.rigid.snapshot import Snapshot
+from warpcontact.vectors import cross
 
 
 class Response(NamedTuple):

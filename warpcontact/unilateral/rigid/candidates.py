@@ -17,7 +17,8 @@ from warpcontact.unilateral.materials import Hard
 from warpcontact.unilateral.rigid.bodies import rotation_matrices
 from warpcontact.unilateral.rigid.events import Event, EventKind
 from warpcontact.unilateral.rigid.segments import closest_on_segments
-from warpcontact.unilateral.rigid.snapshot import Place, Snapshot, cross
+from warpcontact.unilateral.rigid.snapshot import Place, Snapshot
+from warpcontact.vectors import cross
 
 AnyContact = Contact | SmoothContact | MutualContact
 

@@ -10,7 +10,8 @@ from warpcontact.kernels.types import DRIVEN, MODE_SLIP, MODE_STICK, WORLD
 from warpcontact.unilateral.rigid.acceleration import bent, check_slides, equations, forces_of_modes
 from warpcontact.unilateral.rigid.assembly import Assembler, Assembly, contact_rows
 from warpcontact.unilateral.rigid.candidates import Measured
-from warpcontact.unilateral.rigid.snapshot import Snapshot, cross
+from warpcontact.unilateral.rigid.snapshot import Snapshot
+from warpcontact.vectors import cross
 
 # Relative and absolute tolerance of a step of DOP853, some roundings of float64.
 RELATIVE, ABSOLUTE = 1.0e-12, 1.0e-13

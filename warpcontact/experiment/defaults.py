@@ -1,0 +1,41 @@
+"""What is recorded of an experiment that says nothing about it: which readings, and how often."""
+
+from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
+from warpcontact.environments import Environments
+from warpcontact.experiment.schema import Settings
+
+# Readings that tell most of a coupling.
+_TOLD: dict[type, tuple[str, str]] = {
+    SpringDamper: ("length", "force"),
+    Bushing: ("displacement", "force"),
+    Catenary: ("tension_a", "tension_b"),
+}
+
+# Frames of a recording for which nothing else is asked.
+FRAMES = 100
+
+
+def default_interval(settings: Settings) -> float:
+    """Returns the time between frames of an experiment that says nothing about it [s]."""
+    steps = max(1, round(settings.duration / settings.dt / FRAMES))
+    return float(f"{steps * settings.dt:.12g}")
+
+
+def default_readings(model: Environments, *, far: bool = False) -> list[str]:
+    """Returns the readings of an experiment that names none: what tells most of each element, and the energy.
+
+    Args:
+        model: The model.
+        far: Whether to tell how far points are from meshes that they do not touch: a search that steps do without.
+    """
+    scene = model.scene
+    depth = "gap" if far else "penetration"
+    told = [(contact.name, (depth, "normal_force")) for contact in scene.contacts if contact.points.single]
+    told += [(contact.name, ("gap", "normal_force")) for contact in scene.smooth_contacts if contact.single]
+    told += [(contact.name, ("contacts", "max_penetration")) for contact in scene.mutual_contacts]
+    told += [(coupling.name, _TOLD[type(coupling)]) for coupling in scene.couplings]
+    told += [(coupling.name, ("minimum_distance", "force")) for coupling in scene.contact_couplings]
+    # Of sets what they sum up to: a value of each is for those who ask for it.
+    joints = [f"{body.name}.{key}" for body in scene.bodies if body.single for key in ("angle", "displacement")]
+    wanted = [f"{name}.{key}" for name, keys in told for key in keys]
+    return wanted + [name for name in joints if name in model.reading_names] + ["scene.kinetic_energy"]
