@@ -335,4 +335,6 @@ def directions(sums: npt.NDArray[np.float64], instead: npt.NDArray[np.float64]) 
         instead: What to take where two sheets back to back leave no sum to speak of, likewise.
     """
     length = norm(sums)[..., None]
-    return np.where(length > 1.0e-9, sums / np.maximum(length, 1.0e-9), instead)
+    known = length > 1.0e-9
+    found: npt.NDArray[np.float64] = sums / np.where(known, length, 1.0)
+    return found if known.all() else np.where(known, found, instead)
