@@ -110,6 +110,16 @@ def test_importing_the_package_loads_nothing_slow(tmp_path):
     assert result.stdout.strip() == "[]", result.stderr
 
 
+def test_importing_every_name_does_not_start_warp(tmp_path):
+    # It says so when it starts, and who imports may still want to tell it not to.
+    code = (
+        "import warpcontact as wc; every = [getattr(wc, name) for name in wc.__all__];"
+        "import warp; print(warp._src.context.runtime is None)"
+    )
+    result = run(code, tmp_path)
+    assert result.stdout == "True\n", result.stdout + result.stderr
+
+
 def test_importing_what_a_simulation_needs_loads_nothing_that_it_may_not_need(tmp_path):
     code = (
         "import sys, warpcontact as wc; wc.Scene, wc.Simulation, wc.Template, wc.laws, wc.frictions, wc.load_mesh;"

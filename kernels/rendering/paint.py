@@ -1,5 +1,7 @@
 """The pixels of a picture: rays from the eye, more where what they see differs, their mean as sRGB."""
 
+import functools
+
 import warp as wp
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light, seen
 from warpcontact.kernels.rendering.world import World
@@ -55,49 +57,55 @@ def root(color: wp.vec3):
     return wp.vec3(wp.sqrt(color[0]), wp.sqrt(color[1]), wp.sqrt(color[2]))
 
 
-@unique_kernel()
-def paint(
-    first: int,  # pixel, row by row
-    view: View,
-    world: World,
-    marks: World,
-    light: Light,
-    grid: Grid,
-    backdrop: Backdrop,
-    picture: wp.array2d(dtype=wp.uint8),  # [pixel, channel] sRGB
-):
-    """One thread per pixel. What it depends on is the pixel alone."""
-    pixel = first + wp.tid()
-    column = pixel % view.width
-    row = pixel // view.width
-    # Neighbours differ as much as they can, and their mean is smooth (Jimenez, interleaved gradient noise, 2014).
-    sun_x = gradient_noise(column, row)
-    sun_y = gradient_noise(column + 31, row + 17)
-    sky_x = gradient_noise(column + 59, row + 83)
-    sky_y = gradient_noise(column + 101, row + 47)
-    total = wp.vec3()
-    lowest = wp.vec3(2.0, 2.0, 2.0)
-    highest = wp.vec3()
-    taken = wp.int32(0)
-    wanted = wp.min(view.samples, FIRST)
-    while taken < wanted:
-        # The first is at the middle of the pixel.
-        step_x = float(taken) * _STEP_X
-        step_y = float(taken) * _STEP_Y
-        x = float(column) + fraction(0.5 + step_x)
-        y = float(row) + fraction(0.5 + step_y)
-        h = 1.0 - y / float(view.height)
-        across = view.tangent * (2.0 * x - float(view.width)) / float(view.height)
-        ray = wp.normalize(view.forward + across * view.right + view.tangent * (2.0 * h - 1.0) * view.up)
-        at_sun = wp.vec2(fraction(sun_x + step_x), fraction(sun_y + step_y))
-        at_sky = wp.vec2(fraction(sky_x + step_y), fraction(sky_y + step_x))
-        color = seen(world, marks, light, grid, backdrop, view.eye, ray, h, at_sun, at_sky)
-        total += color
-        lowest = wp.min(lowest, root(color))
-        highest = wp.max(highest, root(color))
-        taken += 1
-        if taken == FIRST and wp.max(highest - lowest) > DIFFERENT:
-            wanted = view.samples
-    mean = total / float(taken)
-    for channel in range(3):
-        picture[pixel, channel] = srgb(mean[channel])
+@functools.cache
+def kernel() -> wp.Kernel:
+    """Returns the kernel that paints, one pixel per thread. What that depends on is the pixel alone."""
+
+    @unique_kernel()
+    def paint(
+        first: int,  # pixel, row by row
+        view: View,
+        world: World,
+        marks: World,
+        light: Light,
+        grid: Grid,
+        backdrop: Backdrop,
+        picture: wp.array2d(dtype=wp.uint8),  # [pixel, channel] sRGB
+    ):
+        pixel = first + wp.tid()
+        column = pixel % view.width
+        row = pixel // view.width
+        # Neighbours differ as much as they can, and their mean is smooth (Jimenez, interleaved gradient noise,
+        # 2014).
+        sun_x = gradient_noise(column, row)
+        sun_y = gradient_noise(column + 31, row + 17)
+        sky_x = gradient_noise(column + 59, row + 83)
+        sky_y = gradient_noise(column + 101, row + 47)
+        total = wp.vec3()
+        lowest = wp.vec3(2.0, 2.0, 2.0)
+        highest = wp.vec3()
+        taken = wp.int32(0)
+        wanted = wp.min(view.samples, FIRST)
+        while taken < wanted:
+            # The first is at the middle of the pixel.
+            step_x = float(taken) * _STEP_X
+            step_y = float(taken) * _STEP_Y
+            x = float(column) + fraction(0.5 + step_x)
+            y = float(row) + fraction(0.5 + step_y)
+            h = 1.0 - y / float(view.height)
+            across = view.tangent * (2.0 * x - float(view.width)) / float(view.height)
+            ray = wp.normalize(view.forward + across * view.right + view.tangent * (2.0 * h - 1.0) * view.up)
+            at_sun = wp.vec2(fraction(sun_x + step_x), fraction(sun_y + step_y))
+            at_sky = wp.vec2(fraction(sky_x + step_y), fraction(sky_y + step_x))
+            color = seen(world, marks, light, grid, backdrop, view.eye, ray, h, at_sun, at_sky)
+            total += color
+            lowest = wp.min(lowest, root(color))
+            highest = wp.max(highest, root(color))
+            taken += 1
+            if taken == FIRST and wp.max(highest - lowest) > DIFFERENT:
+                wanted = view.samples
+        mean = total / float(taken)
+        for channel in range(3):
+            picture[pixel, channel] = srgb(mean[channel])
+
+    return paint

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpcontact.benchmark.works import Array, Work
-from warpcontact.kernels.bare_query import bare_query
+from warpcontact.kernels.bare_query import kernel
 from warpcontact.model import Model
 
 #: Times that a limit is measured, each of at least ``SECONDS``; the median counts. Fewer where they take long.
@@ -42,6 +42,7 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
         threads: Threads of the CPU that share the environments; a GPU needs none.
     """
     device = model.device
+    bare_query = kernel()
     bare_query.module.load(device)  # before threads start
     # Kernels in Warp's debug mode share a pointer.
     parts = 1 if device.is_cuda or wp.config.mode == "debug" else min(threads, model.envs)

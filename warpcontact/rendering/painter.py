@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from warpcontact.available import available_threads
 from warpcontact.checks import Array
-from warpcontact.kernels.rendering.paint import View, paint
+from warpcontact.kernels.rendering.paint import View, kernel
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light
 from warpcontact.rendering.camera import Camera, direction
 from warpcontact.rendering.items import Items, turned_axes
@@ -72,6 +72,7 @@ class Painter:
         pixels = wp.empty((width * height, 3), dtype=wp.uint8, device=device)
         grid = _grid(camera, height)
         inputs = [view, *(world.struct for world in worlds), light, grid, self._backdrop]
+        paint = kernel()
         paint.module.load(device)
         rows = height if device.is_cuda else _ROWS
         launches = []

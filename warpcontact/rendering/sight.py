@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.frames import placed
-from warpcontact.kernels.rendering.sight import see
+from warpcontact.kernels.rendering.sight import kernel
 from warpcontact.rendering.camera import Camera
 from warpcontact.rendering.items import Items, bounds, of_figure
 from warpcontact.rendering.painter import without_edges
@@ -76,7 +76,7 @@ class Sight:
             free = wp.zeros(len(points), dtype=wp.uint8, device=self._device)
             if len(points):
                 wp.launch(
-                    see,
+                    kernel(),
                     dim=len(points),
                     inputs=[
                         world.struct,
