@@ -1,4 +1,8 @@
-"""Classes that are loaded on first use: Warp parses their functions as they are made, and few are used."""
+"""Names of packages that are loaded on first use.
+
+Of a catalogue few classes are used, and Warp parses the functions of each as they are made. What reads files,
+draws or runs is not needed to take a step.
+"""
 
 import importlib
 import sys
@@ -13,7 +17,7 @@ def names_of(
 
     Args:
         module: Its name.
-        homes: Where each class lives: the name of a module, after that of the package and a dot.
+        homes: Where each name lives: a module of the package, or with a dot before it of that about it.
         catalogues: Names of tuples, and of the classes that these have.
     """
 

@@ -79,8 +79,10 @@ def test_every_public_name_loads_and_is_listed_once():
         _ = warpcontact.Scenes
 
 
-ON_DEMAND = ("frictions", "laws", "motions", "smooth.shapes", "springs")
-ON_DEMAND = (*(f"kernels.{name}" for name in ON_DEMAND), "experiment", "meshes", "outcomes", "unilateral")
+ON_DEMAND = (
+    *(f"kernels.{name}" for name in ("frictions", "laws", "motions", "smooth.shapes", "springs")),
+    *("experiment", "meshes", "outcomes", "unilateral"),
+)
 
 
 @pytest.mark.parametrize("name", ON_DEMAND)
@@ -134,7 +136,8 @@ def test_importing_what_a_simulation_needs_loads_nothing_that_it_may_not_need(tm
 NEEDLESS = (
     *("matplotlib", "numpy.f2py", "pandas", "pxr", "pyarrow", "ray", "scipy", "tqdm", "trimesh", "xarray", "zarr"),
     *(f"warpcontact.kernels.{part}" for part in ("couplings.catenary", "frictions.lugre", "laws.tsuji")),
-    *(f"warpcontact.kernels.smooth.{part}" for part in ("curvature", "derivatives", "detect", "sphere")),
+    *(f"warpcontact.kernels.smooth.{part}" for part in ("curvature", "derivatives", "detect")),
+    *("warpcontact.kernels.smooth.sphere", "warpcontact.kernels.smooth.superellipsoid"),
     *("warpcontact.kernels.motions.prescribed", "warpcontact.kernels.outcomes.catalogue"),
     *("warpcontact.kernels.springs.elastic", "warpcontact.kernels.springs.damping"),
     *("warpcontact.experiment.cluster", "warpcontact.experiment.execute", "warpcontact.experiment.run"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 from scenes import square
-from warpcontact.kernels import frames
+from warpcontact.kernels import rotations
 
 import warpcontact as wc
 from warpcontact.frames import placed, shortest_rotations
@@ -15,17 +15,17 @@ def test_shortest_rotations_reach_every_direction_and_turn_about_no_other_axis(s
     directions = np.random.default_rng(0).normal(size=(5, 10, 3))
     directions[0, :3] = start, -start, -start + 1e-7 * np.roll(start, 1)
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    rotations = shortest_rotations(start, directions)
-    reached = placed(np.broadcast_to(start, (5, 10, 1, 3)), np.zeros((5, 10, 3)), rotations)[..., 0, :]
+    found = shortest_rotations(start, directions)
+    reached = placed(np.broadcast_to(start, (5, 10, 1, 3)), np.zeros((5, 10, 3)), found)[..., 0, :]
     # Near the opposite direction 1 + dot, of 1e-14, has two digits: then its square is what rounding leaves.
     np.testing.assert_allclose(reached, directions, atol=1e-6)
     np.testing.assert_allclose(reached.reshape(-1, 3)[3:], directions.reshape(-1, 3)[3:], atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(rotations, axis=-1), 1.0, rtol=1e-12)
-    np.testing.assert_allclose(rotations[..., :3] @ start, 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(found[..., :3] @ start, 0.0, atol=1e-12)
     # The angle is that between both, not the way round.
     cosines = directions @ start
-    np.testing.assert_allclose(2.0 * rotations[..., 3] ** 2 - 1.0, cosines, atol=1e-12)
-    assert (rotations[..., 3] >= 0.0).all()
+    np.testing.assert_allclose(2.0 * found[..., 3] ** 2 - 1.0, cosines, atol=1e-12)
+    assert (found[..., 3] >= 0.0).all()
 
 
 def test_one_direction_has_one_rotation():
@@ -38,7 +38,7 @@ def test_a_matrix_does_what_its_quaternion_does_however_long_that_is(real, devic
     """To rounding: what is placed by one is where the other sees it."""
     kind = wp.dtype_from_numpy(real)
     quat, vec3 = (wp.quatf, wp.vec3f) if real is np.float32 else (wp.quatd, wp.vec3d)
-    matrix = frames.functions(kind).matrix
+    matrix = rotations.functions(kind).matrix
 
     @wp.kernel(module="unique", enable_backward=False)
     def rotate(q: wp.array(dtype=quat), v: wp.array(dtype=vec3), by: wp.array2d(dtype=vec3)):

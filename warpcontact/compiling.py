@@ -26,6 +26,11 @@ def round_each_product(kernel: wp.Kernel, device: wp.Device) -> None:
 def load(kernel: wp.Kernel, device: wp.Device) -> None:
     """Compiles ``kernel``, if it has to be, so that mistakes in what users wrote of it show at once."""
     round_each_product(kernel, device)
+    load_as_launched(kernel, device)
+
+
+def load_as_launched(kernel: wp.Kernel, device: wp.Device) -> None:
+    """Compiles ``kernel``, if it has to be, for the blocks that launches have: of one thread on a CPU."""
     kernel.module.load(device, block_dim=None if device.is_cuda else 1)
 
 

@@ -9,7 +9,9 @@ from warpcontact.checks import Array
 from warpcontact.contact_range import ExpectedImpact
 from warpcontact.friction_advice import LOOKED_AT, USUAL_SPEED, steepness_under
 from warpcontact.kernels.frictions import Frictionless
+from warpcontact.meshes.topology import area_vectors
 from warpcontact.mobility import LEAST_MOBILITY, mobility_of
+from warpcontact.vectors import norm
 
 if TYPE_CHECKING:
     from warpcontact.contact_coupling import ContactCoupling
@@ -87,8 +89,7 @@ def _largest_in_range(model: "Environments", contact: "Contact", reach: Array) -
 
 def _face_areas(mesh: object) -> Array:
     corners = mesh.vertices[mesh.faces]  # type: ignore[attr-defined]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
+    return 0.5 * norm(area_vectors(corners))
 
 
 def _mass_and_speed(model: "Environments", coupling: "ContactCoupling", envs: int) -> tuple[Array, Array]:

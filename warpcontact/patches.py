@@ -21,7 +21,7 @@ from warpcontact.kernels.simd import WIDTH
 from warpcontact.kernels.types import FEATURE_ACTIVE, FEATURE_BORDER, FEATURE_COUNT
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.examine import SLIVER_LIMIT
-from warpcontact.meshes.topology import angles, directions, slenderness
+from warpcontact.meshes.topology import angles, area_vectors, directions, slenderness
 from warpcontact.scene import Contact
 from warpcontact.sides import Sides, sides_of
 from warpcontact.tree import Tree, declare_trees, make_tree
@@ -79,7 +79,7 @@ def make_patch(mesh: Mesh, active: NDArray[np.bool_], centre: Array, *, only_act
     corner = mesh.vertices[faces] - centre
     welded = mesh.welded[faces]
 
-    areas = cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    areas = area_vectors(corner)
     twice_area = norm(areas)[:, None]
     face_normal = areas / twice_area
 

@@ -14,8 +14,8 @@ from warpcontact.checks import Array
 from warpcontact.kernels.types import SIDES_ABOVE, SIDES_EVERYWHERE, SIDES_NOWHERE
 from warpcontact.meshes import Mesh
 from warpcontact.meshes.overlap import MOST_FACES
-from warpcontact.meshes.topology import components
-from warpcontact.vectors import bounds, cross, norm
+from warpcontact.meshes.topology import area_vectors, components
+from warpcontact.vectors import bounds, norm
 
 # Of areas: far above their rounding, far below a face.
 _TOLERANCE = 1.0e-9
@@ -91,7 +91,7 @@ def sides_of_graph(corner: Array, ends: NDArray[np.integer], neighbor: NDArray[n
         ends: Numbers of the vertices at the ends of each edge, in the order of the face, (F, 3, 2).
         neighbor: What lies across each edge, as in ``Patch``, (F, 3).
     """
-    areas = cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    areas = area_vectors(corner)
     up = areas.sum(axis=0)
     if not np.linalg.norm(up) > 0.0:
         return Sides()

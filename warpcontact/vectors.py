@@ -1,7 +1,7 @@
-"""Products of vectors of three on the host, component by component.
+"""Products and bounds of vectors of three on the host, of any real type, component by component.
 
-NumPy is slow along a last axis of three: its own ``cross`` and ``norm`` take two to six times as long, with the
-same results to the last digit.
+NumPy is slow along a last axis of three: of thousands of vectors its ``norm`` takes two to five times as long and
+bounds five to nine times, its ``cross`` twice as long of few. Norms and products are the same to the last digit.
 """
 
 from typing import Any

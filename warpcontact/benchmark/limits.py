@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpcontact.benchmark.works import Array, Work
+from warpcontact.compiling import load_as_launched
 from warpcontact.kernels.bare_query import kernel
 from warpcontact.model import Model
 
@@ -43,7 +44,7 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
     """
     device = model.device
     bare_query = kernel()
-    bare_query.module.load(device)  # before threads start
+    load_as_launched(bare_query, device)  # before threads start
     # Kernels in Warp's debug mode share a pointer.
     parts = 1 if device.is_cuda or wp.config.mode == "debug" else min(threads, model.envs)
     envs = np.array_split(np.arange(model.envs), parts)

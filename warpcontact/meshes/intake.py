@@ -13,7 +13,9 @@ from warpcontact.meshes.mesh import MeshError
 from warpcontact.meshes.readers import Content, Unreadable, read
 from warpcontact.meshes.repair import repair_arrays
 from warpcontact.meshes.report import MeshReport
+from warpcontact.meshes.topology import area_vectors
 from warpcontact.meshes.units import metres
+from warpcontact.vectors import norm
 
 
 @dataclass(frozen=True)
@@ -68,8 +70,7 @@ class Examined(NamedTuple):
             return report
         chosen = self.faces[active]
         corners = self.vertices[chosen[np.all((chosen >= 0) & (chosen < len(self.vertices)), axis=1)]]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = 0.5 * float(np.linalg.norm(cross, axis=1).sum())
+        area = 0.5 * float(norm(area_vectors(corners)).sum())
         return replace(report, active_face_count=len(chosen), active_area=area)
 
 

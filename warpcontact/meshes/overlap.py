@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from warpcontact.meshes.topology import CRACK_LIMIT
-from warpcontact.vectors import bounds
+from warpcontact.meshes.topology import CRACK_LIMIT, area_vectors
+from warpcontact.vectors import bounds, norm
 
 #: Surfaces with more faces are not examined unless asked for.
 MOST_FACES = 100_000
@@ -39,9 +39,9 @@ def intersections(v: _Floats, faces: npt.NDArray[np.int64]) -> _Pairs | None:
     pairs = _candidates(corners)
     if pairs is None:
         return None
-    near = CRACK_LIMIT * float(np.ptp(corners, axis=(0, 1)).max())
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    near = CRACK_LIMIT * float((upper - lower).max())
+    normals = area_vectors(corners)
+    normals /= norm(normals)[:, None]
     found = [np.empty((0, 2), dtype=np.int64)]
     for start in range(0, len(pairs), _CHUNK):
         some = pairs[start : start + _CHUNK]

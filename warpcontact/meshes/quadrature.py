@@ -7,6 +7,8 @@ import numpy.typing as npt
 
 from warpcontact.meshes.mesh import Mesh
 from warpcontact.meshes.sample import SurfaceSamples
+from warpcontact.meshes.topology import area_vectors
+from warpcontact.vectors import norm
 
 
 def _orbit(a: float) -> list[tuple[float, float, float]]:
@@ -57,11 +59,11 @@ def face_points(mesh: Mesh, number: int, faces: npt.NDArray[np.bool_]) -> Surfac
     _, places, weights = _RULES[number]
     chosen = np.flatnonzero(faces)
     corners = mesh.vertices[mesh.faces[chosen]]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    doubled = np.linalg.norm(cross, axis=1)
+    vectors = area_vectors(corners)
+    doubled = norm(vectors)
     return SurfaceSamples(
         (places @ corners).reshape(-1, 3),
         (0.5 * doubled[:, None] * weights).ravel(),
-        np.repeat(cross / doubled[:, None], number, axis=0),
+        np.repeat(vectors / doubled[:, None], number, axis=0),
         np.repeat(chosen, number),
     )

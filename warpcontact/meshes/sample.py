@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from warpcontact.meshes.blue_noise import blue_noise
 from warpcontact.meshes.mesh import Mesh
-from warpcontact.meshes.topology import angles, directions
+from warpcontact.meshes.topology import angles, area_vectors, directions
+from warpcontact.vectors import norm
 
 METHODS = ("blue_noise", "vertices", "centroids")
 
@@ -69,9 +70,9 @@ def sample_surface(
         raise ValueError(f"count must be left out with method={method!r}, which has its own, got {count!r}")
     chosen = _chosen(faces, len(mesh.faces))
     corners = mesh.vertices[mesh.faces[chosen]]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    doubled = np.linalg.norm(cross, axis=1, keepdims=True)
-    areas, normals = 0.5 * doubled[:, 0], cross / doubled
+    vectors = area_vectors(corners)
+    doubled = norm(vectors)
+    areas, normals = 0.5 * doubled, vectors / doubled[:, None]
     if method == "centroids":
         return SurfaceSamples(corners.mean(axis=1), areas, normals, chosen)
     if method == "vertices":

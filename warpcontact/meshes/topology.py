@@ -169,7 +169,7 @@ def volumes_of(
     """
     lower, upper = bounds(v[faces])
     p = v[faces] - 0.5 * (lower + upper)  # centred for precision
-    normals = cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    normals = area_vectors(p)
     area = 0.5 * float(norm(normals).sum())
     pyramids = dot(normals, p[:, 0]) / 6.0
     volumes = np.bincount(part, pyramids, parts).astype(np.float64)
@@ -286,6 +286,11 @@ def _groups(rows: npt.NDArray[Any]) -> tuple[npt.NDArray[np.intp], npt.NDArray[n
     return order, np.flatnonzero(new)
 
 
+def area_vectors(corners: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Returns vectors (n, 3) along the normals of triangles with corners (n, 3, 3), twice as long as the areas."""
+    return cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
 def slenderness(corners: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Shape of triangles as |cross|/Σe²: 0 for a point or a line, 0.29 at most.
 
@@ -332,9 +337,10 @@ def directions(sums: npt.NDArray[np.float64], instead: npt.NDArray[np.float64]) 
 
     Args:
         sums: Vectors, (…, 3).
-        instead: What to take where two sheets back to back leave no sum to speak of, likewise.
+        instead: What to take where two sheets back to back leave no sum to speak of, likewise, or of a shape that
+            is broadcast to that.
     """
     length = norm(sums)[..., None]
     known = length > 1.0e-9
     found: npt.NDArray[np.float64] = sums / np.where(known, length, 1.0)
-    return found if known.all() else np.where(known, found, instead)
+    return found if known.all() else np.where(known, found, np.broadcast_to(instead, sums.shape))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from warpcontact.available import available_threads
 from warpcontact.checks import Array
+from warpcontact.compiling import load_as_launched
 from warpcontact.kernels.rendering.paint import View, kernel
 from warpcontact.kernels.rendering.shade import Backdrop, Grid, Light
 from warpcontact.rendering.camera import Camera, direction
@@ -73,7 +74,7 @@ class Painter:
         grid = _grid(camera, height)
         inputs = [view, *(world.struct for world in worlds), light, grid, self._backdrop]
         paint = kernel()
-        paint.module.load(device)
+        load_as_launched(paint, device)
         rows = height if device.is_cuda else _ROWS
         launches = []
         for first in range(0, width * height, rows * width):

@@ -8,7 +8,14 @@ import numpy.typing as npt
 
 from warpcontact.meshes.examine import COORDINATE_LIMIT, SLIVER_LIMIT
 from warpcontact.meshes.overlap import intersections
-from warpcontact.meshes.topology import CRACK_LIMIT, Edges, meets_another, representatives, slenderness
+from warpcontact.meshes.topology import (
+    CRACK_LIMIT,
+    Edges,
+    meets_another,
+    representatives,
+    slenderness,
+    volumes_of,
+)
 
 Mask = npt.NDArray[np.bool_]
 
@@ -106,11 +113,7 @@ def _inward(
     half = np.arange(len(edge))
     links = coo_array((np.ones(len(edge), dtype=bool), (half // 3, edge // 3)), shape=(len(corners),) * 2)
     parts, part = connected_components(links, directed=False)
-    p = vertices[corners]
-    p = p - 0.5 * (p.min(axis=(0, 1)) + p.max(axis=(0, 1)))
-    cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    volume = np.bincount(part, np.einsum("ij,ij->i", cross, p[:, 0]) / 6.0, parts)
-    nothing = 1e-12 * 0.5 * np.linalg.norm(cross, axis=1).sum() * np.abs(p).max()  # rounding of a volume of zero
+    _, volume, nothing = volumes_of(vertices, corners, part, parts)
     bounding = np.ones(parts, dtype=bool)
     bounding[part[half[open_edge[edge]] // 3]] = False
     return (bounding & (volume < -nothing))[part]
