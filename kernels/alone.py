@@ -129,7 +129,7 @@ def _functions(parts: Parts, real: type, projected: bool, width: int) -> SimpleN
             if met.kind == NOTHING and found.armed != history.armed[env, contact]:
                 met.kind = ENDED
             if met.kind == ENDED:
-                forget(kept, env, contact, dt)
+                forget(kept, env, contact, met.armed, dt)
         met.free = found.free
         return met
 

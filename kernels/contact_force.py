@@ -117,7 +117,7 @@ def functions(parts: Parts, real: type, moves: bool, projected: bool) -> SimpleN
         contacts.friction_force[env, contact] = vec3()
         contacts.slip_speed[env, contact] = real(0.0)
         contacts.torque[env, contact] = vec3()
-        forget(kept, env, member, dt)
+        forget(kept, env, member, contacts.armed[env, contact], dt)
 
     @wp.func
     def add_wrench(wrenches: Wrenches, env: int, body: int, force_W: vec3, torque_W: vec3):

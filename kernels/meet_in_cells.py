@@ -82,7 +82,7 @@ def _take(parts: Parts, real: type, moves: bool, projected: bool, part: str) -> 
         if met.status == CONTACT:
             contacts.approach_speed[env, contact] = met.approach_speed
         elif new != 0:
-            forget(kept, env, contact, dt)
+            forget(kept, env, contact, met.armed, dt)
         if ordered:
             near.force[env, block] = met.force
             near.torque_1[env, block] = met.torque_1

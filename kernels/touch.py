@@ -103,7 +103,8 @@ class Functions(NamedTuple):
     #: ``torsion_radius`` < 0: that of the overlap under the pressure of Hertz; ``q_WS`` turns the axes of what is
     #: touched to W, and is only looked at if the parts are ``oriented``.
     act: wp.Function
-    #: ``(kept, env, member, dt)``: empties the memory of a contact that does not touch.
+    #: ``(kept, env, member, armed, dt)``: empties the memory of a contact that does not touch. Was it never on the
+    #: outer side (``armed`` 0), it will begin where it is put, or enabled.
     forget: wp.Function
 
 
@@ -275,10 +276,12 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
         return acts
 
     @wp.func
-    def forget(kept: Memory, env: int, member: int, dt: real):
-        law_forget(kept.law, env, member, dt)
-        friction_forget(kept.friction, env, member, dt)
-        rolling_forget(kept.rolling, env, member, dt)
-        torsion_forget(kept.torsion, env, member, dt)
+    def forget(kept: Memory, env: int, member: int, armed: int, dt: real):
+        """Empties the memory: what begins next moved for a step at most if it comes from outside, else not yet."""
+        moved_for = wp.where(armed != 0, dt, real(0.0))
+        law_forget(kept.law, env, member, moved_for)
+        friction_forget(kept.friction, env, member, moved_for)
+        rolling_forget(kept.rolling, env, member, moved_for)
+        torsion_forget(kept.torsion, env, member, moved_for)
 
     return Functions(act, forget)

@@ -228,6 +228,41 @@ def test_points_of_a_block_are_armed_where_they_are_seen(arm, places, touches, l
     assert run(True) == run(False) == touches
 
 
+@pytest.mark.parametrize("points", [1, 3])
+@pytest.mark.parametrize("speed", [0.0, -0.1])
+def test_nor_does_it_when_a_contact_that_never_was_outside_is_enabled(points, speed, device):
+    """It has not moved yet, so that what remembers its way has no force in the first step."""
+
+    def run(distance_cache):
+        scene = wc.Scene(gravity=(0, 0, 0))
+        ground = scene.add_surface(wc.meshes.grid((2.0, 2.0), (4, 4)), name="ground")
+        body = scene.add_body(
+            1.0, (1e-2, 1e-2, 1e-2), position=(0.1, 0.05, 0.0999), linear_velocity=(0.5, 0.3, speed), name="body"
+        )
+        places = scene.add_points(body, [(0.03 * i, 0.0, 0.0) for i in range(points)])
+        template = wc.Template(
+            law=wc.laws.Hooke(stiffness=1e4),
+            friction=wc.frictions.CundallStrack(mu_static=0.6, mu_dynamic=0.5, stiffness=1e4),
+        )
+        scene.add_contact(places, ground, template, radius=0.1, enabled=False, name="touch")
+        model = scene.build(envs=2, device=device)
+        sim = wc.Simulation(model, dt=1e-4, distance_cache=distance_cache)
+        sim.step(20)
+        model["touch.enabled"] = True
+        states = []
+        for _ in range(4):
+            sim.step()
+            states.append([model.reading(f"body.{key}") for key in STATE])
+        return states
+
+    cached, afresh = run(True), run(False)
+    np.testing.assert_array_equal(cached[0][2][:, :2], np.float32([[0.5, 0.3]] * 2))
+    assert (afresh[1][2][:, 0] < 0.5).all()
+    for one, other in zip(cached, afresh, strict=True):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
 @PRECISIONS
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 def test_nor_does_it_when_bodies_are_put_elsewhere_or_parameters_change(precision, device):

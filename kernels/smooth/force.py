@@ -64,7 +64,7 @@ def kernel(parts: Parts, real: type, moves: bool = False) -> wp.Kernel:
                 for place in range(2):
                     ends.force[env, end + place] = vec3()
                     ends.torque[env, end + place] = vec3()
-                forget(kept, env, contact, step[env, 0])
+                forget(kept, env, contact, 1, step[env, 0])
                 continue
 
             own = settings[env, contact]
