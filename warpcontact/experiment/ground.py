@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.frames import placed
+from warpcontact.meshes.topology import area_vectors
 from warpcontact.recording import Recording
 from warpcontact.scene import Surface
 from warpcontact.smooth.elements import Shape
@@ -170,7 +171,7 @@ def greys(corners: Array) -> Array:
     """Returns the greys of faces seen from above, (n,) in 0…1, by their corners (n, 3, 3) [m]."""
     middle = corners.mean(axis=1)
     middle = middle - middle.mean(axis=0)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = area_vectors(corners)
     # Areas as they are seen; of vertical faces there is nothing to see.
     seen = np.abs(normal[:, 2])
     weight = np.sqrt(seen / (seen.max() or 1.0))
@@ -190,7 +191,7 @@ def greys(corners: Array) -> Array:
 
 def _inclined(corners: Array) -> Array:
     """Returns those of some faces that have contours: neither level nor upright, of which there is but an edge."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = area_vectors(corners)
     across = np.linalg.norm(normal[:, :2], axis=1)
     upwards = np.abs(normal[:, 2])
     return corners[(across > LEVEL * upwards) & (upwards > UPRIGHT * across)]

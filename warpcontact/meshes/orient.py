@@ -4,7 +4,8 @@ import numpy as np
 import numpy.typing as npt
 
 from warpcontact.meshes.nesting import containers
-from warpcontact.meshes.topology import Edges, components, representatives, volumes_of
+from warpcontact.meshes.topology import Edges, area_vectors, components, representatives, volumes_of
+from warpcontact.vectors import norm
 
 _Integers = npt.NDArray[np.integer]
 
@@ -38,7 +39,7 @@ def turned_over(v: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> tup
     first = np.unique(patch, return_index=True)[1]
     turn = (state[0::2] != state[2 * first[patch]]) & ~one_sided[patch]
 
-    areas = np.linalg.norm(np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]]), axis=1)
+    areas = norm(area_vectors(v[faces]))
     turn ^= (np.bincount(patch, areas * turn, patches) > 0.5 * np.bincount(patch, areas, patches))[patch]
     agreed = np.bincount(patch, turn, patches) == 0  # as given
     agreed |= np.bincount(patch, turn, patches) == np.bincount(patch, minlength=patches)

@@ -14,7 +14,7 @@ from warpcontact.meshes.picture.painter import paint
 from warpcontact.meshes.picture.view import View, best_direction, in_words
 from warpcontact.meshes.repair import RepairRequest
 from warpcontact.meshes.report import MeshReport
-from warpcontact.meshes.topology import CRACK_LIMIT
+from warpcontact.meshes.topology import CRACK_LIMIT, area_vectors
 from warpcontact.picture_file import check_path, save
 
 Array = npt.NDArray[np.float64]
@@ -115,7 +115,7 @@ def plot_arrays(
         raise ValueError(f"{report.name!r} has no face that can be drawn")
     shown = np.flatnonzero(defects.drawable)
     corners = v[f[shown]]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = area_vectors(corners)
     front = best_direction(cross) if direction is None else _direction(direction)
 
     figure = Figure(figsize=(2 * COLUMNS / DPI + 0.3, ROWS / DPI + 1.75), dpi=DPI)

@@ -12,6 +12,7 @@ from warpcontact.kernels.smooth import shapes
 from warpcontact.kernels.smooth.base import Shape as Form
 from warpcontact.meshes import Mesh, MeshError, icosphere
 from warpcontact.meshes.repair import repaired
+from warpcontact.meshes.topology import area_vectors
 from warpcontact.usd.importing import solids
 from warpcontact.usd.importing.colliders import APPROXIMATIONS
 from warpcontact.usd.importing.findings import Unsupported, Wrong
@@ -193,7 +194,7 @@ def hull(points: Array, name: str) -> Mesh:
     except (QhullError, ValueError) as error:
         raise Wrong("the convex hull of its points has no volume: they lie in a plane") from error
     faces, corners = found.simplices, points[found.simplices]
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = area_vectors(corners)
     back = (outward * found.equations[:, :3]).sum(axis=1) < 0.0
     faces = np.where(back[:, None], faces[:, ::-1], faces)
     used, numbers = np.unique(faces, return_inverse=True)
