@@ -5,8 +5,9 @@
 
 Everything is timed in fresh interpreters, in rounds. *Cold* is a first step with an empty cache of compiled
 kernels, *warm* the next one with the same cache; both are the terrain example, from the start of the process until
-the step is done, and what Python takes to end the process stands beside. A warm-up that is not counted reads the
-files of Python and Warp once, so that none of it waits for a disk.
+the step is done, and what Python takes to end the process stands beside. So does what Python, NumPy and Warp take
+without this package, which tells a slow machine from a slow start. A warm-up that is not counted reads the files
+of Python and Warp once, so that none of it waits for a disk.
 """
 
 import argparse
@@ -36,8 +37,8 @@ def main() -> None:
     options = arguments()
     about = facts(options.device, available_threads())
     out = options.out or default_path("start", options.device, about)
-    rounds: dict[str, list[dict[str, Any]]] = {"imports": [], "cold": [], "warm": [], "alone": []}
-    with Bar(total=4 * options.rounds + 1, unit="process", disable=None) as bar:
+    rounds: dict[str, list[dict[str, Any]]] = {"imports": [], "warp": [], "cold": [], "warm": [], "alone": []}
+    with Bar(total=5 * options.rounds + 1, unit="process", disable=None) as bar:
         bar.set_description("warm-up")
         ask("imports", options, {})
         bar.update()
@@ -47,6 +48,7 @@ def main() -> None:
                 caches = {"WARP_CACHE_PATH": f"{folder}/warp", "CUDA_CACHE_PATH": f"{folder}/cuda"}
                 for name, what, variables in (
                     ("imports", "imports", {}),
+                    ("warp", "warp_alone", {}),
                     ("cold", "first_step", caches),
                     ("warm", "first_step", caches),
                     ("alone", "alone", {}),
@@ -59,6 +61,7 @@ def main() -> None:
         "versions": versions(),
         "rounds": options.rounds,
         "import_s": summary(rounds["imports"]),
+        "warp_s": summary(rounds["warp"]),
         "first_step_s": {
             name: summary(rounds[name]) | {"modules": rounds[name][0]["modules"]} for name in ("cold", "warm")
         },
@@ -72,7 +75,7 @@ def main() -> None:
 
 
 def ask(what: str, options: argparse.Namespace, variables: dict[str, str]) -> dict[str, Any]:
-    """Returns the answer of a fresh interpreter; of a first step also when it was done and its process [s]."""
+    """Returns the answer of a fresh interpreter; of what starts Warp also when that was, and its process [s]."""
     words = [what, "--device", options.device, "--at-least", str(options.at_least)]
     if options.envs:
         words += ["--envs", str(options.envs)]
@@ -89,7 +92,7 @@ def ask(what: str, options: argparse.Namespace, variables: dict[str, str]) -> di
     if done.returncode:
         sys.exit(f"{what} failed:\n{done.stderr}")
     answer = json.loads(done.stdout)
-    if what == "first_step":
+    if "ended" in answer:
         answer |= {"done": answer.pop("ended") - start, "process": took}
     return answer
 
@@ -117,6 +120,7 @@ def lines(report: dict[str, Any]) -> list[str]:
     ]
     if "every_name" in imported:
         text.append(line("  and all of its names", imported["every_name"], "s"))
+    text.append(line("Python, NumPy and Warp alone: started", report["warp_s"]["done"], "s"))
     for name, part in report["first_step_s"].items():
         promised = f"promised: under {PROMISES[name]:g} s"
         text.append(line(f"terrain example, {name}: first step done", part["done"], "s", promised))

@@ -30,6 +30,8 @@ GRID = 96
 # Steps of the differences for normals, in terms of the parameters, and for slopes of distances [m].
 STEP = wp.constant(wp.float64(1e-5))
 SLOPE = wp.constant(wp.float64(1e-6))
+# Distances of one place differ by less, where a compiler joins products and sums at one of two calls [m].
+ROUNDING = wp.constant(wp.float64(1e-12))
 # No slope that is known.
 NOWHERE = wp.constant(wp.vec3d(0.0, 0.0, 1.0))
 
@@ -295,7 +297,8 @@ def _kernels(P, grid):
                             if least:
                                 at_u, at_v = within(u + side[0] * du, v + side[1] * dv)
                                 beside, _n = at(kind, s[i], p[i], x[i], q[i], at_u, at_v, by[i], gap, known)
-                                least = beside >= gap
+                                # Beyond an edge is the place itself.
+                                least = beside >= gap - ROUNDING
                         if least:
                             now = searched(kind, s[i], p[i], x[i], q[i], u, v, du, dv, by[i], known)
                             if now.gap < best.gap:

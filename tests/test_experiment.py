@@ -41,7 +41,8 @@ def small_example():
     return wc.Experiment.from_toml(EXAMPLE).changed(envs=3, duration=0.06)
 
 
-def test_what_an_experiment_is_checked_with_serves_its_first_model(monkeypatch):
+@pytest.mark.parametrize("flip", [False, True])
+def test_what_an_experiment_is_checked_with_serves_its_first_model(flip, monkeypatch):
     made = []
     for name in ("make_patch", "make_tree"):
         function = getattr(patches, name)
@@ -51,7 +52,9 @@ def test_what_an_experiment_is_checked_with_serves_its_first_model(monkeypatch):
             return function(*args, **options)
 
         monkeypatch.setattr(patches, name, counted)
-    experiment = wc.Experiment.from_dict(content())
+    described = content()
+    described["surface"][0]["flip"] = flip
+    experiment = wc.Experiment.from_dict(described)
     assert sorted(made) == ["make_patch", "make_tree"]
     experiment.model(device="cpu")
     assert len(made) == 2

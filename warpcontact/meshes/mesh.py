@@ -151,7 +151,15 @@ class Mesh:
         return np.array([self._report.lower, self._report.upper])
 
     def flipped(self) -> "Mesh":
-        """The same surface with its outer side inside: the winding of every face reversed."""
+        """The same surface with its outer side inside: the winding of every face reversed.
+
+        All calls return one mesh.
+        """
+        return self._flipped
+
+    @cached_property
+    def _flipped(self) -> "Mesh":
+        # What is made of a mesh, such as the tables of its patch, is kept by mesh: scenes made in turn share it.
         return self._changed(self._vertices, self._faces[:, [0, 2, 1]], flipped(self._report))
 
     def scaled(self, factor: float) -> "Mesh":
