@@ -6,18 +6,21 @@
 
 A run goes from rest through contact, as in ``works.py``. All cases of a series are ready before the first is
 timed, and take turns, so that what else a machine does hits all alike. Beside each stands what a step that
-remembers nothing could not do without: a bare closest-point query of every point, and a copy of the state. The
-picture is drawn where there is Matplotlib; ``scaling_picture.py`` draws it from the figures later.
+remembers nothing could not do without: a bare closest-point query of every point, and a copy of the state; and
+beside all threads as many processes of one thread, which share nothing but the machine. The picture is drawn where
+there is Matplotlib; ``scaling_picture.py`` draws it from the figures later.
 """
 
 import argparse
 import statistics
 import warnings
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import warp as wp
 from fits import exponent, per_decade, upper_exponent
+from processes import Processes
 from progress import Bar
 from result_file import default_path, write
 from series import MOST_ENVS_ON_CPU, MOST_ENVS_ON_CUDA, SERIES, Case, Sizes, cases
@@ -25,7 +28,7 @@ from series import MOST_ENVS_ON_CPU, MOST_ENVS_ON_CUDA, SERIES, Case, Sizes, cas
 import warpcontact as wc
 from warpcontact.available import available_threads
 from warpcontact.benchmark.facts import facts, versions
-from warpcontact.benchmark.limits import limits
+from warpcontact.benchmark.limits import Limits, limits
 from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs
 from warpcontact.benchmark.works import STEPS
 
@@ -65,6 +68,54 @@ def main() -> None:
         print(f"picture: {picture}")
 
 
+@dataclass
+class Ready:
+    """A case that can be timed.
+
+    Attributes:
+        case: What it is.
+        sim: Its simulation.
+        least: What a step could not do without.
+        apart: It in processes, if these are looked at.
+        times: Of its turns, how long a run took [s].
+        times_apart: The same of the processes.
+    """
+
+    case: Case
+    sim: wc.Simulation
+    least: Limits
+    apart: Processes | None
+    times: list[float] = field(default_factory=list)
+    times_apart: list[float] = field(default_factory=list)
+
+    def figures(self, steps: int) -> dict[str, Any]:
+        """Returns what was found in runs of so many steps."""
+        case = self.case
+
+        def each(times: list[float]) -> list[float]:
+            return [1e9 * took / steps / case.envs for took in times]
+
+        costs = each(self.times)
+        found = {
+            "series": case.series,
+            "line": case.line,
+            "value": case.value,
+            "envs": case.envs,
+            "points": self.sim.model.contact_count,
+            "triangles": len(case.work.surface.faces),
+            "threads": case.threads,
+            "ns_per_env_step": statistics.median(costs),
+            "lowest": min(costs),
+            "highest": max(costs),
+            "ns_bare_query": 1e9 * self.least.query,
+            "ns_copy_of_state": 1e9 * self.least.copy,
+            "frozen": len(self.sim.model.health().frozen),
+        }
+        if self.times_apart:
+            found["ns_in_processes"] = statistics.median(each(self.times_apart))
+        return found
+
+
 def measure(some: list[Case], options: argparse.Namespace, bar: Any) -> list[dict[str, Any]]:
     """Returns the figures of the cases of one series, which take turns."""
     ready = []
@@ -72,34 +123,21 @@ def measure(some: list[Case], options: argparse.Namespace, bar: Any) -> list[dic
         bar.set_description(f"{case.series}: {case.line}, {case.value}")
         sim = case.simulation(options.device)
         run_seconds(sim, options.steps)  # compiles, and captures what later runs replay
-        ready.append((case, sim, [], limits(sim.model, case.work, case.threads)))
+        several = case.series == "threads" and 1 < case.threads == options.threads
+        apart = Processes(case, options.steps) if several else None
+        ready.append(Ready(case, sim, limits(sim.model, case.work, case.threads), apart))
         bar.update()
     for _ in range(options.rounds):
-        for case, sim, times, _least in ready:
-            bar.set_description(f"{case.series}: {case.line}, {case.value}")
-            times.append(seconds_of_runs(sim, options.steps, options.at_least))
+        for one in ready:
+            bar.set_description(f"{one.case.series}: {one.case.line}, {one.case.value}")
+            one.times.append(seconds_of_runs(one.sim, options.steps, options.at_least))
+            if one.apart:
+                one.times_apart.append(one.apart.seconds_of_runs(options.at_least))
             bar.update()
-    found = []
-    for case, sim, times, least in ready:
-        costs = [1e9 * took / options.steps / case.envs for took in times]
-        found.append(
-            {
-                "series": case.series,
-                "line": case.line,
-                "value": case.value,
-                "envs": case.envs,
-                "points": sim.model.contact_count,
-                "triangles": len(case.work.surface.faces),
-                "threads": case.threads,
-                "ns_per_env_step": statistics.median(costs),
-                "lowest": min(costs),
-                "highest": max(costs),
-                "ns_bare_query": 1e9 * least.query,
-                "ns_copy_of_state": 1e9 * least.copy,
-                "frozen": len(sim.model.health().frozen),
-            }
-        )
-    return found
+    for one in ready:
+        if one.apart:
+            one.apart.close()
+    return [one.figures(options.steps) for one in ready]
 
 
 def fits(measured: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -108,7 +146,7 @@ def fits(measured: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ``exponent`` k is that of cost ∝ valueᵏ and ``upper_exponent`` that of the upper half of the values; the cost
     is the time of a step of all environments together. Of triangles there is also what a decade adds to an
     environment-step [ns], and the share of the variance that a logarithm explains; of threads how many times as
-    fast as one thread each number is.
+    fast as one thread each number is, and as many processes as there are threads.
     """
     found = []
     for series, line in dict.fromkeys((entry["series"], entry["line"]) for entry in measured):
@@ -121,6 +159,9 @@ def fits(measured: list[dict[str, Any]]) -> list[dict[str, Any]]:
         if series == "threads":
             one = dict(zip(values, each, strict=True))[1]
             fit["times_one_thread"] = {str(value): one / cost for value, cost in zip(values, each, strict=True)}
+            apart = [entry["ns_in_processes"] for entry in own if "ns_in_processes" in entry]
+            if apart:
+                fit["times_one_thread_in_processes"] = one / apart[-1]
         else:
             costs = [cost * entry["envs"] for cost, entry in zip(each, own, strict=True)]
             fit["exponent"] = exponent(values, costs)
@@ -140,6 +181,8 @@ def lines(found: list[dict[str, Any]]) -> list[str]:
         head = f"{fit['series']:13} {fit['line']:17}"
         if "times_one_thread" in fit:
             rates = ", ".join(f"{value}: {ratio:.2f}" for value, ratio in fit["times_one_thread"].items())
+            if "times_one_thread_in_processes" in fit:
+                rates += f"; as many processes: {fit['times_one_thread_in_processes']:.2f}"
             text.append(f"{head} times as fast as one thread: {rates}")
             continue
         tail = f"cost ∝ n^{fit['exponent']:.2f}, in the upper half n^{fit['upper_exponent']:.2f}"

@@ -43,11 +43,14 @@ def draw(figures: Path, picture: Path) -> None:
         panel(axes, name, [entry for entry in measured if entry["series"] == name], fits)
     have = report["versions"]
     cores = "" if "processor" in about else f", {about['cores']} cores"
+    # One panel is too narrow for a line.
+    on = " " if columns > 1 else "\n"
     figure.suptitle(
-        f"Cost of a step: warpcontact {have['warpcontact']}, Warp {have['warp-lang']}, on {about['device']}{cores}"
+        f"Cost of a step: warpcontact {have['warpcontact']}, Warp {have['warp-lang']},{on}"
+        f"on {about['device']}{cores}"
     )
     figure.supxlabel(
-        f"median of {report['rounds']} rounds of runs of {report['steps']} steps from rest through contact, "
+        f"median of {report['rounds']} rounds of runs of {report['steps']} steps from rest through contact,{on}"
         f"lowest to highest shaded; {about['date']}",
         fontsize="small",
         color="0.3",
@@ -68,10 +71,16 @@ def panel(axes: Any, series: str, entries: list[dict[str, Any]], fits: dict[str,
         if series != "threads":
             limit = ordinates(series, own, "ns_bare_query")
             axes.plot(values, limit, color=f"C{index}", linestyle="--", linewidth=0.9, alpha=0.7)
+        apart = [entry for entry in own if "ns_in_processes" in entry]
+        if apart:
+            times = own[0]["ns_per_env_step"] / apart[-1]["ns_in_processes"]
+            axes.plot(apart[-1]["value"], times, color=f"C{index}", marker="x", markersize=7)
     values = sorted({entry["value"] for entry in entries})
     reference(axes, series, values, [ordinates(series, own, "ns_per_env_step") for own in curves.values()])
     if series != "threads":
         axes.plot([], [], color="0.4", linestyle="--", linewidth=0.9, label="bare query of every point")
+    if any("ns_in_processes" in entry for entry in entries):
+        axes.plot([], [], color="0.4", linestyle="", marker="x", label="as many processes")
     title, across = TITLES[series]
     axes.set_title(title, fontsize="medium")
     axes.set_xlabel(across)

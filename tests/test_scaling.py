@@ -94,6 +94,7 @@ def test_growth_is_fitted_along_every_line(load):
     measured += [entry("points", "box", n, 8, 3.0 * n**0.8) for n in (8, 64, 512)]
     measured += [entry("triangles", "W1", n, 8, 10.0 * np.log10(n)) for n in (1e3, 1e4, 1e5, 1e6)]
     measured += [entry("threads", "W1", n, 8, 60.0 / n) for n in (1, 2, 3)]
+    measured[-1]["ns_in_processes"] = 24.0
     measured += [entry("threads", "W2p8", 1, 8, 60.0)]
     scaling = load("scaling")
     found = {fit["series"]: fit for fit in scaling.fits(measured)}
@@ -103,6 +104,8 @@ def test_growth_is_fitted_along_every_line(load):
     assert found["triangles"]["ns_per_decade_of_bare_query"] == pytest.approx(20.0)
     assert found["triangles"]["explained_by_logarithm"] == pytest.approx(1.0)
     assert found["threads"]["times_one_thread"] == {"1": 1.0, "2": 2.0, "3": pytest.approx(3.0)}
+    assert found["threads"]["times_one_thread_in_processes"] == pytest.approx(2.5)
+    assert "as many processes: 2.50" in scaling.lines([found["threads"]])[0]
     assert len(scaling.lines(list(found.values()))) == len(found) == 4
 
 
@@ -149,6 +152,8 @@ def test_scaling_runs_and_draws(device, tmp_path):
         assert 0.0 < entry["lowest"] <= entry["ns_per_env_step"] <= entry["highest"]
         assert min(entry["ns_bare_query"], entry["ns_copy_of_state"]) > 0.0
         assert entry["frozen"] == 0
+        apart = entry["series"] == "threads" and entry["value"] == 2
+        assert (entry.get("ns_in_processes", 0.0) > 0.0) == apart
     assert "<svg" in picture.read_text()
 
 
