@@ -20,11 +20,15 @@ class Processes:
     Args:
         case: The case, on the CPU.
         steps: Steps of a run.
+
+    Attributes:
+        envs: How many environments they step together: all, but for what cannot be shared out evenly.
     """
 
     def __init__(self, case: Case, steps: int) -> None:
         context = multiprocessing.get_context("spawn")
-        each = replace(case, envs=case.envs // case.threads, threads=1)
+        each = replace(case, envs=max(1, case.envs // case.threads), threads=1)
+        self.envs = each.envs * case.threads
         self._lines: list[Connection[Any, Any]] = []
         self._running = []
         for _ in range(case.threads):

@@ -92,10 +92,10 @@ class Ready:
         """Returns what was found in runs of so many steps."""
         case = self.case
 
-        def each(times: list[float]) -> list[float]:
-            return [1e9 * took / steps / case.envs for took in times]
+        def each(times: list[float], envs: int) -> list[float]:
+            return [1e9 * took / steps / envs for took in times]
 
-        costs = each(self.times)
+        costs = each(self.times, case.envs)
         found = {
             "series": case.series,
             "line": case.line,
@@ -111,8 +111,8 @@ class Ready:
             "ns_copy_of_state": 1e9 * self.least.copy,
             "frozen": len(self.sim.model.health().frozen),
         }
-        if self.times_apart:
-            found["ns_in_processes"] = statistics.median(each(self.times_apart))
+        if self.apart:
+            found["ns_in_processes"] = statistics.median(each(self.times_apart, self.apart.envs))
         return found
 
 

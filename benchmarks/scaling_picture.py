@@ -71,15 +71,14 @@ def panel(axes: Any, series: str, entries: list[dict[str, Any]], fits: dict[str,
         if series != "threads":
             limit = ordinates(series, own, "ns_bare_query")
             axes.plot(values, limit, color=f"C{index}", linestyle="--", linewidth=0.9, alpha=0.7)
-        apart = [entry for entry in own if "ns_in_processes" in entry]
+        apart = fits.get(line, {}).get("times_one_thread_in_processes")
         if apart:
-            times = own[0]["ns_per_env_step"] / apart[-1]["ns_in_processes"]
-            axes.plot(apart[-1]["value"], times, color=f"C{index}", marker="x", markersize=7)
+            axes.plot(values[-1], apart, color=f"C{index}", marker="x", markersize=7)
     values = sorted({entry["value"] for entry in entries})
     reference(axes, series, values, [ordinates(series, own, "ns_per_env_step") for own in curves.values()])
     if series != "threads":
         axes.plot([], [], color="0.4", linestyle="--", linewidth=0.9, label="bare query of every point")
-    if any("ns_in_processes" in entry for entry in entries):
+    if any("times_one_thread_in_processes" in fit for fit in fits.values()):
         axes.plot([], [], color="0.4", linestyle="", marker="x", label="as many processes")
     title, across = TITLES[series]
     axes.set_title(title, fontsize="medium")
