@@ -19,6 +19,7 @@ from warpcontact.kernels.types import (
     Work,
     first_env,
     natural,
+    step_count,
     structs,
     task_count,
 )
@@ -27,7 +28,7 @@ from warpcontact.kernels.unique import unique_kernel
 
 @functools.cache
 def kernel(parts: Parts, real: type, projected: bool, pushed: bool) -> wp.Kernel:
-    """Returns the kernel of accepted semi-implicit Euler steps; items: one.
+    """Returns the kernel of accepted semi-implicit Euler steps, as many as the slice says; items: one.
 
     Args:
         parts: The classes of law and frictions, of all contacts.
@@ -75,7 +76,6 @@ def kernel(parts: Parts, real: type, projected: bool, pushed: bool) -> wp.Kernel
     @unique_kernel()
     def step_in_place(
         work: Work,
-        steps: wp.int32,
         status: wp.array(dtype=wp.int32),
         step: wp.array2d(dtype=real),  # [env, 0] [s]
         clock_step: wp.array2d(dtype=wp.float64),  # [env, 0] [s]
@@ -103,7 +103,7 @@ def kernel(parts: Parts, real: type, projected: bool, pushed: bool) -> wp.Kernel
         tell_near(near)
         for task in range(wp.tid(), task_count(work), work.threads):
             which = first_env(work) + task
-            left = wp.int32(steps)
+            left = step_count(work)
             while left > 0:
                 env = anew(which)
                 if status[env] != ENV_ACTIVE:

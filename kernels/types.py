@@ -127,7 +127,7 @@ class Work:
     envs: wp.int32  # from the first on
     items: wp.int32  # of an environment
     threads: wp.int32
-    slice: wp.array(dtype=wp.int32)  # the first environment and how many, in place of all; or nothing
+    slice: wp.array(dtype=wp.int32)  # the first environment and how many, in place of all, and steps; or nothing
 
 
 @wp.func_native("if (number < 0) __builtin_unreachable(); return number;")
@@ -150,6 +150,12 @@ def task_count(work: Work):
     if work.slice.shape[0] > 0:
         return work.slice[1] * work.items
     return work.envs * work.items
+
+
+@wp.func
+def step_count(work: Work):
+    """How many steps a launch takes of each environment, if it takes any number."""
+    return work.slice[2]
 
 
 @wp.func

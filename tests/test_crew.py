@@ -71,8 +71,8 @@ def test_graphs_are_given_to_gpus_in_turn_before_the_cpu_begins():
     assert not any(alone for _, alone in log[2:])
 
 
-def test_few_slices_are_stepped_in_turns_by_one_thread_at_a_time(monkeypatch):
-    """A thread that is slow leaves the next turn of its slice to others; the last turns are short."""
+def turns_of(slices, monkeypatch):
+    """The steps of each turn, by slice, that two threads take in 1000 steps of some slices."""
     begun, taken, lock = {}, {}, threading.Lock()
 
     class OnSlices(Stepper):
@@ -89,17 +89,29 @@ def test_few_slices_are_stepped_in_turns_by_one_thread_at_a_time(monkeypatch):
                 taken.setdefault(self.own, []).append(sum(way.steps for way in ways))
 
     made = crew.Crew(
-        [crew.Share([slice(k, k + 1) for k in range(3)], [OnSlices("cpu", True, []) for _ in range(2)])]
+        [crew.Share([slice(k, k + 1) for k in range(slices)], [OnSlices("cpu", True, []) for _ in range(2)])]
     )
     monkeypatch.setattr(crew, "ALONE", 0)
     assert list(made.step(8))[-1] == 8
     taken.clear()
     made._pace.steps = 1000
     assert list(made.step(1000)) == [1000]
-    assert {own: sum(counts) for own, counts in taken.items()} == {0: 1000, 1: 1000, 2: 1000}
-    for counts in taken.values():
+    assert {own: sum(counts) for own, counts in taken.items()} == dict.fromkeys(range(slices), 1000)
+    return taken
+
+
+def test_few_slices_are_stepped_in_turns_by_one_thread_at_a_time(monkeypatch):
+    """A thread that is slow leaves the next turn of its slice to others; the last turns are short."""
+    for counts in turns_of(3, monkeypatch).values():
         assert counts[0] > 500
         assert counts == sorted(counts, reverse=True)
         # Two threads with three slices do 1500 steps each.
         assert counts[-1] <= crew._LAST_TURN * 1500
         assert all(count % crew._FEWEST == 0 for count in counts)
+
+
+def test_of_many_slices_only_the_last_are_taken_in_turns(monkeypatch):
+    """A slice that is left is fetched once more: most are not."""
+    taken = turns_of(10, monkeypatch)
+    assert [len(taken[own]) for own in range(6)] == [1] * 6
+    assert all(len(taken[own]) > 2 for own in range(6, 10))

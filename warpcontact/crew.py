@@ -22,6 +22,9 @@ _FEWEST_QUEUED = 32
 # Of what a thread does until all wait for each other, the last turn that it takes, at most, but for a whole graph
 # or a frame: one may take it alone.
 _LAST_TURN = 1 / 64
+# Slices of each thread that are taken in turns, the last ones. Others stay with a thread to the end of what is
+# taken at a time, so that it fetches them once: these are enough to make up for who comes late.
+_SHARED = 2
 # Environment-steps below which starting threads takes longer than what they would save.
 ALONE = 4096
 
@@ -60,6 +63,10 @@ class _Turn:
         """Returns ways that ``stepper`` takes at once: one by one if frames are handed on after each."""
         whole = frames is None or stepper.takes(frames)
         return [self.ways] if whole else [(way,) for way in self.ways]
+
+
+# A slice that somebody may take, with the turns that are left of it.
+_Waiting = tuple[Share, slice, Sequence[_Turn]]
 
 
 class Crew:
@@ -103,16 +110,17 @@ class Crew:
             some = self._pace.of(count - done)
             if frames is not None:
                 some = frames.whole(done, some, count)
-            turns = self._cut(done, some, frames, known)
+            whole = _cut(done, [some], frames, known)
+            turns = _cut(done, self._lengths(some), frames, known)
             for stepper in self._steppers:
                 if frames is not None:
                     stepper.ready_look(frames)
-                for turn in turns:
+                for turn in (*whole, *turns):
                     for ways in turn.pieces(stepper, frames):
                         stepper.capture(ways)
             start = time.perf_counter()
             with _uninterrupted():
-                self._step_all(some, turns, frames)
+                self._step_all(some, whole, turns, frames)
                 took = time.perf_counter() - start
                 done += some
                 known = frames is not None and done % frames.every == 0
@@ -126,30 +134,11 @@ class Crew:
             stepper.ready_look(frames)
             stepper.capture(turns[0].ways)
         with _uninterrupted():
-            self._step_all(1, turns, frames)
+            self._step_all(1, turns, turns, frames)
 
     def _alone(self, count: int) -> bool:
         """Whether one thread takes ``count`` steps sooner than several are told of them."""
         return self._threads < 2 or count * self._envs < ALONE
-
-    def _cut(self, done: int, some: int, frames: Frames | None, known: bool) -> list[_Turn]:
-        """Returns the turns of ``some`` steps after the first ``done``; ``known`` is that of the first."""
-        lengths = self._lengths(some)
-        if frames is None:
-            return [_Turn(0, (Way(length),)) for length in lengths]
-        turns: list[_Turn] = []
-        own: list[Way] = []
-        frame, size = frames.first + done // frames.every, 0
-        for count in frames.cut(done, some):
-            done += count
-            looks = done % frames.every == 0
-            own.append(Way(count, known, looks))
-            size, known = size + count, looks
-            if size >= lengths[0]:
-                turns.append(_Turn(frame, tuple(own)))
-                frame, own, size = frames.first + done // frames.every, [], 0
-                del lengths[: len(lengths) > 1]
-        return [*turns, _Turn(frame, tuple(own))] if own else turns
 
     def _lengths(self, some: int) -> list[int]:
         """Returns steps of one turn after the other: each time half of what is left, until that is little."""
@@ -161,18 +150,21 @@ class Crew:
             some -= lengths[-1]
         return [*lengths, some] if some else lengths
 
-    def _step_all(self, count: int, turns: Sequence[_Turn], frames: Frames | None) -> None:
-        _step_each(0, _waiting(self._queued), turns, frames)
+    def _step_all(self, count: int, whole: Sequence[_Turn], turns: Sequence[_Turn], frames: Frames | None) -> None:
+        """Takes ``count`` steps in all slices: in most at once, as ``whole``, in the last ones in ``turns``."""
+        _step_each(0, _waiting(self._queued, whole), frames)
         if self._alone(count):
             for pieces, _ in self._teams:
-                _step_each(0, _waiting(pieces), turns, frames)
+                _step_each(0, _waiting(pieces, whole), frames)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="warpcontact")
         futures = []
         for pieces, members in self._teams:
-            waiting = _waiting(pieces)
-            futures += [self._pool.submit(_step_each, member, waiting, turns, frames) for member in range(members)]
+            # Who is alone need not be waited for.
+            apart = max(0, len(pieces) - _SHARED * members) if members > 1 else len(pieces)
+            waiting = _waiting(pieces[:apart], whole) + _waiting(pieces[apart:], turns)
+            futures += [self._pool.submit(_step_each, member, waiting, frames) for member in range(members)]
         wait(futures)
         for future in futures:
             future.result()
@@ -183,26 +175,42 @@ def _pieces(shares: Iterable[Share]) -> list[tuple[Share, slice]]:
     return [(share, own) for share in shares for own in share.slices]
 
 
-def _waiting(pieces: Iterable[tuple[Share, slice]]) -> deque[tuple[Share, slice, int]]:
-    """Returns the slices that somebody may take, those that are behind first, each with its next turn."""
-    return deque((share, own, 0) for share, own in pieces)
+def _cut(done: int, lengths: Sequence[int], frames: Frames | None, known: bool) -> list[_Turn]:
+    """Returns turns of about these ``lengths``, after the first ``done`` steps; ``known`` is that of the first."""
+    if frames is None:
+        return [_Turn(0, (Way(length),)) for length in lengths]
+    turns: list[_Turn] = []
+    own: list[Way] = []
+    frame, size = frames.first + done // frames.every, 0
+    for count in frames.cut(done, sum(lengths)):
+        done += count
+        looks = done % frames.every == 0
+        own.append(Way(count, known, looks))
+        size, known = size + count, looks
+        if size >= lengths[min(len(turns), len(lengths) - 1)]:
+            turns.append(_Turn(frame, tuple(own)))
+            frame, own, size = frames.first + done // frames.every, [], 0
+    return [*turns, _Turn(frame, tuple(own))] if own else turns
 
 
-def _step_each(
-    member: int, waiting: deque[tuple[Share, slice, int]], turns: Sequence[_Turn], frames: Frames | None
-) -> None:
+def _waiting(pieces: Iterable[tuple[Share, slice]], turns: Sequence[_Turn]) -> deque[_Waiting]:
+    """Returns slices that somebody may take."""
+    return deque((share, own, turns) for share, own in pieces)
+
+
+def _step_each(member: int, waiting: deque[_Waiting], frames: Frames | None) -> None:
     """Takes turns, as a member of a team, in each slice that nobody else has taken."""
     while True:
         try:
             # At once with others.
-            share, own, number = waiting.popleft()
+            share, own, turns = waiting.popleft()
         except IndexError:
             return
         stepper = share.steppers[member]
         stepper.go_to(own)
-        _step(stepper, turns[number], frames)
-        if number + 1 < len(turns):
-            waiting.append((share, own, number + 1))
+        _step(stepper, turns[0], frames)
+        if len(turns) > 1:
+            waiting.append((share, own, turns[1:]))
 
 
 def _step(stepper: Stepper, turn: _Turn, frames: Frames | None) -> None:

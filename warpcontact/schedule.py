@@ -69,8 +69,8 @@ class Span:
         hard: The contacts that are solved for impulses and have no force; ``None``: all have theirs.
         looked_at: A state whose contacts are known, as nothing changed since they were looked at; ``None``: none.
         watched: Whether anyone asks what contacts did in a step: else they need not tell.
-        slice: Where launches read, when they run, which of these environments they are for: the first and how
-            many; ``None``: for all.
+        slice: Where launches read, when they run, which of these environments they are for, the first and how
+            many, and how many steps those in place take of them; ``None``: for all.
     """
 
     model: "Model"
@@ -390,12 +390,12 @@ def alone_stages(span: Span, dt: StepLength, state_in: Any, state_out: Any) -> l
     return span.prepare(kernel, 1, inputs, -(-span.count // own) * lanes, together)
 
 
-def in_place_stages(span: Span, dt: StepLength, state: Any, steps: int) -> list[wp.Launch]:
-    """Returns the launch that takes accepted semi-implicit Euler steps of a span that is ``in_place``."""
+def in_place_stages(span: Span, dt: StepLength, state: Any) -> list[wp.Launch]:
+    """Returns the launch that takes accepted semi-implicit Euler steps of a slice, if the span is ``in_place``."""
     model, blocks = span.model, span.model.blocks
     a, (group,) = model.arrays, model.groups
     kernel = in_place.kernel(group.parts, model.types.real, group.projected, model.pushed)
-    inputs = [steps, a.status, dt.dynamic, dt.clock, a.time, a.model, a.guard, a.history, group.memory]
+    inputs = [a.status, dt.dynamic, dt.clock, a.time, a.model, a.guard, a.history, group.memory]
     inputs += [group.coefficients, group.kept, a.contacts, a.near, a.cache, a.ends]
     return span.prepare(kernel, 1, [*inputs, blocks.set_count, blocks.count, state])
 

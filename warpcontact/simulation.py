@@ -382,7 +382,7 @@ class Simulation:
         # On the CPU a slice is stepped by one thread at a time, so the order is the same in any case.
         queued = model.device.is_cuda
         ordered = self.deterministic or not queued
-        own = None if queued else wp.array([0, model.envs], dtype=wp.int32, device=model.device)
+        own = None if queued else wp.array([0, model.envs, 0], dtype=wp.int32, device=model.device)
         span = (kind or Span)(model, model.envs, self.distance_cache, ordered, queued, buffers.hard, slice=own)
         return Stepper(span, self.integrator, buffers, parts=self.crossing_steps, captured=self.graphs)
 

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
 CPU_GRAPH_STEPS = (8, 2, 1)
-# Those that one launch takes in place.
-IN_PLACE_STEPS = (64, 8, 1)
+# Those in place are one launch, of any number.
+IN_PLACE_STEPS = (1,)
 # Graphs of the most steps in whose place steps to a frame have one of their own, with its look, at most.
 FRAME_GRAPHS = 2
 
@@ -212,7 +212,7 @@ class Stepper:
         self._states = own, other = model.arrays.state, buffers.other
         # Whether steps go from a state to itself.
         unseen = self._observer is None and not divides
-        one = self._some_in_place(1) if unseen else []
+        one = integrator.in_place_stages(span, self._times.whole, own) if unseen else []
         self._in_place = bool(one)
         if self._in_place:
             self._steps = [_Step(one, [], [], [], [])] * 2
@@ -223,16 +223,13 @@ class Stepper:
         self._wait, self._wake = (turn_stage(span, back=back) for back in (False, True))
         # What is decided on the host cannot be captured.
         self.captured = captured and not divides
-        self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
-        if self._in_place:
-            self.graph_steps = IN_PLACE_STEPS
-        # Of steps in place that are not captured, by how many.
-        alone = self.graph_steps if self._in_place and not self.captured else ()
-        self._launched = {steps: self._some_in_place(steps) for steps in alone}
+        on_cpu = IN_PLACE_STEPS if self._in_place else CPU_GRAPH_STEPS
+        self.graph_steps = on_cpu if model.device.is_cpu else GRAPH_STEPS
         # With what a look at their end is for. All are kept: few sets of needs come up in a simulation.
         self._graphs: dict[tuple[Way, frozenset[str]], wp.Graph] = {}
-        # Of those, which make up ways that are taken one after the other; by what else decides that.
-        self._sequences: dict[tuple[tuple[Way, ...], frozenset[str], bool], list[wp.Graph]] = {}
+        # Of those, which make up ways that are taken one after the other, each with the steps it takes in place;
+        # by what else decides that.
+        self._sequences: dict[tuple[tuple[Way, ...], frozenset[str], bool], list[tuple[int, wp.Graph]]] = {}
         # By what is needed; what is now, and whether it tells steps what is near; and what takes frames.
         self._looks: dict[frozenset[str], list[wp.Launch]] = {}
         self._needs: frozenset[str] = frozenset()
@@ -243,7 +240,12 @@ class Stepper:
         """Takes the environments that are stepped next: others than all of the span only if it has slices."""
         self.slice = own
         if self._place is not None:
-            self._place[:] = own.start, own.stop - own.start
+            self._place[:2] = own.start, own.stop - own.start
+
+    def _go_for(self, steps: int) -> None:
+        """Has the next launch in place take ``steps`` steps."""
+        if self._place is not None:
+            self._place[2] = steps
 
     def _prepare(self, state_in: Any, state_out: Any) -> _Step:
         span, times, part, divide, resume = self._span, self._times, [], [], []
@@ -258,12 +260,6 @@ class Stepper:
             resume=resume,
             back=adopt_stage(span, state_out, state_in),
         )
-
-    def _some_in_place(self, steps: int) -> list[wp.Launch]:
-        """Returns the launches of ``steps`` steps in the buffer of the model."""
-        if steps == 0:
-            return []
-        return self._integrator.in_place_stages(self._span, self._times.whole, self._states[0], steps)
 
     def _stages(
         self, span: Span, dt: StepLength, state_in: Any, state_out: Any, mark: wp.array | None
@@ -287,7 +283,7 @@ class Stepper:
         launches: list[wp.Launch] = []
         first = int(way.known and way.steps > 0)
         if self._in_place:
-            launches += first * self._after_look + self._some_in_place(way.steps - first)
+            launches += first * self._after_look + min(way.steps, 1) * self._steps[0].whole
         else:
             for number in range(way.steps):
                 launches += self._after_look if number < first else self._steps[number % 2].whole
@@ -295,23 +291,27 @@ class Stepper:
                 launches += self._steps[0].back
         return launches + self._looks[self._needs] if way.looks else launches
 
-    def _graphs_of(self, way: Way) -> Iterator[Way]:
-        """Yields the graphs that make up a way."""
+    def _graphs_of(self, way: Way) -> Iterator[tuple[Way, int]]:
+        """Yields the graphs that make up a way, each with the steps that it reads that it takes in place."""
         count, most = way.steps, self.graph_steps[0]
+        if self._in_place:
+            # The same for any number. A first step that knows what is near has launches of its own.
+            yield replace(way, steps=min(count, 1)), max(0, count - way.known)
+            return
         if way.known and way.looks and count <= FRAME_GRAPHS * most:
             # Of frame after frame: whatever is launched apart, Python has to come by for.
-            yield way
+            yield way, 0
             return
         if way.known and count:
             first = count % most or most
-            yield Way(first, known=True)
+            yield Way(first, known=True), 0
             count -= first
         for steps in self.graph_steps:
             for _ in range(count // steps):
-                yield Way(steps)
+                yield Way(steps), 0
             count %= steps
         if way.looks:
-            yield Way(0, looks=True)
+            yield Way(0, looks=True), 0
 
     def capture(self, ways: tuple[Way, ...]) -> None:
         """Captures what ``step`` will replay. Not while other threads step."""
@@ -321,11 +321,11 @@ class Stepper:
         graphs = []
         for way in ways:
             # It knows no more than looks tell.
-            for one in self._graphs_of(replace(way, known=way.known and self._tells)):
+            for one, in_place in self._graphs_of(replace(way, known=way.known and self._tells)):
                 key = one, self._needs if one.looks else frozenset()
                 if key not in self._graphs:
                     self._graphs[key] = self._captured(self.graph(one))
-                graphs.append(self._graphs[key])
+                graphs.append((in_place, self._graphs[key]))
         self._sequences[sequence] = graphs
 
     def _captured(self, launches: list[wp.Launch]) -> wp.Graph:
@@ -337,13 +337,15 @@ class Stepper:
         """Takes steps, captured ones, and looks; the state is in the model's buffer before and after each way."""
         if self.captured:
             # Looked up once: Python is slow where steps drive it out of the cache of a core.
-            for graph in self._sequences[ways, self._needs, self._tells]:
+            for in_place, graph in self._sequences[ways, self._needs, self._tells]:
+                self._go_for(in_place)
                 wp.capture_launch(graph)
             return
         with beside_captures():
             for way in ways:
                 if self._in_place:
-                    self._take_in_place(way.steps)
+                    self._go_for(way.steps)
+                    _launch(self._steps[0].whole)
                 else:
                     for number in range(way.steps):
                         self._take(number % 2)
@@ -388,13 +390,6 @@ class Stepper:
     def hand_on(self, frames: Frames, number: int) -> None:
         """Hands on frame ``number`` of its environments, which was looked at."""
         frames.take(self._span.model, self.slice, number)
-
-    def _take_in_place(self, count: int) -> None:
-        """Takes steps in as few launches as graphs have."""
-        for steps in self.graph_steps:
-            for _ in range(count // steps):
-                _launch(self._launched[steps])
-            count %= steps
 
     def _take(self, way: int) -> None:
         """Takes one step from one buffer to the other, and again in parts where a surface was crossed."""

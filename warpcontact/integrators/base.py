@@ -64,10 +64,10 @@ class Integrator(ABC):
         with ``None`` such a step is taken as it is.
         """
 
-    def in_place_stages(self, span: Span, dt: StepLength, state: Any, steps: int) -> list[wp.Launch]:
-        """Returns the launches that take ``steps`` accepted steps of ``state`` in place, seen by nobody.
+    def in_place_stages(self, span: Span, dt: StepLength, state: Any) -> list[wp.Launch]:
+        """Returns the launches that take accepted steps of ``state`` in place, as many as ``span.slice`` says.
 
-        None: these environments have no such steps.
+        Nobody sees them. None: these environments have no such steps.
         """
         return []
 

@@ -82,10 +82,10 @@ class SemiImplicitEuler(Integrator):
             launches += span.prepare(sweep.kernel(real), model.blocks.count, inputs)
         return launches
 
-    def in_place_stages(self, span: Span, dt: StepLength, state: Any, steps: int) -> list[wp.Launch]:
+    def in_place_stages(self, span: Span, dt: StepLength, state: Any) -> list[wp.Launch]:
         """Returns one launch, of bodies alone on a CPU; none of a subclass whose steps are others."""
         own = type(self).step_stages is SemiImplicitEuler.step_stages
-        return in_place_stages(span, dt, state, steps) if own and span.in_place else []
+        return in_place_stages(span, dt, state) if own and span.in_place else []
 
     def change_stages(self, span: Span, change: wp.array, state: Any) -> list[wp.Launch]:
         """Returns the launches that take the velocities, half a step behind the positions, to another step."""
