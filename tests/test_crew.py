@@ -1,5 +1,6 @@
 """Crews of several devices: GPUs do not wait for each other, and begin before the CPU."""
 
+import itertools
 import threading
 import time
 
@@ -112,6 +113,16 @@ def test_few_slices_are_stepped_in_turns_by_one_thread_at_a_time(monkeypatch):
 
 def test_of_many_slices_only_the_last_are_taken_in_turns(monkeypatch):
     """A slice that is left is fetched once more: most are not."""
-    taken = turns_of(10, monkeypatch)
+    taken = turns_of(14, monkeypatch)
     assert [len(taken[own]) for own in range(6)] == [1] * 6
-    assert all(len(taken[own]) > 2 for own in range(6, 10))
+    assert all(len(taken[own]) > 2 for own in range(6, 14))
+
+
+def test_steps_that_take_no_time_are_not_taken_all_at_once(monkeypatch):
+    """Of environments that are held: once they are reset, as many steps at a time would not be interrupted."""
+    monkeypatch.setattr(crew, "_MOST", 2**15)
+    made = crew.Crew([crew.Share([slice(0, 64)], [Stepper("cpu", True, []) for _ in range(2)])])
+    done = [0, *made.step(10**5)]
+    assert done[-1] == 10**5
+    # Two threads share 64; what is left at the end may be half as many more.
+    assert 2**10 <= max(later - earlier for earlier, later in itertools.pairwise(done)) <= 1.5 * 2**10

@@ -22,9 +22,12 @@ _FEWEST_QUEUED = 32
 # Of what a thread does until all wait for each other, the last turn that it takes, at most, but for a whole graph
 # or a frame: one may take it alone.
 _LAST_TURN = 1 / 64
-# Slices of each thread that are taken in turns, the last ones. Others stay with a thread to the end of what is
-# taken at a time, so that it fetches them once: these are enough to make up for who comes late.
-_SHARED = 2
+# Slices for each thread that are taken in turns, the last ones. Others stay with a thread to the end of what is
+# taken at a time, so that it fetches them once. So many make up for a thread at a quarter of the speed of others.
+_SHARED = 4
+# Environment-steps of a thread that are taken at a time, at most: a fraction of a second, where all are stepped.
+# Those that are held take no time, until they are reset.
+_MOST = 2**21
 # Environment-steps below which starting threads takes longer than what they would save.
 ALONE = 4096
 
@@ -96,7 +99,8 @@ class Crew:
         self._threads = sum(members for _, members in self._teams)
         self._pool: ThreadPoolExecutor | None = None
         self._envs = sum(own.stop - own.start for share in shares for own in share.slices)
-        self._pace = Pace(_FEWEST_QUEUED if self._queued else _FEWEST)
+        most = max(_FEWEST, _MOST * members // self._envs) if members else None
+        self._pace = Pace(_FEWEST_QUEUED) if self._queued else Pace(_FEWEST, most)
 
     def step(self, count: int, frames: Frames | None = None) -> Iterator[int]:
         """Takes ``count`` steps in all slices, some at a time; yields how many were taken so far.
@@ -110,12 +114,13 @@ class Crew:
             some = self._pace.of(count - done)
             if frames is not None:
                 some = frames.whole(done, some, count)
-            whole = _cut(done, [some], frames, known)
-            turns = _cut(done, self._lengths(some), frames, known)
+            whole = turns = _cut(done, [some], frames, known)
+            if len(lengths := self._lengths(some)) > 1:
+                turns = _cut(done, lengths, frames, known)
             for stepper in self._steppers:
                 if frames is not None:
                     stepper.ready_look(frames)
-                for turn in (*whole, *turns):
+                for turn in whole if turns is whole else (*whole, *turns):
                     for ways in turn.pieces(stepper, frames):
                         stepper.capture(ways)
             start = time.perf_counter()

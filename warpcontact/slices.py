@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
 CPU_GRAPH_STEPS = (8, 2, 1)
-# Those in place are one launch, of any number.
-IN_PLACE_STEPS = (1,)
 # Graphs of the most steps in whose place steps to a frame have one of their own, with its look, at most.
 FRAME_GRAPHS = 2
 
@@ -189,7 +187,8 @@ class Stepper:
         slice: The environments that are stepped next; at first all.
         device: Their device.
         captured: Whether steps are replayed: on a GPU nothing is then waited for.
-        graph_steps: Steps in its graphs, the most first.
+        in_place: Whether steps are one launch, of any number.
+        graph_steps: Steps in its graphs, the most first, if they are not.
     """
 
     def __init__(
@@ -213,8 +212,8 @@ class Stepper:
         # Whether steps go from a state to itself.
         unseen = self._observer is None and not divides
         one = integrator.in_place_stages(span, self._times.whole, own) if unseen else []
-        self._in_place = bool(one)
-        if self._in_place:
+        self.in_place = bool(one)
+        if self.in_place:
             self._steps = [_Step(one, [], [], [], [])] * 2
         else:
             self._steps = [self._prepare(*way) for way in ((own, other), (other, own))]
@@ -223,8 +222,7 @@ class Stepper:
         self._wait, self._wake = (turn_stage(span, back=back) for back in (False, True))
         # What is decided on the host cannot be captured.
         self.captured = captured and not divides
-        on_cpu = IN_PLACE_STEPS if self._in_place else CPU_GRAPH_STEPS
-        self.graph_steps = on_cpu if model.device.is_cpu else GRAPH_STEPS
+        self.graph_steps = CPU_GRAPH_STEPS if model.device.is_cpu else GRAPH_STEPS
         # With what a look at their end is for. All are kept: few sets of needs come up in a simulation.
         self._graphs: dict[tuple[Way, frozenset[str]], wp.Graph] = {}
         # Of those, which make up ways that are taken one after the other, each with the steps it takes in place;
@@ -282,7 +280,7 @@ class Stepper:
             return []
         launches: list[wp.Launch] = []
         first = int(way.known and way.steps > 0)
-        if self._in_place:
+        if self.in_place:
             launches += first * self._after_look + min(way.steps, 1) * self._steps[0].whole
         else:
             for number in range(way.steps):
@@ -294,7 +292,7 @@ class Stepper:
     def _graphs_of(self, way: Way) -> Iterator[tuple[Way, int]]:
         """Yields the graphs that make up a way, each with the steps that it reads that it takes in place."""
         count, most = way.steps, self.graph_steps[0]
-        if self._in_place:
+        if self.in_place:
             # The same for any number. A first step that knows what is near has launches of its own.
             yield replace(way, steps=min(count, 1)), max(0, count - way.known)
             return
@@ -343,7 +341,7 @@ class Stepper:
             return
         with beside_captures():
             for way in ways:
-                if self._in_place:
+                if self.in_place:
                     self._go_for(way.steps)
                     _launch(self._steps[0].whole)
                 else:
@@ -374,7 +372,7 @@ class Stepper:
             span = replace(self._span, looked_at=own)
             with beside_captures():
                 self._after_look = self._stages(span, self._times.whole, own, other, self._mark)
-                if self._in_place:
+                if self.in_place:
                     self._after_look += adopt_stage(self._span, other, own)
         return True
 

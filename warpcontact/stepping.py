@@ -122,19 +122,23 @@ def stepping_footprint(
         )
         one = Stepper(span, integrator, buffers, parts=crossing_steps, captured=graphs)
         size = LAUNCH_BYTES * sum(len(launches) for launches in one.launches())
-        for steps in one.graph_steps:
+        for steps in (1,) if one.in_place else one.graph_steps:
             size += _captured_bytes(one.graph(Way(steps)))
         if looks is not None and watch.quarantine == "freeze" and in_parts(part.device, buffers.hard, looks):
             tally = look_span(Tally, part, 1, buffers.hard, looks)
             look = [*look_stages(tally, looks, part.no_step, None), recording.take()]
             size += LAUNCH_BYTES * len(look)
             if one.captured:
-                steps = one.graph_steps[0]
+                # By itself, and with the steps before it.
+                looked = [look]
                 if one.ready_after_look(looks):
                     first = one.graph(Way(1, known=True))
-                    size += LAUNCH_BYTES * len(first) + _captured_bytes(first)
-                # By itself, and with the steps before it, of which few have smaller graphs.
-                size += _captured_bytes(look) + _captured_bytes([*look, *FRAME_GRAPHS * one.graph(Way(steps))])
+                    size += LAUNCH_BYTES * len(first)
+                    looked += [first, [*look, *first]] if one.in_place else [first]
+                # Few of those that are no steps in place are smaller.
+                steps = 1 if one.in_place else FRAME_GRAPHS * one.graph_steps[0]
+                looked.append([*look, *one.graph(Way(steps))])
+                size += sum(_captured_bytes(graph) for graph in looked)
         launches = Need("launches", HOST, size * (members if part.device.is_cpu else 1))
         needs = [*buffers.layout.needs(envs), launches]
         if observer is not None:
