@@ -5,18 +5,21 @@ import os
 import shutil
 import signal
 import threading
+import time
 from pathlib import Path
 
 import pytest
 import warp as wp
 
 wp.config.log_level = wp.LOG_ERROR
+_BEGUN = time.monotonic()
 
 
 def pytest_addoption(parser):
     parser.addoption("--device", default="cpu", help="Warp device to test on, such as cuda:0")
     parser.addoption("--thorough", action="store_true", help="five times as many random cases in slow tests")
     parser.addoption("--bounds-check", action="store_true", help="compile kernels with array bounds checks")
+    parser.addoption("--slow-for", type=float, help="seconds after which slow tests are skipped")
 
 
 def pytest_configure(config):
@@ -32,6 +35,12 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if "times" in getattr(item, "fixturenames", ()):
             item.add_marker("sampled")
+
+
+def pytest_runtest_setup(item):
+    limit = item.config.getoption("--slow-for")
+    if limit is not None and time.monotonic() - _BEGUN > limit and item.get_closest_marker("slow"):
+        pytest.skip("slow tests had their time")
 
 
 @pytest.fixture(scope="session")
