@@ -186,15 +186,16 @@ def _cut(done: int, lengths: Sequence[int], frames: Frames | None, known: bool) 
         return [_Turn(0, (Way(length),)) for length in lengths]
     turns: list[_Turn] = []
     own: list[Way] = []
-    frame, size = frames.first + done // frames.every, 0
+    frame, size, length = frames.first + done // frames.every, 0, lengths[0]
     for count in frames.cut(done, sum(lengths)):
         done += count
         looks = done % frames.every == 0
         own.append(Way(count, known, looks))
         size, known = size + count, looks
-        if size >= lengths[min(len(turns), len(lengths) - 1)]:
+        if size >= length:
             turns.append(_Turn(frame, tuple(own)))
             frame, own, size = frames.first + done // frames.every, [], 0
+            length = lengths[min(len(turns), len(lengths) - 1)]
     return [*turns, _Turn(frame, tuple(own))] if own else turns
 
 

@@ -281,7 +281,7 @@ class Stepper:
         launches: list[wp.Launch] = []
         first = int(way.known and way.steps > 0)
         if self.in_place:
-            launches += first * self._after_look + min(way.steps, 1) * self._steps[0].whole
+            launches += first * self._after_look + (way.steps > first) * self._steps[0].whole
         else:
             for number in range(way.steps):
                 launches += self._after_look if number < first else self._steps[number % 2].whole
@@ -293,8 +293,8 @@ class Stepper:
         """Yields the graphs that make up a way, each with the steps that it reads that it takes in place."""
         count, most = way.steps, self.graph_steps[0]
         if self.in_place:
-            # The same for any number. A first step that knows what is near has launches of its own.
-            yield replace(way, steps=min(count, 1)), max(0, count - way.known)
+            # The same for any number, after a first step that knows what is near, which has launches of its own.
+            yield replace(way, steps=min(count, 1 + way.known)), max(0, count - way.known)
             return
         if way.known and way.looks and count <= FRAME_GRAPHS * most:
             # Of frame after frame: whatever is launched apart, Python has to come by for.
@@ -336,7 +336,8 @@ class Stepper:
         if self.captured:
             # Looked up once: Python is slow where steps drive it out of the cache of a core.
             for in_place, graph in self._sequences[ways, self._needs, self._tells]:
-                self._go_for(in_place)
+                if in_place:
+                    self._go_for(in_place)
                 wp.capture_launch(graph)
             return
         with beside_captures():

@@ -132,7 +132,7 @@ def stepping_footprint(
                 # By itself, and with the steps before it.
                 looked = [look]
                 if one.ready_after_look(looks):
-                    first = one.graph(Way(1, known=True))
+                    first = one.graph(Way(1 + one.in_place, known=True))
                     size += LAUNCH_BYTES * len(first)
                     looked += [first, [*look, *first]] if one.in_place else [first]
                 # Few of those that are no steps in place are smaller.
