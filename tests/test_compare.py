@@ -65,6 +65,7 @@ def test_effective_restitution_is_that_of_the_table(some, shared):
         np.testing.assert_allclose(measured, table[column][order], atol=1e-3, err_msg=law.__name__)
 
 
+@pytest.mark.slow
 def test_loops_close_and_enclose_the_energy_that_is_lost(every):
     force, depth = every["normal_force"], every["penetration"]
     for end in (0, -1):
@@ -76,6 +77,7 @@ def test_loops_close_and_enclose_the_energy_that_is_lost(every):
     np.testing.assert_allclose(every["energy_loss"], lost, atol=4e-3 * 0.5)
 
 
+@pytest.mark.slow
 def test_every_law_is_in_the_same_impact(every):
     """Undamped, every law is as deep; those with a damping return what is asked for; elastic ones everything."""
     undamped = every.sel(restitution=1.0)

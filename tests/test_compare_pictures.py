@@ -31,6 +31,7 @@ def panels(figure):
     return {axes.get_title(): axes for axes in axes}
 
 
+@pytest.mark.slow
 def test_all_frictions_slide_with_the_same_unless_told_otherwise(device):
     classes = [friction for friction in F.CATALOGUE if friction not in (F.Frictionless, F.Viscous)]
     steady = compare.slips(classes, [1.0], device=device)["coefficient"].isel(speed=0)
@@ -130,6 +131,7 @@ def test_a_picture_has_one_unit_for_each_quantity(device):
     assert len(labels) == 3, labels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [F.CundallStrack, F.Mindlin])
 def test_what_holds_at_rest_is_marked_where_steady_slip_hides_it(kind, device):
     held = breakaways(

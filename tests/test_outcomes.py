@@ -132,6 +132,7 @@ REDUCED = {
 }
 
 
+@pytest.mark.slow
 def test_every_reduction_is_that_of_a_recording_of_every_step():
     names = ["ball.position", "ball.linear_velocity", "ball.kinetic_energy", "touch.gap", "scene.linear_momentum"]
     _, recording = recorded(names)

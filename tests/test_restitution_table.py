@@ -40,6 +40,7 @@ def read_table(path):
     return np.genfromtxt(path, delimiter=",", names=True, deletechars="")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("precision", "tolerance"), [("float32", 2e-3), ("float64", 1e-3)])
 def test_every_law_reproduces_its_row_of_the_table(precision, tolerance, shared, device):
     """One body per law, one environment per restitution; impacts of 1 kg at 1 m/s, radius 50 mm.

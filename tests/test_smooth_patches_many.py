@@ -22,6 +22,7 @@ def check(A, P, count, seed, device):
     return counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "pair", [(S.RoundedBox, Quadric), (S.Cylinder, Bore), (Torus, Waves), (S.Cone, Tube)], **names
 )

@@ -138,6 +138,7 @@ def slopes_beside_the_least(ring, body, x, q, device):
     return (value[[k - 1, k + 1]] - value[k]) / (step * ring.major_radius)
 
 
+@pytest.mark.slow
 def test_rings_meet_superellipsoids_where_their_core_circle_is_deepest(device):
     check(500, 1, device)
 
