@@ -1,17 +1,32 @@
-"""How kernels are built: each in a module of its own, all with the same options of the compiler."""
+"""Module options of kernels: one module per kernel, and the same compiler options for all of them.
 
+The environment variable ``WARPCONTACT_COMPILE`` chooses the options for a CPU when the package is imported:
+``release`` (default) for fast steps, or ``quick`` for short compile times. Both give bitwise identical results.
+``quick`` also selects staged kernels, see ``warpcontact.schedule``.
+"""
+
+import os
 from collections.abc import Callable
 from typing import Any
 
 import warp as wp
 
-# What LLVM does not inline gets its structs copied, kilobytes at every call. Its options are those of the process:
-# only what has the same is compiled side by side, and a thread precompiles one header for all of it.
-OPTIONS = {
+MODES = ("release", "quick")
+MODE = os.environ.get("WARPCONTACT_COMPILE", "") or MODES[0]
+if MODE not in MODES:
+    raise ImportError(f"WARPCONTACT_COMPILE must be one of {', '.join(MODES)}, got {MODE!r}")
+#: Whether kernels are compiled for short compile times.
+QUICK = MODE == "quick"
+
+# LLVM copies the structs of a call that it does not inline, kilobytes each time. LLVM options are global to the
+# process: modules with equal options compile concurrently, and each thread precompiles one header for all of them.
+RELEASE_OPTIONS: dict[str, Any] = {
     "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=100000"
     " -mllvm=-inline-cold-callsite-threshold=30000"
     " -mllvm=-slp-recursion-max-depth=4"
 }
+QUICK_OPTIONS: dict[str, Any] = {"cpu_compiler_flags": "-march=native"}
+OPTIONS = QUICK_OPTIONS if QUICK else RELEASE_OPTIONS
 
 
 def unique_kernel(

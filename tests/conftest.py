@@ -5,27 +5,32 @@ import os
 import shutil
 import signal
 import threading
-import time
 from pathlib import Path
 
 import pytest
 import warp as wp
 
 wp.config.log_level = wp.LOG_ERROR
-_BEGUN = time.monotonic()
 
 
 def pytest_addoption(parser):
     parser.addoption("--device", default="cpu", help="Warp device to test on, such as cuda:0")
     parser.addoption("--thorough", action="store_true", help="five times as many random cases in slow tests")
+    parser.addoption(
+        "--kernels",
+        choices=("quick", "release"),
+        default="quick",
+        help="compile kernels for short compile times, or as users run them (WARPCONTACT_COMPILE)",
+    )
     parser.addoption("--bounds-check", action="store_true", help="compile kernels with array bounds checks")
-    parser.addoption("--slow-for", type=float, help="seconds after which slow tests are skipped")
 
 
 def pytest_configure(config):
     # What a shell starts in the background ignores Ctrl-C, and so would what tests start and interrupt.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Test modules and the processes that tests start read it when they import the package.
+    os.environ["WARPCONTACT_COMPILE"] = config.getoption("--kernels")
     if config.getoption("--bounds-check"):
         wp.config.mode = "debug"
     wp.init()
@@ -35,12 +40,6 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if "times" in getattr(item, "fixturenames", ()):
             item.add_marker("sampled")
-
-
-def pytest_runtest_setup(item):
-    limit = item.config.getoption("--slow-for")
-    if limit is not None and time.monotonic() - _BEGUN > limit and item.get_closest_marker("slow"):
-        pytest.skip("slow tests had their time")
 
 
 @pytest.fixture(scope="session")
@@ -153,6 +152,13 @@ def copied_run(tmp_path):
         return shutil.copytree(folder, tmp_path / "copy")
 
     return copy
+
+
+@pytest.fixture(autouse=True)
+def fused_kernels(request, monkeypatch):
+    """Lets tests of launch shapes fuse stages if kernels are compiled for short compile times as well."""
+    if request.node.get_closest_marker("launch_shapes"):
+        monkeypatch.setattr("warpcontact.schedule.FUSES", True)
 
 
 @pytest.fixture

@@ -10,9 +10,13 @@ from warpcontact import build, cells, simulation
 from warpcontact.schedule import Span
 
 
-def cells_everywhere(monkeypatch):
-    """Makes cells for models on the CPU, which does not search in them."""
+def cells_everywhere(monkeypatch, finest=0.6):
+    """Builds face grids for models on the CPU, which otherwise has none.
+
+    ``finest``: Smallest cell size, in edges: one thread fills the grid, so coarser than that of a GPU.
+    """
     a_gpu = SimpleNamespace(is_cuda=True)
+    monkeypatch.setattr(cells, "FINEST", finest)
     monkeypatch.setattr(build, "grids_about", lambda made, _, t: cells.grids_about(made, a_gpu, t))
 
 

@@ -9,6 +9,7 @@ import warpcontact as wc
 from warpcontact import schedule
 from warpcontact.integrators import SemiImplicitEuler
 
+pytestmark = pytest.mark.launch_shapes
 STATE = ("position", "orientation", "linear_velocity", "angular_velocity")
 TEMPLATE = wc.Template(
     law=wc.laws.KelvinVoigt(stiffness=2e3, damping=4.0), friction=wc.frictions.Tanh(mu=0.5, velocity_scale=0.01)

@@ -67,7 +67,7 @@ def celled(request, device):
     name, precision = request.param
     mesh, radius, closed = CASES[name]
     with pytest.MonkeyPatch.context() as patched:
-        cells_everywhere(patched)
+        cells_everywhere(patched, cells.FINEST)
         model = scene_of(mesh, radius).build(device=device, precision=precision)
     own = model.parts[0].arrays.model
     counts = own.patch_cells.numpy()[0]

@@ -10,7 +10,7 @@ from warpcontact.recorder import Recorder
 from warpcontact.schedule import Span
 from warpcontact.slices import Way
 
-pytestmark = pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+pytestmark = [pytest.mark.launch_shapes, pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")]
 KEYS = ("normal_force", "friction_force", "gap", "status")
 
 

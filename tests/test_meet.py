@@ -9,7 +9,7 @@ import warpcontact as wc
 from warpcontact.model import WITHOUT_CONTACT
 from warpcontact.schedule import Span
 
-pytestmark = pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+pytestmark = [pytest.mark.launch_shapes, pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")]
 
 
 def balls(template=TEMPLATE):

@@ -112,6 +112,7 @@ def test_a_hostile_file_ends_in_a_sentence(tmp_path, name):
     assert time.monotonic() - start < SECONDS
 
 
+@pytest.mark.smoke
 def test_a_packed_bomb_is_no_usdz(tmp_path):
     zip_bomb(tmp_path / "a.usdz")
     with pytest.raises(MeshError, match="not valid USD"):
@@ -133,17 +134,19 @@ MEMORY = (
 
 
 def cloud(size):
-    """A stage with so many points and one face."""
+    """Returns a stage with ``size`` points and one face."""
     points = ",".join(f"({i},{i % 7},{i % 5})" for i in range(size))
     rows = f"point3f[] points = [{points}]", "int[] faceVertexCounts = [3]", "int[] faceVertexIndices = [1, 2, 3]"
     return "\n".join(("#usda 1.0", 'def Mesh "m" {', *rows, "}")).encode()
 
 
 @LINUX
-@pytest.mark.parametrize(("name", "content"), [("a.usda", cloud(1_000_000)), ("a.glb", repeated(2000))])
-def test_memory_is_limited_while_reading_and_examining(tmp_path, name, content):
+@pytest.mark.parametrize(
+    ("name", "make"), [("a.usda", lambda: cloud(1_000_000)), ("a.glb", lambda: repeated(2000))], ids=["usda", "glb"]
+)
+def test_memory_is_limited_while_reading_and_examining(tmp_path, name, make):
     path = tmp_path / name
-    path.write_bytes(content)
+    path.write_bytes(make())
     assert examine_file(path).face_count > 0
     with pytest.raises(MeshError, match=MEMORY):
         load_mesh(path, limits=Limits(memory=400 * 2**20))
@@ -310,6 +313,7 @@ def test_an_error_of_the_program_itself_is_said(tmp_path, monkeypatch):
         load_mesh(tmp_path / "a.stl")
 
 
+@pytest.mark.smoke
 def test_a_script_without_a_guard_a_lost_folder_and_threads_can_load(tmp_path):
     (tmp_path / "a.stl").write_bytes(STL)
     folder = tmp_path / "gone"

@@ -174,8 +174,8 @@ def test_stages_run_where_only_the_engine_is(device, tmp_path, bare):
     done = run("stages.py", *words, **bare)
     assert done.returncode == 0, done.stderr
     costs = json.loads(out.read_text())["stages"]["W2p8"]["2"]["ns_per_env_after_steps"]["3"]
-    look = "meet_sets" if device == "cpu" else "step_alone"
-    assert {look, "bare query", "copy of state"} <= costs.keys()
+    assert {"bare query", "copy of state"} < costs.keys()
+    assert costs.keys() & {"meet_sets", "step_alone", "closest_point"}
 
 
 @pytest.mark.slow

@@ -35,6 +35,7 @@ from warpcontact.kernels import (
 )
 from warpcontact.kernels.closest_point import CELL, KNOWN, LISTED, QUERY, RECALLED, SEARCH
 from warpcontact.kernels.types import Work
+from warpcontact.kernels.unique import QUICK
 
 if TYPE_CHECKING:
     from warpcontact.groups import Group
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from warpcontact.unilateral.hard_contacts import HardContacts
 
 
+# Whether stages are fused into one kernel where results stay bitwise identical. Staged kernels compile faster.
+FUSES = not QUICK
 # Most threads of a GPU that work off a queue, in whole warps, however long it is.
 LOOKING = 262144
 SEARCHING = 65536
@@ -107,7 +110,7 @@ class Span:
         asked = self.watched or model.follows or self._coupled
         celled, single = model.arrays.celled, model.blocks.width == 1 and len(model.groups) == 1
         able = celled and single if self.queued else model.device.is_cpu and not celled
-        return able and self.cached and self.hard is None and not asked
+        return FUSES and able and self.cached and self.hard is None and not asked
 
     @property
     def ends_by_body(self) -> bool:
@@ -115,7 +118,7 @@ class Span:
         model = self.model
         # Of many environments of a GPU two launches, with fewer registers each, take less.
         few = model.device.is_cpu or (model.blocks.count == 1 and self.few)
-        return few and self._of_one and model.blocks.count > 0 and self.sums_by_body
+        return FUSES and few and self._of_one and model.blocks.count > 0 and self.sums_by_body
 
     @property
     def _coupled(self) -> bool:
@@ -133,7 +136,7 @@ class Span:
         """Whether one launch takes a step: of bodies alone in their environments with one set of contacts."""
         model, blocks = self.model, self.model.blocks
         looks = self.queued and self.cached and model.arrays.celled and blocks.set_count == 1
-        return looks and self._of_one and not self._else_acts and blocks.count <= MOST_ADDED_UP
+        return FUSES and looks and self._of_one and not self._else_acts and blocks.count <= MOST_ADDED_UP
 
     @property
     def in_place(self) -> bool:
