@@ -20,7 +20,7 @@ from typing import Any
 from engines import ENGINES
 from environments import CACHE, interpreter
 from progress import Bar
-from result_file import default_path, write
+from result_file import RATIOS, default_path, stored, write
 from side_by_side import SideBySide
 from table import lines, summarise
 from works import STEPS, WORKS
@@ -47,7 +47,7 @@ def main() -> None:
                     if not quick(entry, options):
                         able.pop(entry["engine"])
                 entries += found
-                write(out, report(about, options, entries))
+                write(out, report(about, options, entries) | stored(out, RATIOS))
     print(f"{about['device']}, {about['cores']} cores, {about['date']}")
     print("\n".join(lines(summarise(entries))))
     print(f"written to {out}")

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
+#: Entry of ``gpu_ratios.py`` in the file that ``compare.py`` writes.
+RATIOS = "ratios_to_bare_query"
 
 
 def default_path(kind: str, device: str, about: dict[str, Any]) -> Path:
@@ -18,6 +20,12 @@ def default_path(kind: str, device: str, about: dict[str, Any]) -> Path:
     """
     name = "cpu" if device == "cpu" else re.sub(r"[^a-z0-9]+", "-", str(about["device"]).lower()).strip("-")
     return RESULTS / f"{kind and kind + '-'}{name}.json"
+
+
+def stored(path: Path, *keys: str) -> dict[str, Any]:
+    """Returns the entries of a file of figures, all or those of ``keys``. Without a file there are none."""
+    report = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    return {key: value for key, value in report.items() if not keys or key in keys}
 
 
 def write(path: Path, report: dict[str, Any]) -> None:

@@ -23,6 +23,7 @@ def python(*words):
     return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
 
 
+@pytest.mark.smoke
 def test_help_and_version_answer_without_anything_heavy():
     code = (
         "import sys\nfrom warpcontact.cli import main\ntry: main(sys.argv[1:])\nexcept SystemExit: pass\n"
@@ -34,6 +35,7 @@ def test_help_and_version_answer_without_anything_heavy():
     assert python("-m", "warpcontact", "--version").stdout == f"warpcontact {wc.__version__}\n"
 
 
+@pytest.mark.smoke
 def test_example_runs_and_says_where_the_results_are(device, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["run", str(EXAMPLE), "--envs", "4", "--duration", "0.1", "--device", device]
@@ -118,6 +120,7 @@ def test_wrong_words_show_the_usage(words, capsys):
     assert "usage: warpcontact" in capsys.readouterr().err
 
 
+@pytest.mark.smoke
 def test_interrupt_is_no_traceback(monkeypatch, capsys, tmp_path):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -191,6 +194,7 @@ def test_warnings_are_printed_once_and_kept(tmp_path, capsys):
     assert json.loads((out / "run.json").read_text())["warnings"] == warned
 
 
+@pytest.mark.smoke
 def test_inspect_prints_the_report_and_says_whether_it_is_usable(tmp_path, capsys):
     mesh = tmp_path / "mesh.obj"
     mesh.write_text(TRIANGLE)

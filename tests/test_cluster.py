@@ -56,6 +56,7 @@ def test_without_ray_there_is_one_clear_message(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.ray
 def test_an_address_without_a_cluster_is_one_clear_message(place, tmp_path):
     code, _, err = runs.run(place / "study.toml", "--out", tmp_path / "out", "--ray", "127.0.0.1:1")
     assert code == 2, err
@@ -65,6 +66,7 @@ def test_an_address_without_a_cluster_is_one_clear_message(place, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.ray
 def test_ray_leaves_the_same_bytes(place, tmp_path):
     out = tmp_path / "out"
     code, printed, err = runs.run(place / "study.toml", "--out", out, "--ray", *WORDS)
@@ -76,6 +78,7 @@ def test_ray_leaves_the_same_bytes(place, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.ray
 def test_of_a_killed_worker_exactly_its_shard_is_run_again(tmp_path):
     study, out = runs.study(tmp_path, envs=12, duration=300.0, every=0.5), tmp_path / "out"
     code, _, err = runs.run(study, "--out", tmp_path / "whole", *WORDS)
@@ -114,6 +117,7 @@ def test_of_a_killed_worker_exactly_its_shard_is_run_again(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.ray
 def test_a_shard_that_fails_three_times_on_a_cluster_is_reported_and_the_others_finish(place, tmp_path):
     path, out = runs.crowded(tmp_path), tmp_path / "out"
     code, printed, err = runs.run(path, "--out", out, "--ray", "--shard", 2)
@@ -125,6 +129,7 @@ def test_a_shard_that_fails_three_times_on_a_cluster_is_reported_and_the_others_
 
 
 @pytest.mark.slow
+@pytest.mark.ray
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_who_asks_a_cluster_to_stop_can_go_on_without_it(number, tmp_path):
     study, out = runs.study(tmp_path, envs=12, duration=300.0, every=0.5), tmp_path / "out"
@@ -146,6 +151,7 @@ def test_who_asks_a_cluster_to_stop_can_go_on_without_it(number, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.ray
 def test_who_asks_to_stop_once_ray_runs_and_no_shard_does_is_told_that_nothing_is_kept(place, tmp_path):
     out = tmp_path / "out"
     first = runs.asking_when(signal.SIGTERM, "building")
@@ -163,6 +169,7 @@ def test_who_asks_to_stop_while_ray_starts_is_heard(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.ray
 def test_a_run_begun_in_one_process_goes_on_with_ray(place, tmp_path):
     out = tmp_path / "out"
     kill = runs.ending_after(25)
@@ -246,6 +253,7 @@ def test_a_gpu_that_a_cluster_does_not_have_is_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.ray
 def test_on_the_cpu_of_a_cluster_with_gpus_its_cores_run_shards(place, tmp_path):
     gpu = "import ray; ray.init(address='local', num_cpus=4, num_gpus=1, object_store_memory=10**8)"
     out = tmp_path / "out"
@@ -257,6 +265,7 @@ def test_on_the_cpu_of_a_cluster_with_gpus_its_cores_run_shards(place, tmp_path)
 
 
 @pytest.mark.slow
+@pytest.mark.ray
 def test_with_memory_for_one_shard_a_cluster_runs_one_after_another(place, tmp_path):
     little = "import ray; ray.init(address='local', num_cpus=2, _memory=0.9e9, object_store_memory=10**8)"
     out = tmp_path / "out"

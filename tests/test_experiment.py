@@ -66,6 +66,7 @@ def test_what_an_experiment_is_checked_with_serves_its_first_model(flip, monkeyp
     assert len(experiment._loaded.patches) == 1
 
 
+@pytest.mark.smoke
 def test_example_leaves_complete_results(device, tmp_path):
     run = small_example().run(tmp_path / "out", device=device)
     assert {path.name for path in run.files.values()} == {path.name for path in run.folder.iterdir()}

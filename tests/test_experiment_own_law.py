@@ -82,6 +82,7 @@ def imported(path, name):
     return module
 
 
+@pytest.mark.smoke
 def test_the_command_runs_laws_of_the_user_like_the_same_script(device, folder, capsys):
     (folder / "study.toml").write_text(TEXT)
     out = folder.parent / "out"

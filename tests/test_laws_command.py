@@ -17,6 +17,7 @@ OWN = Path(__file__).with_name("user_laws.py")
 TOO_STIFF = OWN.read_text().partition("too stiff")[0].count("\n") + 1
 
 
+@pytest.mark.smoke
 def test_laws_lists_the_whole_catalogue(capsys):
     assert main(["laws"]) == 0
     out = capsys.readouterr().out

@@ -16,7 +16,7 @@ import warpcontact.kernels
 import warpcontact
 from warpcontact import collecting
 
-pytestmark = pytest.mark.installed
+pytestmark = [pytest.mark.installed, pytest.mark.smoke]
 
 HOST = Path(warpcontact.__file__).parent
 KERNELS = Path(warpcontact.kernels.__file__).parent

@@ -83,6 +83,7 @@ def test_every_format_gives_the_faces_of_the_file_in_their_order(tmp_path, suffi
     assert examine_file(path, scale=2.0) == mesh.report
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(("name", "content"), [("a.stl", STL), ("a.stl", STL_TEXT), ("a.obj", OBJ), ("a.off", OFF),
                                                ("a.ply", PLY), ("a.glb", glb())])  # fmt: skip
 def test_the_sound_files_that_the_hostile_ones_are_made_of_load(write, name, content):

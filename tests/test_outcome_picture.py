@@ -105,6 +105,7 @@ def test_there_is_no_picture_without_outcomes_of_one_number(outcome, tmp_path):
     assert not path.exists()
 
 
+@pytest.mark.smoke
 def test_a_run_without_series_has_a_picture_of_its_outcomes(device, tmp_path):
     fall = {
         "envs": 3,

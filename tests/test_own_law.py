@@ -14,6 +14,7 @@ from warpcontact.formula_errors import _functions
 pytestmark = pytest.mark.installed
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_a_law_of_the_user_bounces_elastically(precision, device):
     model = dropped_sphere(

@@ -46,6 +46,7 @@ def command(run, *words):
     return main(["render", str(run.folder), *map(str, words), "--size", "64x48", "--samples", "1"])
 
 
+@pytest.mark.smoke
 def test_a_still_is_written_as_it_is_returned(run, tmp_path):
     picture = wc.render(run, tmp_path / "a.png", env=2, time=0.1, **SMALL)
     assert picture.shape == (48, 64, 3)
@@ -157,6 +158,7 @@ def test_what_is_not_drawn_is_not_read(tmp_path):
             np.testing.assert_array_equal(wc.render(wc.open_run(folder), time=0.1, **SMALL), whole)
 
 
+@pytest.mark.smoke
 def test_the_command_says_what_it_drew(run, tmp_path, capsys):
     assert command(run, "-o", tmp_path / "a.png", "--env", 1, "--time", 0.1) == 0
     assert capsys.readouterr().out == f"environment 1 at 0.1 s: {tmp_path / 'a.png'}\n"

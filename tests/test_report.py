@@ -71,6 +71,7 @@ def ids(page):
 # What is in it
 
 
+@pytest.mark.smoke
 def test_a_report_has_what_was_run_and_what_became_of_it(crate, text):
     page = report_runs.check_harmless(text)
     sections = {"replay-section", "outcomes", "series", "loops", "failed", "environments", "run"}
@@ -138,6 +139,7 @@ def test_environments_that_are_asked_for_are_shown(crate, tmp_path):
     assert "largest hardest" in labels[worst]
 
 
+@pytest.mark.smoke
 def test_the_command_writes_it_beside_the_run_or_where_it_is_told(crate, tmp_path, capsys):
     folder = tmp_path / "run"
     shutil.copytree(crate.folder, folder)

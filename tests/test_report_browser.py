@@ -9,7 +9,7 @@ import report_runs
 
 import warpcontact as wc
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
 
 READY = "window.warpcontact && window.warpcontact.ready"
 

@@ -72,6 +72,7 @@ def killed_at_random(out, study, moments, words, whole):
     return hits
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("where", ["before", "between", "after"])
 def test_a_kill_at_a_commit_is_repaired(where, place, whole, tmp_path):
     out = tmp_path / "out"

@@ -22,6 +22,7 @@ def stage(recording, tmp_path_factory):
     return export(recording, tmp_path_factory.mktemp("usd"), ".usdc")
 
 
+@pytest.mark.smoke
 def test_metadata(recording, stage):
     layer = stage.GetRootLayer()
     assert stage.GetDefaultPrim().GetPath() == "/World"

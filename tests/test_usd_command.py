@@ -23,6 +23,7 @@ def folder(device, tmp_path_factory):
     return path / "out"
 
 
+@pytest.mark.smoke
 def test_environments_and_colours(folder, tmp_path, capsys):
     path = tmp_path / "a.usdc"
     assert main(["export", str(folder), "--usd", str(path), "--envs", "1", "3", "--color-by", "end_time"]) == 0

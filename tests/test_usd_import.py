@@ -201,6 +201,7 @@ def test_kinematic_bodies_stay_or_keep_their_velocity(tmp_path):
     assert [type(one.motion) for one in scene.bodies] == [wc.motions.Fixed, wc.motions.Prescribed]
 
 
+@pytest.mark.smoke
 def test_materials_become_law_and_friction_by_the_mean_of_both(tmp_path):
     def material(name, static, dynamic, restitution):
         api = 'prepend apiSchemas = ["PhysicsMaterialAPI"]'

@@ -42,6 +42,7 @@ def listens(address, port):
         return one.connect_ex((address, port)) == 0
 
 
+@pytest.mark.smoke
 def test_a_run_is_replayed_at_the_time_that_is_chosen(run):
     recorded = wc.open_run(run).recording["ball.position"]
     with viewing(run) as show:

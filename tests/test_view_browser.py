@@ -13,7 +13,7 @@ from viewing import ball_on_ground, settle, until, viewing
 
 import warpcontact as wc
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
 
 HOSTILE = '<img src=x onerror="window.harmed=1"><script>window.harmed=1</script>'
 # What a page of viser says of a machine without a GPU goes away by itself, over what is looked at.
