@@ -31,6 +31,11 @@ def pytest_configure(config):
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # Test modules and the processes that tests start read it when they import the package.
     os.environ["WARPCONTACT_COMPILE"] = config.getoption("--kernels")
+    from warpcontact.kernels import unique
+
+    assert config.getoption("--kernels") == unique.MODE, "the package was imported before its options were set"
+    # Kernels of tests too: LLVM compiles concurrently only with equal options.
+    wp.config.cpu_compiler_flags = unique.OPTIONS["cpu_compiler_flags"]
     if config.getoption("--bounds-check"):
         wp.config.mode = "debug"
     wp.init()

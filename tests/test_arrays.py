@@ -20,6 +20,7 @@ def mark_last(pair: Pair, env: int, item: int):
     pair.first[env, item] = 4.0
 
 
+@pytest.mark.slow
 def test_memory_of_more_than_two_gibibytes_is_one_piece(device):
     """As 64 points in a million environments have on a GPU."""
     envs = 2**31 // (64 * RECORD) + 1

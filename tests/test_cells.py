@@ -59,7 +59,11 @@ def grids_of(scene):
 
 @pytest.fixture(
     scope="module",
-    params=[(name, precision) for name in CASES for precision in ("float32", "float64")],
+    params=[
+        *((name, "float32") for name in CASES),
+        ("terrain", "float64"),
+        *(pytest.param((name, "float64"), marks=pytest.mark.slow) for name in list(CASES)[1:]),
+    ],
     ids="-".join,
 )
 def celled(request, device):

@@ -15,7 +15,7 @@ from test_schedule import STUCK, falling_on, two_bodies
 from warpcontact.kernels import integrate
 
 import warpcontact as wc
-from warpcontact import drives, groups, stepping
+from warpcontact import drives, groups, simulation
 from warpcontact.compiling import load_all, round_each_product
 from warpcontact.couplings import springs
 from warpcontact.smooth import contact_sets
@@ -132,7 +132,7 @@ def test_nothing_that_steps_and_frames_launch_is_left_to_be_compiled_alone(make,
         compiled.update(kernels)
         load_all(kernels, device, threads)
 
-    monkeypatch.setattr(stepping, "load_all", load_them)
+    monkeypatch.setattr(simulation, "load_all", load_them)
     sim = make()
     reading = next(name for name in sim.model.reading_names if name.endswith("normal_force"))
     recording = sim.run(0.02, record=[reading], every=5e-3)

@@ -8,6 +8,19 @@ from oracles import contact_time
 import warpcontact as wc
 
 
+@pytest.mark.parametrize(
+    ("name", "options", "written"),
+    [
+        ("restitution_map", ["--side", "2"], "restitution_map.png"),
+        ("lander", ["--envs", "8"], "peak_load.png"),
+        ("stopping_distance", ["--envs", "32"], "picture.png"),
+    ],
+)
+def test_ensemble_example_ends_with_its_results(name, options, written, device, tmp_path):
+    assert load(name).main([*options, "--device", device, "--out", str(tmp_path / "out")])
+    assert (tmp_path / "out" / written).read_bytes().startswith(b"\x89PNG")
+
+
 @pytest.mark.slow
 def test_five_laws_have_their_restitutions_at_all_masses_and_speeds(device, tmp_path, capsys):
     errors = load("restitution_map").main(["--side", "12", "--device", device, "--out", str(tmp_path / "out")])

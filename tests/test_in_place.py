@@ -5,7 +5,7 @@ import pytest
 from test_alone import ALONE, assert_same, built, states
 
 import warpcontact as wc
-from warpcontact import stepping
+from warpcontact import simulation
 from warpcontact.recorder import Recorder
 from warpcontact.schedule import Span
 from warpcontact.slices import Way
@@ -131,7 +131,7 @@ def test_a_subclass_with_steps_of_its_own_is_asked_for_them():
 @pytest.mark.parametrize("readings", [["body.position"], ["touch.normal_force"]])
 def test_all_that_a_recorded_run_launches_is_compiled_ahead(readings, monkeypatch):
     ahead = []
-    monkeypatch.setattr(stepping, "load_all", lambda kernels, *_: ahead.extend(kernels))
+    monkeypatch.setattr(simulation, "load_all", lambda kernels, *_: ahead.extend(kernels))
     model = built(ALONE["with memory"], "cpu")
     sim = wc.Simulation(model, dt=1e-3)
     recorder = Recorder(model, readings, 5, poses=False)

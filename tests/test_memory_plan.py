@@ -19,7 +19,7 @@ from warpcontact.cli import main
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", SCENES)
 def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
     scene = SCENES[name]()

@@ -142,7 +142,9 @@ def cloud(size):
 
 @LINUX
 @pytest.mark.parametrize(
-    ("name", "make"), [("a.usda", lambda: cloud(1_000_000)), ("a.glb", lambda: repeated(2000))], ids=["usda", "glb"]
+    ("name", "make"),
+    [("a.usda", lambda: cloud(1_000_000)), ("a.glb", lambda: repeated(2000))],
+    ids=["usda", "glb"],
 )
 def test_memory_is_limited_while_reading_and_examining(tmp_path, name, make):
     path = tmp_path / name

@@ -140,7 +140,7 @@ def gaps_of(positions, axes, radii):
 
 
 @pytest.mark.parametrize("capsules", [False, True])
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 def test_finds_the_pairs_of_a_search_over_all(device, capsules, precision):
     """A cloud of radii 1:5 that moves through itself: the pairs, gaps and points are those of brute force."""
     positions, turns, forms, radii, half = cloud(capsules)

@@ -1,5 +1,6 @@
 """However steps are taken, cached or not, captured or not, in slices by many threads: results are equal."""
 
+import functools
 import signal
 import threading
 import time
@@ -139,6 +140,12 @@ def run(name, precision, device, *, steps=700, envs=ENVS, **options):
     fall = model["body.linear_velocity"] + steps * 1e-3 * model["scene.gravity"]
     pushed = np.abs(model.reading("body.linear_velocity") - fall).max(axis=1) > 1e-2
     return states, pushed
+
+
+@functools.cache
+def usual_run(name, precision):
+    """Returns the states of a run on a CPU."""
+    return run(name, precision, "cpu")[0]
 
 
 def assert_same(left, right):
@@ -342,7 +349,7 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
     assert_same(alone, shared)
 
 
-@PRECISIONS
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("celled", [False, True], ids=["", "in cells"])
 @pytest.mark.parametrize("few", [False, True], ids=["of many", "of few"])
@@ -350,8 +357,7 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
 @pytest.mark.parametrize("name", [name for name in SCENES if not name.endswith("edges")])
 def test_queues_change_nothing(name, few, celled, precision, monkeypatch):
     """As a GPU looks at contacts, here by one thread."""
-    usual, _ = run(name, precision, "cpu")
-
+    usual = usual_run(name, precision)
     with_queues(monkeypatch)
     if celled:
         cells_everywhere(monkeypatch)

@@ -47,7 +47,9 @@ def test_normals_of_superellipsoids_are_exact_where_distances_tell_no_more(P, ro
     check_points(S.Superellipsoid, P, (a, b), met)
 
 
-@pytest.mark.parametrize("P", [Quadric, Waves], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "P", [Quadric, pytest.param(Waves, marks=pytest.mark.slow)], ids=lambda kind: kind.__name__
+)
 def test_planes_meet_patches_or_are_nearest_to_their_edges(P, device):
     counts = check(S.Plane, P, 2000, 7, device)
     assert counts["met"] > 100

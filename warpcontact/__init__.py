@@ -14,12 +14,12 @@ from warpcontact._version import __version__
 
 if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes, outcomes, unilateral
-    from warpcontact.advice import ContactWarning
     from warpcontact.analysis import convergence, quantile_fan, sensitivity, write_fan
     from warpcontact.benchmark import BenchReport, bench
     from warpcontact.checkpoint import CheckpointError
     from warpcontact.contact_coupling import ContactCoupling
     from warpcontact.contact_range import ContactRange
+    from warpcontact.contact_warning import ContactWarning
     from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError, Run, StoreError, open_run
@@ -61,7 +61,7 @@ _HOME = {
     "ContactCoupling": "warpcontact.contact_coupling",
     "ContactMode": "warpcontact.status",
     "ContactRange": "warpcontact.contact_range",
-    "ContactWarning": "warpcontact.advice",
+    "ContactWarning": "warpcontact.contact_warning",
     "CouplingStatus": "warpcontact.status",
     "Damper": "warpcontact.kernels.springs.base",
     "EnvironmentStatus": "warpcontact.status",

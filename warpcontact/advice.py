@@ -30,10 +30,6 @@ ENOUGH_STEPS = 20.0
 ENOUGH_IN_PILES = 10.0
 
 
-class ContactWarning(UserWarning):
-    """A scene that will run but hardly mean what its author wants."""
-
-
 def level_outside() -> int:
     """Returns the ``stacklevel`` with which its caller warns of what was called from outside this package."""
     level, frame = 1, sys._getframe(1)

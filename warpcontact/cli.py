@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from warpcontact import (
     __version__,
     bench_command,
+    build_kernels_command,
     folder_commands,
     laws_command,
     render_command,
@@ -181,6 +182,8 @@ def _parser() -> argparse.ArgumentParser:
     commands.choices["laws"].set_defaults(command=_laws)
     bench_command.add_to(commands)
     commands.choices["bench"].set_defaults(command=_bench)
+    build_kernels_command.add_to(commands)
+    commands.choices["build-kernels"].set_defaults(command=_build_kernels)
     render_command.add_to(commands)
     commands.choices["render"].set_defaults(command=_of_folder, work=render_command.run)
     folder_commands.add_to(commands)
@@ -438,5 +441,15 @@ def _bench(arguments: argparse.Namespace) -> int:
     try:
         bench_command.run(arguments)
     except ValueError as error:
+        return _fail(str(error))
+    return 0
+
+
+def _build_kernels(arguments: argparse.Namespace) -> int:
+    from warpcontact.quarantine import QuarantineError
+
+    try:
+        build_kernels_command.run(arguments)
+    except (ValueError, QuarantineError) as error:
         return _fail(str(error))
     return 0

@@ -1,7 +1,7 @@
 """How kernels are built for a device: side by side, and with the same rounding whatever launches them."""
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
@@ -34,16 +34,27 @@ def load_as_launched(kernel: wp.Kernel, device: wp.Device) -> None:
     kernel.module.load(device, block_dim=None if device.is_cuda else 1)
 
 
-def load_all(kernels: Iterable[wp.Kernel], device: wp.Device, threads: int) -> None:
+def load_all(
+    kernels: Iterable[wp.Kernel],
+    device: wp.Device,
+    threads: int,
+    on_loaded: Callable[[wp.Kernel], None] | None = None,
+) -> None:
     """Compiles kernels for a CPU side by side, those that have to be.
 
     Args:
         kernels: The kernels, those that take long first.
         device: The CPU. A GPU compiles for blocks of a size that launches say.
         threads: Threads at most.
+        on_loaded: Called by the thread that loaded a kernel, with the kernel.
     """
     left = deque(dict.fromkeys(kernels))
     others = min(len(left), COMPILERS, threads) - 1
+
+    def load_one(kernel: wp.Kernel) -> None:
+        load(kernel, device)
+        if on_loaded is not None:
+            on_loaded(kernel)
 
     def load_next() -> None:
         try:
@@ -52,7 +63,7 @@ def load_all(kernels: Iterable[wp.Kernel], device: wp.Device, threads: int) -> N
                     kernel = left.popleft()
                 except IndexError:  # others were faster
                     return
-                load(kernel, device)
+                load_one(kernel)
         except BaseException:
             # Who waits for it, or interrupts it, waits for what is being compiled, and for nothing else.
             left.clear()
@@ -68,7 +79,7 @@ def load_all(kernels: Iterable[wp.Kernel], device: wp.Device, threads: int) -> N
             with suppress(RuntimeError):  # of a process that ends, which has no more threads
                 tasks = [pool.submit(load_next) for _ in range(others)]
             # A thread compiles a header before its kernels. The one that built the model mostly has it.
-            load(first, device)
+            load_one(first)
             load_next()
         except BaseException:
             left.clear()

@@ -11,10 +11,12 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warpcontact import checkpoint, checks
-from warpcontact.advice import ContactWarning, advice, level_outside, to_search
+from warpcontact.advice import advice, level_outside, to_search
 from warpcontact.arrays import Layout
 from warpcontact.available import HOST, available_threads
 from warpcontact.captures import beside_captures
+from warpcontact.compiling import load_all
+from warpcontact.contact_warning import ContactWarning
 from warpcontact.crew import Crew, Share
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, Need, environments, require
@@ -29,7 +31,7 @@ from warpcontact.quarantine import CADENCE, raise_failed, reset_failed
 from warpcontact.remarks import Remarks
 from warpcontact.schedule import Span
 from warpcontact.slices import Buffers, Frames, Stepper, Times
-from warpcontact.stepping import Tally, compile_steps, cut, slice_sizes, stepping_footprint
+from warpcontact.stepping import Tally, cut, kernels_of_steps, slice_sizes, stepping_footprint
 from warpcontact.taking import take_after, take_first
 from warpcontact.whole_steps import frame_count, recorded_steps
 
@@ -254,11 +256,7 @@ class Simulation:
             )
 
     def reset(self, env_mask: ArrayLike | None = None) -> None:
-        """Puts environments back to their initial state, with empty history.
-
-        Args:
-            env_mask: Booleans (envs,) of the environments to reset; ``None``: all, and the clock too.
-        """
+        """Resets state and history of the environments of a mask (envs,); ``None``: of all, and the clock."""
         self.model.reset(env_mask)
 
     def step(self, count: int = 1) -> None:
@@ -266,8 +264,7 @@ class Simulation:
 
         Raises:
             QuarantineError: If an environment failed and the quarantine is to raise.
-            RuntimeError: If a list of partners of a mutual contact was too short. On a GPU that is said by what
-                waits for it, such as a reading or the end of a run.
+            RuntimeError: If a neighbor list was too short. On a GPU a later reading or the end of a run raises it.
         """
         if checks.whole("count", count, least=0):
             self._advance(count, None)
@@ -275,17 +272,14 @@ class Simulation:
     def step_in_frames(
         self, frames: int, every: int, needs: Iterable[str], take: Callable[[Model, slice, int], None]
     ) -> None:
-        """Takes ``frames`` times ``every`` steps, and looks at the state after each ``every`` of them.
-
-        On the CPU that costs little, since it is done slice by slice, while a slice is near its thread.
+        """Takes ``frames`` times ``every`` steps, and evaluates the state after each ``every`` of them.
 
         Args:
-            frames: How many.
-            every: Steps from frame to frame.
-            needs: What to compute for each, see ``Reading.needs``; there is room to measure into.
-            take: Called when it is computed, with a part of the model, a range of its environments and the number
-                of the frame, from 0. Of each environment frames come in their order; ranges come from several
-                threads and may be at different frames, so only the range may be read.
+            frames: Number of frames.
+            every: Steps between frames.
+            needs: Quantities to compute, see ``Reading.needs``; memory for them is allocated.
+            take: Called with a part of the model, a range of its environments and the number of the frame, from 0.
+                Several threads call it, each environment in order of frames. It may read only its range.
 
         Raises:
             ValueError: If a number or a need is not allowed.
@@ -346,25 +340,32 @@ class Simulation:
             model.check_piles()
 
     def crew(self) -> Crew:
-        """Returns who steps the environments as they are built now."""
+        """Returns the worker pool for the model as it is built now."""
         self._attach()
         revisions = tuple(part.revision for part in self.model.parts)
         prepared, crew = self._prepared
         if crew is None or prepared != revisions:
-            crew = Crew(self._shares())
-            self._prepared = (revisions, crew)
+            self._prepared = revisions, crew = revisions, Crew(self._shares())
         return crew
 
     def _compile(self, needs: Set[str]) -> None:
-        """Compiles what comes up from here on, with looks for ``needs``, unless somebody steps already."""
-        on_cpu = [own for own in zip(self.model.parts, self._buffers, strict=True) if own[0].device.is_cpu]
-        if self._prepared[1] is not None or not on_cpu:
-            return
-        with beside_captures():
+        """Compiles the CPU kernels of steps and of frames with ``needs``, unless steps were prepared before."""
+        if self._prepared[1] is None:
             advises = self.model.at_start and not self.advised
-            first = [EVALUATED] if advises and to_search(self.model, self._buffers[0].hard) is not None else []
-            for part, buffers in on_cpu:
-                compile_steps(part, self._stepper(part, buffers, Tally), [*first, needs], self.threads)
+            first = [EVALUATED] if advises and self.evaluates_start else []
+            load_all(self.kernels_of_steps([*first, needs]), wp.get_device("cpu"), self.threads)
+
+    @beside_captures()
+    def kernels_of_steps(self, looks: Sequence[Set[str]]) -> list[wp.Kernel]:
+        """Returns the CPU kernels of steps and of frames, each once; ``looks``: needs of each kind of frame."""
+        own = zip(self.model.parts, self._buffers, strict=True)
+        on_cpu = [(part, self._stepper(part, buffers, Tally)) for part, buffers in own if part.device.is_cpu]
+        return list(dict.fromkeys(kernel for one in on_cpu for kernel in kernels_of_steps(*one, looks)))
+
+    @property
+    def evaluates_start(self) -> bool:
+        """Whether ``advice`` evaluates contacts at the present state."""
+        return to_search(self.model, self._buffers[0].hard) is not None
 
     @beside_captures()
     def _shares(self) -> list[Share]:
@@ -458,17 +459,16 @@ class Simulation:
         taken: int = 0,
         alone: bool = False,
     ) -> Iterator[int]:
-        """Steps and takes frames; yields how many steps are done, at the begin and after each piece of them.
+        """Takes steps and records frames; yields the number of steps taken, at the start and after each chunk.
 
         Args:
-            recorder: Takes the frames, the first before the first step.
-            steps: How many steps there are.
-            stride: How many of them from frame to frame.
-            start: Time at the begin [s].
-            done: How many of the steps are taken already.
-            taken: How many of the frames are.
-            alone: Whether nobody changes the model or looks at it while this yields. Steps do not look again for
-                what the frame before told then.
+            recorder: Records the frames, the first before the first step.
+            steps: Number of steps.
+            stride: Steps between frames.
+            start: Time at the start [s].
+            done: Number of steps taken before.
+            taken: Number of frames taken before.
+            alone: Whether the caller leaves the model unchanged meanwhile. Steps then reuse contacts of a frame.
         """
         follows, queued = False, any(device.is_cuda for device in self.model.devices)
         pace = Pace(SHORTEST_PIECE, LONGEST_PIECE_QUEUED if queued else None)

@@ -10,7 +10,6 @@ import warp as wp
 
 from warpcontact.available import HOST, available_threads
 from warpcontact.captures import beside_captures
-from warpcontact.compiling import load_all
 from warpcontact.footprint import Footprint, Need, total
 from warpcontact.integrators import Integrator, SemiImplicitEuler
 from warpcontact.kernels import recording
@@ -151,14 +150,13 @@ def stepping_footprint(
     return total(footprints)
 
 
-def compile_steps(part: "Model", stepper: Stepper, looks: Sequence[Set[str]], threads: int) -> None:
-    """Compiles what steps and looks launch on a CPU, before one of them is waited for.
+def kernels_of_steps(part: "Model", stepper: Stepper, looks: Sequence[Set[str]]) -> list[wp.Kernel]:
+    """Returns the kernels that steps and frames launch, each once, the largest first.
 
     Args:
         part: The model.
-        stepper: What steps it, by a ``Tally``.
-        looks: Of each look at the state the needs of the readings.
-        threads: Threads that compile, at most.
+        stepper: Its stepper, with a ``Tally`` as span.
+        looks: The needs of each kind of frame, see ``Reading.needs``.
     """
     looked = [
         look_stages(look_span(Tally, part, part.envs, part.hard, needs), needs, part.no_step, None)
@@ -167,7 +165,7 @@ def compile_steps(part: "Model", stepper: Stepper, looks: Sequence[Set[str]], th
     for needs in looks:
         stepper.ready_after_look(needs)
     # Looks first: these kernels are the largest.
-    load_all(itertools.chain(*looked, *stepper.launches()), part.device, threads)
+    return list(dict.fromkeys(itertools.chain(*looked, *stepper.launches())))
 
 
 def _captured_bytes(launched: list[Any]) -> int:

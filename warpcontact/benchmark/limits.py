@@ -18,6 +18,8 @@ from warpcontact.model import Model
 ROUNDS = 7
 SECONDS = 0.01
 LONG = 1.0
+#: Reading of the places of the queries.
+POSITION = "body.position"
 # Of what is timed, in one graph of a GPU.
 IN_GRAPH = 16
 
@@ -34,6 +36,13 @@ class Limits(NamedTuple):
     copy: float
 
 
+def load_query(device: wp.Device) -> wp.Kernel:
+    """Returns the kernel of closest-point queries, which is compiled if it is not in the cache."""
+    bare_query = kernel()
+    load_as_launched(bare_query, device)
+    return bare_query
+
+
 def limits(model: Model, work: Work, threads: int) -> Limits:
     """Measures the limits of a work at the present state of its model.
 
@@ -43,8 +52,7 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
         threads: Threads of the CPU that share the environments; a GPU needs none.
     """
     device = model.device
-    bare_query = kernel()
-    load_as_launched(bare_query, device)  # before threads start
+    bare_query = load_query(device)  # before threads start
     # Kernels in Warp's debug mode share a pointer.
     parts = 1 if device.is_cuda or wp.config.mode == "debug" else min(threads, model.envs)
     envs = np.array_split(np.arange(model.envs), parts)
@@ -73,7 +81,7 @@ def limits(model: Model, work: Work, threads: int) -> Limits:
 
 def _places(model: Model, work: Work) -> Array:
     """Returns where the points are in the world, ``(envs, points, 3)``."""
-    position = model.reading("body.position")[:, None]
+    position = model.reading(POSITION)[:, None]
     if work.points is None:
         return position
     orientation = model.reading("body.orientation")[:, None]

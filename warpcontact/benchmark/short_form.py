@@ -12,12 +12,12 @@ from pathlib import Path
 import warp as wp
 
 from warpcontact import checks
-from warpcontact.advice import ContactWarning
 from warpcontact.benchmark.facts import facts, versions
 from warpcontact.benchmark.limits import limits
 from warpcontact.benchmark.report import BenchReport, WorkFigures
 from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simulation
 from warpcontact.benchmark.works import DT, STEPS, WORKS, Work
+from warpcontact.contact_warning import ContactWarning
 from warpcontact.devices import find_device
 from warpcontact.simulation import Simulation
 
@@ -70,8 +70,7 @@ def bench(
     checks.choice("precision", precision, ("float32", "float64"))
     where = find_device(device)
     name = str(where)
-    if envs is None:
-        envs = ENVS_ON_CUDA if where.is_cuda else ENVS_ON_CPU
+    envs = default_envs(where) if envs is None else envs
     modules = _cached_modules()
     with (
         _few_words(),
@@ -106,6 +105,11 @@ def bench(
         compiled_modules=compiled,
         works=tuple(figures),
     )
+
+
+def default_envs(device: wp.Device) -> int:
+    """Returns the number of environments that ``bench`` steps by default."""
+    return ENVS_ON_CUDA if device.is_cuda else ENVS_ON_CPU
 
 
 @contextmanager

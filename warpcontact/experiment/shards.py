@@ -13,8 +13,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact import checkpoint
-from warpcontact.advice import ContactWarning
+from warpcontact.compiling import load_all
 from warpcontact.contact_coupling_report import OUTCOMES
+from warpcontact.contact_warning import ContactWarning
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.observation import watching
@@ -23,6 +24,7 @@ from warpcontact.experiment.progress import Beacon
 from warpcontact.experiment.records import digest
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
+from warpcontact.looks import EVALUATED
 from warpcontact.recorder import Recorder
 from warpcontact.remarks import Remarks
 from warpcontact.signals import Asked, interruptions
@@ -32,8 +34,12 @@ from warpcontact.whole_steps import frame_count, recorded_steps
 if TYPE_CHECKING:
     import xarray as xr
 
+    from warpcontact.recording import Recording
+
 # Of the time of stepping, what checkpoints may take at most: large states are saved less often.
 CHECKPOINT_SHARE = 0.05
+# Steps of a rehearsal: the first step after a frame and later ones may have different kernels.
+REHEARSED = 2
 
 
 class Interrupted(KeyboardInterrupt):
@@ -113,10 +119,42 @@ class ShardRunner:
         """The model."""
         return self.simulation.model
 
+    def kernels(self) -> list[wp.Kernel]:
+        """Returns the kernels that steps, frames and the check of the start launch on the CPU, each once."""
+        looks = [frozenset(self.recorder().needs)]
+        if self.simulation.evaluates_start:
+            looks.append(EVALUATED)
+        return self.simulation.kernels_of_steps(looks)
+
     def warm_up(self) -> None:
         """Compiles what is not in the cache; the time of the run is then that of stepping."""
+        load_all(self.kernels(), wp.get_device("cpu"), self.simulation.threads)
         self.simulation.step()
         self.simulation.reset()
+
+    def rehearse(self, shard: Shard) -> "Recording":
+        """Takes two steps of ``shard`` with their frames as ``run`` does, and writes nothing.
+
+        All kernels of steps, frames and outcomes are then loaded.
+
+        Returns:
+            The frames.
+        """
+        self.templates()
+        self.take(shard)
+        steps = min(self.frames.steps, REHEARSED)
+        recorder = self.recorder(steps + 1)
+        recorder.start(self.simulation.needs_of_frames(recorder.needs))
+        remarks = Remarks(self.model)
+        self.simulation.advice()
+        stride = min(self.frames.stride, steps)
+        for _ in self.simulation.advance(recorder, steps, stride, start=0.0, alone=True):
+            pass
+        self.outcome()
+        self.events()
+        remarks.new()
+        self.frozen(shard)
+        return recorder.finish({"dt": self.settings.dt, "integrator": self.settings.integrator.type})
 
     def take(self, shard: Shard) -> None:
         """Gives the model the values of ``shard``, and puts it at the start."""
@@ -131,17 +169,20 @@ class ShardRunner:
         model.first_env = shard.first
         self.simulation.reset()
 
-    def recorder(self) -> Recorder:
-        """Returns what takes the frames; its parameters are those of the values that were taken."""
+    def recorder(self, most: int | None = None) -> Recorder:
+        """Returns what takes the frames; its parameters are those of the values that were taken.
+
+        ``most``: number of frames; ``None``: blocks of them.
+        """
         record = self.settings.record
         readings = record.readings or () if record.series else ()
         varied = kept(self.model, self.design.names, self.design.envs)
         frames = self.frames
-        blocks = blocks_at_once(frames.count, frames.block)
+        blocks = blocks_at_once(frames.count, frames.block) if most is None else 1
         return Recorder(
             self.model,
             readings,
-            frames.block,
+            frames.block if most is None else most,
             poses=True,
             parameters=varied,
             series=record.series,
