@@ -54,8 +54,7 @@ class Simulation:
         model: The model, on one device or split over several; its state is the state of the simulation.
         dt: Time step [s].
         integrator: Scheme, semi-implicit Euler if not given.
-        crossing_steps: Parts into which a step is divided, in environments in which a swept point crosses a
-            surface in that step. 1: such a step is taken as it is, and the contact begins as deep as it led.
+        crossing_steps: Substeps in environments in which a swept point crosses a surface. 1: no substeps.
         threads: Threads that step the environments on the CPU, of all parts of a model; ``None``: one per core.
         deterministic: Whether a run repeats to the bit on a GPU as well, where several points of a body touch;
             on the CPU it does in any case, whatever the number of threads.
@@ -345,7 +344,8 @@ class Simulation:
         revisions = tuple(part.revision for part in self.model.parts)
         prepared, crew = self._prepared
         if crew is None or prepared != revisions:
-            self._prepared = revisions, crew = revisions, Crew(self._shares())
+            crew = Crew(self._shares())
+            self._prepared = (revisions, crew)
         return crew
 
     def _compile(self, needs: Set[str]) -> None:
