@@ -78,6 +78,7 @@ def test_run_after_build_kernels_compiles_no_module(tmp_path):
     assert (tmp_path / "out" / "animation.usdc").is_file()
 
 
+@pytest.mark.slow
 def test_build_kernels_writes_only_into_the_cache(tmp_path):
     names = ("cache", "home", "temporary")
     cache, home, temporary = (tmp_path / name for name in names)

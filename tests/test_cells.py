@@ -131,7 +131,8 @@ def test_the_nearest_faces_are_in_the_list_of_the_cell(celled):
     for i in listed:
         assert len(set(lists[i])) == len(lists[i]) > 0
         counts.append(len(lists[i]))
-    for i, away in zip(listed, distances(corners, points[listed]), strict=True):
+    some = listed[::4]
+    for i, away in zip(some, distances(corners, points[some]), strict=True):
         assert set(np.flatnonzero(away < away.min() + 1e-7)) <= set(lists[i])
     # Of the faces that a sphere about the cell sees the others are left out.
     assert np.mean(counts) < 8.0

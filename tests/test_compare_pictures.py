@@ -108,6 +108,7 @@ def test_dampings_that_were_found_are_named(device):
     assert any(re.fullmatch(r"e = 0\.5: viscosity [\d.e-]+ s", text) for text in texts(alone))
 
 
+@pytest.mark.slow
 def test_labels_keep_the_class_and_the_depth_its_source(device):
     soft = L.HuntCrossley(stiffness=1.5e6, restitution=0.5)
     figure = compare.plot_laws({"soft": soft, "Hertz": L.Hertz}, device=device)
@@ -150,6 +151,7 @@ def test_what_holds_at_rest_is_marked_where_steady_slip_hides_it(kind, device):
     assert "on the way from rest: 0.5" in texts(compare.plot_frictions(kind, device=device))
 
 
+@pytest.mark.slow
 def test_a_picture_says_that_slip_has_a_direction_and_what_was_chosen(device):
     figure = compare.plot_frictions([F.Elliptic, F.Tanh], load=20.0, device=device)
     note, along = foot(figure)[:2]

@@ -22,12 +22,24 @@ PAGES = [
 ]
 
 
+# Pages of one process share the start of Python and of Warp.
+GROUPS = [PAGES[first::4] for first in range(4)]
+RUN = "import runpy, sys\nfor page in sys.argv[1:]: runpy.run_path(page, run_name='__main__')"
+
+
 @pytest.mark.skipif(not PAGES, reason="the pages are in a checkout, not in an installed package")
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_the_samples_of_a_page_run_in_order(page, tmp_path):
-    script = tmp_path / "sample.py"  # Warp reads the source of kernels from a file
-    script.write_text("\n\n".join(samples(page)), encoding="utf-8")
+@pytest.mark.parametrize("pages", GROUPS, ids=lambda pages: " ".join(page.stem for page in pages))
+def test_samples_of_pages_run_in_order(pages, tmp_path):
+    scripts = []
+    for page in pages:
+        script = tmp_path / f"{page.stem}.py"  # Warp reads the source of kernels from a file
+        script.write_text("\n\n".join(samples(page)), encoding="utf-8")
+        scripts.append(script)
     result = subprocess.run(
-        [sys.executable, "-W", "error", script], cwd=tmp_path, capture_output=True, text=True, check=False
+        [sys.executable, "-W", "error", "-c", RUN, *scripts],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert result.returncode == 0, result.stderr

@@ -331,6 +331,7 @@ def test_energy_never_grows_in_a_tumble():
     assert np.diff(energy).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_rocking_block_loses_what_housner_says_and_comes_to_rest():
     model = block(mu=0.9)
     tilt = 2e-3

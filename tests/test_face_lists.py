@@ -207,6 +207,7 @@ def two_sheets(apart):
     return wc.Mesh(np.array(upper + lower) @ ASKEW.T, np.array([[0, 2, 1], [3, 4, 5]]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way_to_recall", ["recall_listed", "recall_at_once"])
 @pytest.mark.parametrize(("real", "epsilon"), [(wp.float32, 2.0**-23), (wp.float64, 2.0**-52)])
 def test_slopes_that_were_taken_behind_the_place_of_a_list_hide_no_face_there(real, epsilon, way_to_recall):

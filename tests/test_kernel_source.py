@@ -138,7 +138,8 @@ def test_every_kernel_compiles(real, device):
                 raise AssertionError(f"{name}{switches}") from error
 
 
-@pytest.mark.parametrize("real", PRECISIONS)
+@pytest.mark.slow
+@pytest.mark.parametrize("real", [wp.float32, wp.float64], ids=["float32", "float64"])
 def test_every_law_and_friction_model_compiles(real, device):
     for law in wc.laws.CATALOGUE:
         contact_force.kernel(Parts(law), real).module.load(device)

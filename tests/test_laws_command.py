@@ -150,15 +150,20 @@ def test_wrong_use_of_laws_is_one_message_and_draws_nothing(words, message, tmp_
     ("words", "said"),
     [
         (["Hertz", "--mass", "2", "--speed", "3", "--depth", "0.002"], "sphere of 2 kg on a plate at 3 m/s"),
-        (["--compare", "Hertz", "Flores", "--restitution", "0.5"], "force over time, e = 0.5"),
         (["Tanh", "--load", "25"], "pressed on a plate with 25 N"),
-        (["--compare", "Tanh", "Hollars"], "friction force F/N against +x [-]"),
-        (["Hertz", "--set", "stiffness=1.5e6"], "stiffness 1.5e+06 N/m^1.5"),
-        (["Tanh", "--set", "mu=0.8"], "mu 0.8, velocity_scale 0.01 m/s"),
-        (["KelvinVoigt", "--set", "damping=300"], "damping 300 N·s/m"),
-        (["../my_laws.py:Cubic"], "Cubic"),
         (["--compare", "../my_laws.py:Cubic", "Hertz"], "Cubic: stiffness 2e+12 N/m³"),
-        (["../my_laws.py:Lubricated", "--set", "drag=2"], "drag 2 s/m"),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                (["--compare", "Hertz", "Flores", "--restitution", "0.5"], "force over time, e = 0.5"),
+                (["--compare", "Tanh", "Hollars"], "friction force F/N against +x [-]"),
+                (["Hertz", "--set", "stiffness=1.5e6"], "stiffness 1.5e+06 N/m^1.5"),
+                (["Tanh", "--set", "mu=0.8"], "mu 0.8, velocity_scale 0.01 m/s"),
+                (["KelvinVoigt", "--set", "damping=300"], "damping 300 N·s/m"),
+                (["../my_laws.py:Cubic"], "Cubic"),
+                (["../my_laws.py:Lubricated", "--set", "drag=2"], "drag 2 s/m"),
+            )
+        ),
     ],
     ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else None,
 )

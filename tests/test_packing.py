@@ -37,6 +37,7 @@ def check_packing(result):
     assert result["max_penetration_in_diameters"] < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="benchmarks are in a checkout")
 def test_spheres_settle_to_the_density_of_random_packings(device):
     check_packing(load("benchmarks", "piles").settle(1200, device, most=14.0))

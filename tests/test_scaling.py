@@ -138,6 +138,7 @@ def test_points_are_added_to_the_corners_of_the_box(load):
         np.testing.assert_allclose(np.abs(points[:8]), 0.1)
 
 
+@pytest.mark.slow
 def test_scaling_runs_and_draws(device, tmp_path):
     out, picture = tmp_path / "figures.json", tmp_path / "picture.svg"
     done = run("scaling.py", *TINY, "--device", device, "--out", out, "--plot", picture)

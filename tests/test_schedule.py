@@ -351,8 +351,15 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("celled", [False, True], ids=["", "in cells"])
-@pytest.mark.parametrize("few", [False, True], ids=["of many", "of few"])
+@pytest.mark.parametrize(
+    ("celled", "few"),
+    [
+        pytest.param(False, False, id="of many"),
+        pytest.param(True, True, id="in cells-of few"),
+        pytest.param(False, True, id="of few", marks=pytest.mark.slow),
+        pytest.param(True, False, id="in cells-of many"),
+    ],
+)
 # Cells about faces that are small beside spheres take a CPU long to fill.
 @pytest.mark.parametrize("name", [name for name in SCENES if not name.endswith("edges")])
 def test_queues_change_nothing(name, few, celled, precision, monkeypatch):

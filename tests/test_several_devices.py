@@ -124,7 +124,7 @@ def test_what_is_measured_on_one_device_refuses_several(device):
     ],
     ids=lambda options: " ".join(options) or "as it comes",
 )
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 def test_recordings_are_the_same_bits(options, precision, devices, device, monkeypatch):
     monkeypatch.setattr(crew, "ALONE", 0)
     recordings = []

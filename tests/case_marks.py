@@ -1,0 +1,13 @@
+"""Marks of parametrized tests."""
+
+import pytest
+
+
+def slow_except(cases, kept):
+    """Returns the cases of a parametrization; all but those of which ``kept(case)`` is true are marked slow."""
+    return [
+        case
+        if kept(case)
+        else pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow)
+        for case in cases
+    ]
