@@ -2,4 +2,4 @@
 
 
 class ContactWarning(UserWarning):
-    """A scene that will run but hardly mean what its author wants."""
+    """Warns of a scene that can be simulated, but whose results are probably not those that its author expects."""

@@ -263,7 +263,7 @@ class Simulation:
 
         Raises:
             QuarantineError: If an environment failed and the quarantine is to raise.
-            RuntimeError: If a neighbor list was too short. On a GPU a later reading or the end of a run raises it.
+            RuntimeError: If a neighbor list was too short. On a GPU the next evaluation raises it.
         """
         if checks.whole("count", count, least=0):
             self._advance(count, None)
