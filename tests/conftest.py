@@ -47,6 +47,12 @@ def pytest_collection_modifyitems(items):
             item.add_marker("sampled")
 
 
+def pytest_collection_finish():
+    # Modules and test items stay until the end: later collections of garbage skip them.
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(scope="session")
 def device(request):
     """The device that simulations under test run on."""

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
+from case_marks import slow_except
 from like_a_gpu import cells_everywhere, with_queues
 
 import warpcontact as wc
@@ -110,9 +111,13 @@ def one_launch(monkeypatch, device):
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
+# Those of other structure run in thorough checks, and all of them on a GPU.
 @pytest.mark.parametrize(
     ("name", "precision"),
-    [*((name, "float32") for name in ALONE), ("a sphere", "float64"), ("points in blocks", "float64")],
+    slow_except(
+        [*((name, "float32") for name in ALONE), ("a sphere", "float64"), ("points in blocks", "float64")],
+        lambda case: case in [(name, "float32") for name in ("a sphere", "points in blocks", "with memory")],
+    ),
 )
 def test_one_launch_computes_what_many_do(name, precision, device, one_launch, monkeypatch):
     # Of a GPU, warps of 22 environments, and one that has the last.

@@ -160,6 +160,7 @@ def test_a_block_tips_about_its_edge():
     assert not run.events
 
 
+@pytest.mark.slow
 def test_a_bead_leaves_a_sphere_where_it_presses_no_more():
     start = 0.3
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
@@ -199,6 +200,7 @@ def pendulum(restitution):
     return scene.build(device="cpu", precision="float64"), start
 
 
+@pytest.mark.slow
 def test_a_pendulum_strikes_a_stop_and_swings_back():
     model, start = pendulum(restitution=0.5)
     run = EventDriven(model).run(1.6, every=0.01)
@@ -401,6 +403,7 @@ def test_a_body_that_is_driven_into_the_world_is_told_of():
         EventDriven(scene.build(device="cpu", precision="float64")).run(0.25)
 
 
+@pytest.mark.slow
 def test_a_ball_that_runs_into_the_inner_edge_of_one_mesh_is_told_of():
     scene = wc.Scene(gravity=(0.0, 0.0, -G))
     corners = [(-4, -5, 0), (2, -5, 0), (2, 5, 0), (-4, 5, 0), (2, -5, 5), (2, 5, 5)]

@@ -37,7 +37,11 @@ def kernels_of(sim):
 
 @pytest.mark.parametrize(
     ("name", "precision"),
-    [*((name, "float32") for name in ALONE), ("a sphere with memory", "float64"), ("points in blocks", "float64")],
+    [
+        *((name, "float32") for name in ALONE),
+        ("points in blocks", "float64"),
+        pytest.param("a sphere with memory", "float64", marks=pytest.mark.slow),
+    ],
 )
 @pytest.mark.parametrize("graphs", [True, False], ids=["graphs", "launches"])
 def test_the_steps_of_an_environment_come_to_what_stages_do(name, precision, graphs, monkeypatch):

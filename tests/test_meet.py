@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from case_marks import slow_except
 from like_a_gpu import cells_everywhere, with_queues
 from test_alone import ALONE, ENVS, HILLS, STATE, STUCK, TEMPLATE
 
@@ -64,8 +65,16 @@ def taken(make, device, precision, *, at_once, asks):
 
 
 @pytest.mark.parametrize("asks", [False, True], ids=["", "and told to who asks"])
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-@pytest.mark.parametrize("name", [*ALONE, *MANY])
+@pytest.mark.parametrize(
+    ("name", "precision"),
+    [
+        *((name, "float32") for name in [*ALONE, *MANY]),
+        ("points in blocks", "float64"),
+        *slow_except(
+            [(name, "float64") for name in [*ALONE, *MANY] if name != "points in blocks"], lambda case: False
+        ),
+    ],
+)
 def test_a_cpu_finds_the_same_at_once(name, precision, asks, monkeypatch):
     make = {**ALONE, **MANY}[name]
     states, seen = taken(make, "cpu", precision, at_once=True, asks=asks)
@@ -90,7 +99,7 @@ def test_a_gpu_finds_the_same_at_once(name, few, asks, monkeypatch, device):
         np.testing.assert_array_equal(left, right)
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("at_once", [True, False])
 def test_many_contacts_of_a_gpu_remember_that_nothing_is_near(at_once, precision, monkeypatch, device):
     """The same as of few, which look each time; what was known is forgotten where radii grow."""

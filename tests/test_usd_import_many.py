@@ -19,6 +19,7 @@ def many(kind, size, count):
     return "".join(prim(kind, f"part_{i}", FREE, size + "\n" + moved(3 * i, 0, 0)) for i in range(count))
 
 
+@pytest.mark.slow
 def test_many_spheres_that_may_touch_each_other_are_read_in_memory_that_grows_with_them(tmp_path):
     count = 2000
     path = stage(tmp_path, many("Sphere", "double radius = 1", count))
