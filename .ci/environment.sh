@@ -45,13 +45,13 @@ have_chromium() {
     [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get update -qq && apt-get install -y -qq chromium >/dev/null 2>&1
 }
 
-# Builds the wheel and installs it with the extras $1 into a new virtual environment in the folder $2. Fails unless the
-# installed files are those of the checkout.
+# Builds the wheel and installs it with the extras $1 and further packages into a new virtual environment in the folder
+# $2. Fails unless the installed files are those of the checkout.
 install_wheel() {
     "$python" -m pip install build
     "$python" -m build --wheel --outdir "$2" . >"$2/build.log" || { cat "$2/build.log"; return 1; }
     python3 -m venv "$2/venv"
-    "$2/venv/bin/pip" install "$(ls "$2"/warpcontact-*.whl)[$1]"
+    "$2/venv/bin/pip" install "$(ls "$2"/warpcontact-*.whl)[$1]" "${@:3}"
     local installed
     installed=$(ls -d "$2"/venv/lib/python3*/site-packages/warpcontact)
     diff -r -x __pycache__ -x kernels warpcontact "$installed"

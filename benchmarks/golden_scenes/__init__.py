@@ -1,0 +1,1 @@
+"""Golden scenes by subject: small scenes whose results must not change by one bit."""
