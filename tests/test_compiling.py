@@ -1,8 +1,10 @@
 """How kernels are built: side by side on a CPU, before a step waits for one; a GPU rounds every product."""
 
+import os
 import subprocess
 import sys
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -178,3 +180,42 @@ def test_building_compiles_what_is_a_users_alone(law, compiled, monkeypatch):
         monkeypatch.setattr(module, "load", lambda kernel, device: loaded.append(kernel))
     all_kinds(law(stiffness=1e4)).build(device="cpu")
     assert len(loaded) == compiled
+
+
+BOUNCE = """
+import sys
+import warpcontact as wc
+sys.path.insert(0, sys.argv[1])
+from scenes import dropped_sphere
+law = wc.laws.HuntCrossley(stiffness=1e5, restitution=0.6)
+model = dropped_sphere(law, envs=3, velocity=(0.3, 0.0, -1.0), device="cpu")
+model["ball.mass"] = [0.5, 1.0, 2.0]
+wc.Simulation(model, dt=1e-4).step(800)
+assert (model.reading("ball.linear_velocity")[:, 2] > 0.0).all()
+keys = ("position", "orientation", "linear_velocity", "angular_velocity")
+print(b"".join(model.reading(f"ball.{key}").tobytes() for key in keys).hex())
+"""
+
+
+def run_with(mode, code, *words):
+    return subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code, *words],
+        env={**os.environ, "WARPCONTACT_COMPILE": mode},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.slow
+def test_quick_and_release_kernels_give_bitwise_identical_results():
+    found = [run_with(mode, BOUNCE, str(Path(__file__).parent)) for mode in ("quick", "release")]
+    assert [one.returncode for one in found] == [0, 0], found[0].stderr + found[1].stderr
+    quick, release = (one.stdout.split()[-1] for one in found)
+    assert quick == release
+
+
+def test_unknown_compile_mode_is_refused():
+    result = run_with("fast", "import warpcontact.kernels.unique")
+    assert result.returncode == 1
+    assert "WARPCONTACT_COMPILE must be one of release, quick, got 'fast'" in result.stderr
