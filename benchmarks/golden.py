@@ -322,7 +322,8 @@ def _command(*arguments: str) -> list[str]:
 
 
 def _environment(layout: Path) -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(layout)}
+    others = os.environ.get("PYTHONPATH")
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(layout), *([others] if others else [])])}
 
 
 def worker_command(options: argparse.Namespace) -> int:
