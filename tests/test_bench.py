@@ -27,6 +27,7 @@ def report(device):
     return wc.bench(device, **BRIEF)
 
 
+@pytest.mark.slow
 def test_the_report_has_figures_of_every_work(report, device):
     assert [figures.work for figures in report.works] == list(WORKS)
     assert report.envs == 3

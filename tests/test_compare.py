@@ -159,6 +159,7 @@ def test_swings_move_as_prescribed_and_lose_energy(device):
     np.testing.assert_allclose(work, 4 * 0.4 * 1e-2, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_frictions_that_remember_settle_in_steady_slip(device):
     speeds = np.array([1e-4, 5e-3, 0.2])
     bristles = F.LuGre(mu_static=0.5, mu_dynamic=0.3, stribeck_speed=0.01, stiffness=1e5)

@@ -102,6 +102,7 @@ def test_friction_follows_its_formula_within_its_cone_against_slip(sample, devic
     np.testing.assert_allclose(size / normal, coefficient(speed), rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
 def test_friction_in_float32_is_that_of_float64(sample, device):
     velocity = np.column_stack([np.logspace(-5, 1, 50) * 1.01, np.zeros(50)])

@@ -104,6 +104,7 @@ def cone(device):
     return scene.build(device=device, precision="float64"), tilt, speed
 
 
+@pytest.mark.slow
 def test_a_conical_pendulum_goes_round_its_cone(device):
     model, tilt, speed = cone(device)
     force = model.reading("bob.reaction_force")[0]

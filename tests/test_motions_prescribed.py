@@ -180,6 +180,7 @@ def test_a_prescribed_body_moves_with_the_velocities_that_stand_in_its_state(dev
     np.testing.assert_array_equal(model.reading("plate.position"), expected)
 
 
+@pytest.mark.slow
 def test_a_surface_that_jumps_at_a_point_is_not_missed(device):
     """What is known of distances goes by poses: a plate at rest for long comes up by 0.4 m in two steps."""
     scene = wc.Scene(gravity=(0, 0, 0))

@@ -105,6 +105,7 @@ TWO = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TWO)
 def test_an_impact_in_a_pile_is_that_of_a_smooth_contact(name, device):
     """Oblique and spinning: capsules that cross, and spheres that roll and twist as well."""

@@ -354,6 +354,7 @@ def test_with_nothing_left_to_run_no_memory_for_a_shard_is_needed(ray, place, wh
 # Shards that fail
 
 
+@pytest.mark.slow
 def test_a_shard_that_fails_three_times_is_reported_and_the_others_finish(tmp_path):
     path, out = runs.crowded(tmp_path), tmp_path / "out"
     for options in (["--shard", 2], ["--resume"]):

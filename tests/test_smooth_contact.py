@@ -59,6 +59,7 @@ def test_two_tilted_ellipsoids_are_the_worked_numbers(oracle, device, precision,
     np.testing.assert_allclose(model.reading("touch.normal_force")[1:], depths, rtol=tolerance * 10)
 
 
+@pytest.mark.slow
 def test_derivatives_are_differences_of_the_readings(device):
     model = two_ellipsoids(device, "float64", envs=1)
     model["b.position"] = (0.05, 0.03, 0.29)
@@ -285,6 +286,7 @@ def test_a_reset_forgets_in_the_environments_of_the_mask(device):
         np.testing.assert_array_equal(values, state_of(again)[name], err_msg=name)
 
 
+@pytest.mark.slow
 def test_parts_on_several_devices_run_as_one(device):
     """What is remembered, found and counted of each environment is that of the model that is not split."""
     runs = []

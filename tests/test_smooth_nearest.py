@@ -1,6 +1,7 @@
 """Distances of places from shapes, or bounds of them where no more is asked."""
 
 import numpy as np
+import pytest
 import warp as wp
 from convex_pairs import random_shapes
 from warpcontact.kernels.formula import coefficient_struct
@@ -8,6 +9,7 @@ from warpcontact.kernels.smooth import shapes as S
 from warpcontact.kernels.smooth.nearest import nearest, nearest_within
 
 
+@pytest.mark.slow
 def test_distances_from_superellipsoids_are_exact_where_they_are_asked(device):
     """Of places that are farther than asked any normal is enough that tells so."""
     count, random = 2000, np.random.default_rng(3)

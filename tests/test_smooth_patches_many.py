@@ -34,6 +34,7 @@ def test_contacts_of_shapes_and_patches_are_the_deepest_or_the_nearest(pair, dev
     assert counts["lowered"] > 600
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("P", "row"), [(Quadric, 1096), (Quadric, 14853), (Waves, 3301), (Bore, 16094)])
 def test_normals_of_superellipsoids_are_exact_where_distances_tell_no_more(P, row):
     """Where a step changes the distance by less than rounding, normals were off by 6e-10 to 9e-8."""

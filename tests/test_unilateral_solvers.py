@@ -203,6 +203,7 @@ def test_a_ball_that_slides_gets_spin(solver):
     np.testing.assert_allclose(result.velocity[0], [5 / 7, 0, 0, 0, 5 / 0.7, 0], atol=1e-10)
 
 
+@pytest.mark.slow
 @both
 @precisions
 def test_rolling_and_spinning_are_held_to_their_limits(solver, real):
