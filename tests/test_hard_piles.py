@@ -221,7 +221,6 @@ def fallen(device):
     return model, data, half_way
 
 
-@pytest.mark.slow
 def test_a_heap_falls_without_overlap_and_never_gains_energy(fallen):
     model, data, _ = fallen
     assert (model.piles[0].grid.made.numpy() > 10).all()

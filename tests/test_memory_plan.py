@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case_marks import slow_except
 from memory_scenes import MIB, SCENES, ball_scene, busy_scene, of_arrays, with_room
 from scenes import dropped_sphere
 
@@ -20,7 +21,7 @@ EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "terrain_drop.toml"
 
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", slow_except(SCENES, lambda name: name not in ("smooth", "coupled")))
 def test_the_estimate_is_what_the_arrays_take(name, precision, device, counted):
     scene = SCENES[name]()
     envs = 13

@@ -279,6 +279,7 @@ WEDGE = (
 )
 
 
+@pytest.mark.slow
 def test_inspect_reports_and_draws_the_active_part(tmp_path, capsys):
     path, picture = tmp_path / "wedge.obj", tmp_path / "wedge.svg"
     path.write_text(WEDGE)
