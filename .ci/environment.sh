@@ -49,7 +49,7 @@ have_chromium() {
 # $2. Fails unless the installed files are those of the checkout.
 install_wheel() {
     "$python" -m pip install build
-    rm -rf build  # files of an earlier build would be packed as well
+    rm -rf build warpcontact.egg-info  # setuptools also packs the files of an earlier build
     "$python" -m build --wheel --outdir "$2" . >"$2/build.log" || { cat "$2/build.log"; return 1; }
     python3 -m venv "$2/venv"
     "$2/venv/bin/pip" install "$(ls "$2"/warpcontact-*.whl)[$1]" "${@:3}"
