@@ -319,8 +319,7 @@ class Simulation:
             part.untouched = False
             if buffers.hard is not None:
                 buffers.hard.wake()
-        crew = self.crew()
-        done = 0
+        crew, done = self.crew(), 0
         while done < count:
             some = count - done
             if self.watch.quarantine != "freeze":
@@ -350,9 +349,10 @@ class Simulation:
 
     def _compile(self, needs: Set[str]) -> None:
         """Compiles the CPU kernels of steps and of frames with ``needs``, unless steps were prepared before."""
-        if self._prepared[1] is None:
-            advises = self.model.at_start and not self.advised
-            first = [EVALUATED] if advises and self.evaluates_start else []
+        if self._prepared[1] is not None or not any(device.is_cpu for device in self.model.devices):
+            return
+        with beside_captures():
+            first = [EVALUATED] if self.model.at_start and not self.advised and self.evaluates_start else []
             load_all(self.kernels_of_steps([*first, needs]), wp.get_device("cpu"), self.threads)
 
     @beside_captures()

@@ -13,6 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact import checkpoint
+from warpcontact.captures import beside_captures
 from warpcontact.compiling import load_all
 from warpcontact.contact_coupling_report import OUTCOMES
 from warpcontact.contact_warning import ContactWarning
@@ -128,7 +129,8 @@ class ShardRunner:
 
     def warm_up(self) -> None:
         """Compiles what is not in the cache; the time of the run is then that of stepping."""
-        load_all(self.kernels(), wp.get_device("cpu"), self.simulation.threads)
+        with beside_captures():
+            load_all(self.kernels(), wp.get_device("cpu"), self.simulation.threads)
         self.simulation.step()
         self.simulation.reset()
 
