@@ -16,6 +16,7 @@ from warpcontact.arrays import Layout, broadcast, per_env
 from warpcontact.captures import beside_captures, capturing
 from warpcontact.copies import Copies, Taking
 from warpcontact.integrators import Integrator
+from warpcontact.kernels.unique import QUICK
 from warpcontact.looks import looks_at_near
 from warpcontact.outcomes.observer import Observer
 from warpcontact.outcomes.watch import Watch
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 # Steps in a graph, the most first; whatever is asked for is made up of these. An odd one ends in the other buffer
 # and is copied back. On the CPU Warp takes a quarter of a millisecond to capture a launch, for each thread.
 GRAPH_STEPS = (32, 2, 1)
-CPU_GRAPH_STEPS = (8, 2, 1)
+CPU_GRAPH_STEPS = (2, 1) if QUICK else (8, 2, 1)
 # Graphs of the most steps in whose place steps to a frame have one of their own, with its look, at most.
 FRAME_GRAPHS = 2
 
