@@ -127,7 +127,7 @@ def assert_same(models, n=N):
         np.testing.assert_array_equal(*(model.reading(name) for model in models), err_msg=name)
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.slow)])
 def test_a_set_does_what_the_same_bodies_do_one_by_one(precision, device):
     models = both_models(device, precision)
     assert_same(models)

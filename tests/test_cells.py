@@ -36,6 +36,7 @@ CASES = {
     "sheet with slivers": (with_slivers(wc.meshes.grid((1.0, 0.6), (10, 7))), 0.02, False),
     "box": (wc.meshes.box((0.4, 0.5, 0.3)), 0.05, True),
 }
+EXPENSIVE = ("terrain", "ball")
 
 
 @pytest.fixture(autouse=True)
@@ -60,7 +61,8 @@ def grids_of(scene):
 @pytest.fixture(
     scope="module",
     params=[
-        *((name, "float32") for name in CASES),
+        *((name, "float32") for name in CASES if name not in EXPENSIVE),
+        *(pytest.param((name, "float32"), marks=pytest.mark.slow) for name in EXPENSIVE),
         ("sheet with a rim", "float64"),
         *(pytest.param((name, "float64"), marks=pytest.mark.slow) for name in CASES if name != "sheet with a rim"),
     ],

@@ -110,6 +110,7 @@ def test_the_pendulum_rebounds_from_the_outer_side_of_a_wall_only(device, tmp_pa
     assert (force > 0.0).any(axis=0).all()
 
 
+@pytest.mark.slow
 def test_an_ellipsoid_in_a_bowl_keeps_its_energy():
     # At an instant the energy of symplectic steps is off by the first order of dt: 5e-3 at 220 steps of a contact.
     assert load("ellipsoid_in_bowl").energy_kept(duration=0.5) < 8.0e-3
@@ -124,6 +125,7 @@ def test_static_contact_is_its_closed_form_by_all_methods(name, tmp_path, capsys
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_bouncing_ball_passes_its_zeno_point(device, tmp_path, capsys):
     picture = tmp_path / "ball.png"
     result = load("bouncing_ball").main(["--device", device, "--picture", str(picture)])

@@ -328,10 +328,12 @@ def test_which_of_nearly_tied_faces_is_taken_does_not_hang_on_where_one_begins(r
 
 @pytest.mark.parametrize(
     "ways_to_recall",
-    [("recall_listed", "recall_sure"), ("recall_at_once", "recall_at_once")],
-    ids=["threads", "core"],
+    [
+        pytest.param(("recall_listed", "recall_sure"), id="threads"),
+        pytest.param(("recall_at_once", "recall_at_once"), id="core", marks=pytest.mark.slow),
+    ],
 )
-@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+@pytest.mark.parametrize("real", [wp.float32, pytest.param(wp.float64, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("mesh", "axes", "low", "high", "way", "rivals"),
     [

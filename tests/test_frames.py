@@ -10,7 +10,7 @@ from test_pile_sums import heap
 from test_schedule import ENVS, SCENES, STATE, start
 
 import warpcontact as wc
-from warpcontact import crew, looks, schedule, stepping
+from warpcontact import crew, looks, schedule, slices, stepping
 from warpcontact.captures import capturing
 from warpcontact.looks import in_parts, known_needs
 from warpcontact.model import WITHOUT_CONTACT
@@ -158,6 +158,13 @@ def test_steps_after_frames_are_those_without(name, every, device):
             np.testing.assert_array_equal(model.reading(reading), plain.model.reading(reading), err_msg=reading)
 
 
+@pytest.fixture
+def release_graphs(monkeypatch):
+    """Captures as many steps as release kernels do."""
+    monkeypatch.setattr(slices, "CPU_GRAPH_STEPS", (8, 2, 1))
+
+
+@pytest.mark.usefixtures("release_graphs")
 def test_steps_after_looks_are_captured_where_there_are_some(device):
     sim = simulation("two bodies", device)
     needs = sim.model.find_reading("lower.normal_force").needs
@@ -255,6 +262,7 @@ def _graphs_of(sim):
     return {key: id(graph) for key, graph in sim._prepared[1]._steppers[0]._graphs.items()}
 
 
+@pytest.mark.usefixtures("release_graphs")
 def test_recorders_of_the_same_needs_capture_once(device):
     sim = simulation("two bodies", device)
     sim.step(100)

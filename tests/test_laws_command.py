@@ -150,11 +150,11 @@ def test_wrong_use_of_laws_is_one_message_and_draws_nothing(words, message, tmp_
     ("words", "said"),
     [
         (["Hertz", "--mass", "2", "--speed", "3", "--depth", "0.002"], "sphere of 2 kg on a plate at 3 m/s"),
-        (["Tanh", "--load", "25"], "pressed on a plate with 25 N"),
         (["--compare", "../my_laws.py:Cubic", "Hertz"], "Cubic: stiffness 2e+12 N/m³"),
         *(
             pytest.param(*case, marks=pytest.mark.slow)
             for case in (
+                (["Tanh", "--load", "25"], "pressed on a plate with 25 N"),
                 (["--compare", "Hertz", "Flores", "--restitution", "0.5"], "force over time, e = 0.5"),
                 (["--compare", "Tanh", "Hollars"], "friction force F/N against +x [-]"),
                 (["Hertz", "--set", "stiffness=1.5e6"], "stiffness 1.5e+06 N/m^1.5"),

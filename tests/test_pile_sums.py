@@ -11,7 +11,7 @@ from warpcontact.piles.pile import Pile
 FRICTION = wc.frictions.Tanh(mu=0.4, velocity_scale=0.1)
 
 
-@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("several", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_touches_summed_by_body_are_those_added_one_by_one(several):
     """A GPU, where threads share an environment, sums touches of a body; a thread of a CPU adds each at once."""
     positions, turns, forms, _, _ = cloud(capsules=True)

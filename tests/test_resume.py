@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import runs
+from case_marks import slow_except
 
 import warpcontact as wc
 from warpcontact import available
@@ -73,7 +74,7 @@ def killed_at_random(out, study, moments, words, whole):
 
 
 @pytest.mark.smoke
-@pytest.mark.parametrize("where", ["before", "between", "after"])
+@pytest.mark.parametrize("where", slow_except(["before", "between", "after"], lambda where: where == "between"))
 def test_a_kill_at_a_commit_is_repaired(where, place, whole, tmp_path):
     out = tmp_path / "out"
     kill = runs.ending_after(25, where)
@@ -144,7 +145,7 @@ def test_kills_before_anything_was_kept_leave_a_folder_to_start_in(place, whole,
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_who_asks_to_stop_is_told_how_to_go_on(number, place, whole, tmp_path):
     out = tmp_path / "a folder"
     code, _, err = runs.run(place / "study.toml", "--out", out, *WORDS, first=runs.asking_at(number, 37))

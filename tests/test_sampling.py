@@ -50,7 +50,7 @@ def test_areas_add_up_to_the_surface_and_normals_are_units(mesh, method, count):
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
-@pytest.mark.parametrize("count", [50, 1000])
+@pytest.mark.parametrize("count", [50, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("mesh", [wc.meshes.icosphere(1.0, 5), uneven()])
 def test_blue_noise_is_as_even_as_sample_elimination_gets(mesh, count, seed):
     samples = sample_surface(mesh, count, seed=seed)

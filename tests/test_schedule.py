@@ -354,8 +354,8 @@ def test_threads_and_slices_change_nothing(name, threads, size, device, monkeypa
 @pytest.mark.parametrize(
     ("celled", "few"),
     [
-        pytest.param(False, False, id="of many"),
-        pytest.param(True, True, id="in cells-of few"),
+        pytest.param(False, False, id="of many", marks=pytest.mark.slow),
+        pytest.param(True, True, id="in cells-of few", marks=pytest.mark.slow),
         pytest.param(False, True, id="of few", marks=pytest.mark.slow),
         pytest.param(True, False, id="in cells-of many"),
     ],
