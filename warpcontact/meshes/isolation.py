@@ -24,7 +24,7 @@ import numpy as np
 
 from warpcontact.meshes.intake import Examined, Task
 from warpcontact.meshes.mesh import MeshError
-from warpcontact.meshes.reader_process import OUT_OF_MEMORY
+from warpcontact.meshes.reader_process import LIMITS_PROCESSOR_TIME, OUT_OF_MEMORY
 from warpcontact.meshes.readers import Unreadable
 from warpcontact.meshes.repair import mendable
 from warpcontact.meshes.report import restored
@@ -46,6 +46,9 @@ main(request)
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "PXR_WORK_THREAD_LIMIT")
 # A header holds names, numbers and sentences; as Python objects they take several times its length.
 _MOST_HEADER = 2**28
+# A reader that does not use its processor time, such as one that is blocked on a file system, is ended after this
+# multiple of it, but not before this time [s]: other processes can take most of a busy machine.
+_WALL_FACTOR, _LEAST_WALL = 15.0, 60.0
 _ANYWHERE_ELSE = ("PXR_", "USD_", "PYTHON")
 
 
@@ -67,7 +70,8 @@ class Limits:
 
     Attributes:
         memory: Address space of the process that reads [bytes]; 4 GiB, or ``WARPCONTACT_MESH_GIB`` in GiB.
-        seconds: Time for all of it [s]; 20, or ``WARPCONTACT_MESH_SECONDS``.
+        seconds: Processor time for all of it [s]; 20, or ``WARPCONTACT_MESH_SECONDS``. The time on the clock is
+            limited to 15 times that, and at least 60 s. On Windows ``seconds`` limits the time on the clock.
         faces: Number of triangles; 5 million, or ``WARPCONTACT_MESH_FACES``.
     """
 
@@ -136,9 +140,16 @@ def read_apart(module: str, task: dict[str, Any], limits: Limits, take: Callable
             raise Unreadable(_reason(code, expired.is_set(), limits, said)) from None
 
 
+def longest_wait(seconds: float) -> float:
+    """Returns the time on the clock after which a reader is ended [s]; ``seconds``: its processor time."""
+    if not LIMITS_PROCESSOR_TIME:
+        return min(seconds, threading.TIMEOUT_MAX)
+    return min(max(_LEAST_WALL, _WALL_FACTOR * seconds), threading.TIMEOUT_MAX)
+
+
 @contextmanager
 def _process(seconds: float) -> Iterator[tuple[subprocess.Popen[bytes], threading.Event]]:
-    """A process that reads, and whether its time is up; it has ended afterwards, whatever happened."""
+    """Starts a process that reads, yields it with whether it was ended on the clock, and ends it."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith(_ANYWHERE_ELSE)}
     environment |= dict.fromkeys(_THREADS, "1") | {"MALLOC_ARENA_MAX": "2"}
     if not sys.executable or getattr(sys, "frozen", False):
@@ -160,7 +171,7 @@ def _process(seconds: float) -> Iterator[tuple[subprocess.Popen[bytes], threadin
         expired.set()
         process.kill()
 
-    timer = threading.Timer(seconds, expire)
+    timer = threading.Timer(longest_wait(seconds), expire)
     timer.daemon = True
     timer.start()
     try:
@@ -244,10 +255,17 @@ def array_of(output: Any, count: int, dtype: str) -> Any:
 
 def _reason(code: int, expired: bool, limits: Limits, said: list[str]) -> str:
     """Why a process ended with ``code`` before it had answered."""
-    cpu_time = getattr(signal, "SIGXCPU", None)
-    if expired or (cpu_time is not None and code == -cpu_time):
-        seconds = f"{limits.seconds:g} s"
-        return f"reading and examining it takes more than {seconds}; allowed: {seconds}, see Limits"
+    allowed, waited = f"{limits.seconds:g} s", f"{longest_wait(limits.seconds):g} s"
+    if expired and LIMITS_PROCESSOR_TIME:
+        return (
+            f"reading and examining it did not end within {waited} on the clock, with less than {allowed} of "
+            "processor time; the machine is overloaded, or the disk of the file does not answer; see Limits"
+        )
+    if expired:
+        return f"reading and examining it takes more than {waited}; allowed: {allowed}, see Limits"
+    if LIMITS_PROCESSOR_TIME and code in (-signal.SIGPROF, -signal.SIGXCPU):
+        taken = f"{allowed} of processor time"
+        return f"reading and examining it takes more than {taken}; allowed: {allowed}, see Limits"
     if code == OUT_OF_MEMORY:
         return "it needs more memory than is allowed, see Limits"
     if code < 0 or code > 255:  # a signal, or what stands for one on Windows

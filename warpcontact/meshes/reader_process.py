@@ -8,11 +8,16 @@ import contextlib
 import importlib
 import json
 import os
+import signal
 import sys
 import threading
 import time
 from typing import Any
 
+#: Whether the system can end a process after a processor time.
+LIMITS_PROCESSOR_TIME = hasattr(signal, "setitimer")
+# Longer times do not fit into the types of the system [s].
+_LONGEST = 1.0e9
 #: Exit code of a process that watched its own memory and found it too large.
 OUT_OF_MEMORY = 77
 
@@ -22,7 +27,7 @@ def main(request: dict[str, Any]) -> None:
 
     Args:
         request: ``module`` with a function ``answer``, which returns the header and flat arrays; what that is
-            given, ``task``; and the limits ``memory`` [bytes] and ``seconds``.
+            given, ``task``; and the limits ``memory`` [bytes] and ``seconds`` of processor time.
     """
     limit(request["memory"], request["seconds"])
     answer = os.fdopen(os.dup(1), "wb")
@@ -48,9 +53,19 @@ def main(request: dict[str, Any]) -> None:
 def limit(memory: int, seconds: float) -> None:
     """Limits this process: address space, processor time, and no files or core dumps written.
 
-    Where the system has no such limits (Windows), or does not keep the one on memory (macOS), nothing stops a
-    process but the one that started it; the latter watches its own size.
+    Systems without these limits (Windows) leave it to the process that started this one to end it. If the system
+    does not enforce the limit on memory (macOS), a thread checks the size of this process.
+
+    Args:
+        memory: Address space [bytes].
+        seconds: Processor time of all threads, user and system [s].
     """
+    seconds = min(seconds, _LONGEST)
+    if LIMITS_PROCESSOR_TIME:
+        # Ends the process to within a clock tick, also inside of a library, because Python installs no handler.
+        signal.signal(signal.SIGPROF, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGPROF])
+        signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         import resource
     except ImportError:
@@ -58,7 +73,7 @@ def limit(memory: int, seconds: float) -> None:
     for kind, value in (
         (resource.RLIMIT_CORE, 0),
         (resource.RLIMIT_FSIZE, 0),
-        (resource.RLIMIT_CPU, int(seconds) + 2),
+        (resource.RLIMIT_CPU, int(seconds) + 2),  # in whole seconds: for a reader that blocks the signal
         (resource.RLIMIT_AS, memory),
     ):
         with contextlib.suppress(ValueError, OSError):
