@@ -152,12 +152,12 @@ def test_scaled_colliders_weigh_and_collide_as_they_are(tmp_path):
     ("parts", "density"),
     [
         ("", 1000.0),
-        ("body", 300.0),
-        ("body material", 700.0),
+        ("material", 700.0),
+        ("body material", 300.0),
         ("body material collider", 500.0),
     ],
 )
-def test_of_several_densities_that_nearest_to_the_shape_counts(tmp_path, parts, density):
+def test_collider_density_overrides_body_density_and_body_density_that_of_a_material(tmp_path, parts, density):
     material = prim(
         "Material", "stuff", 'prepend apiSchemas = ["PhysicsMaterialAPI"]', "float physics:density = 700"
     )
@@ -273,8 +273,13 @@ def group(name, *members, filtered="", more=""):
             EVERY[1:],
         ),
         (group("g", "/body_0", "/body_1", filtered="rel physics:filteredGroups = </nowhere>"), EVERY),
+        (
+            group("g", "/body_0", filtered="rel physics:filteredGroups = </h>",
+                  more="bool physics:invertFilteredGroups = 1") + group("h", "/floor"),
+            EVERY[1:],
+        ),
     ],
-    ids=["itself", "another", "inverted", "merged", "nowhere"],
+    ids=["itself", "another", "inverted", "merged", "nowhere", "inverted and ungrouped"],
 )  # fmt: skip
 def test_collision_groups_keep_colliders_apart(tmp_path, more, left):
     assert names(read(tmp_path, three(more))) == left

@@ -57,9 +57,6 @@ WRONG = {
         "/body/part: the convex hull of its points has no volume",
     ),
     "a negative radius": (body(content=BALL.replace("= 1", "= -1")), "/body/ball: radius must be greater than 0"),
-    "nested": (
-        body(content=BALL + body("inner", BALL)), "/body/inner: the rigid body is nested in the rigid body /body"
-    ),
     "friction": (
         prim("Material", "m", 'prepend apiSchemas = ["PhysicsMaterialAPI"]', "float physics:staticFriction = -0.1")
         + body(content=prim("Sphere", "ball", 'prepend apiSchemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"]',
@@ -210,7 +207,7 @@ def test_a_file_that_takes_too_long_is_given_up(tmp_path):
         for i in range(1, 24)
     )
     path = stage(tmp_path, body("p0", WEIGHT) + doubling)
-    assert "takes more than 3 s" in problems(path, limits=Limits(seconds=3.0))[0]
+    assert "takes more than 3 s of processor time" in problems(path, limits=Limits(seconds=3.0))[0]
 
 
 def test_meshes_have_a_limit(tmp_path):

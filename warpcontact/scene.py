@@ -70,6 +70,8 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
 
     Attributes:
         remarks: What to know of how a USD stage was read, see ``from_usd``.
+        suggested_dt: Time step that the NewtonSceneAPI of that stage requests [s]; ``None``: none.
+        suggested_iterations: Likewise the largest number of iterations of a solver in a step.
     """
 
     def __init__(
@@ -93,6 +95,8 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         self.mutual_contacts: list[MutualContact] = []
         self._elements: dict[str, Any] = {}
         self.remarks: tuple[str, ...] = ()
+        self.suggested_dt: float | None = None
+        self.suggested_iterations: int | None = None
 
     def __repr__(self) -> str:
         kinds: dict[str, Sequence[Any]] = {

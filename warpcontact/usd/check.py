@@ -21,8 +21,8 @@ def check_usd(path: str | Path) -> list[str]:
     """Returns what is wrong with a stage, in sentences that begin with the path of a prim; none: it is sound.
 
     All time samples are looked at: points, poses, extents and masses must be finite, quaternions of unit length,
-    indices in range, extents around what they are of, principal moments those of a body, rigid bodies not in one
-    another; and none of the validators that come with USD must find anything.
+    indices in range, extents around what they are of, principal moments those of a body, rigid bodies in one
+    another only with a reset transform; and none of the validators that come with USD must find anything.
 
     Args:
         path: A ``.usd``, ``.usda``, ``.usdc`` or ``.usdz`` file of one's own: reading a hostile file may end the
@@ -295,16 +295,18 @@ def _mass(prim: Any) -> Iterator[str]:
 
 
 def _nested(prim: Any) -> Iterator[str]:
-    from pxr import UsdPhysics
+    from pxr import UsdGeom, UsdPhysics
 
     if not prim.HasAPI(UsdPhysics.RigidBodyAPI):
         return
-    above = prim.GetParent()
-    while above and not above.IsPseudoRoot():
-        if above.HasAPI(UsdPhysics.RigidBodyAPI):
-            yield f"must not be a rigid body in the rigid body {above.GetPath()}"
+    # UsdPhysics allows a nested body if a transform between both is reset.
+    while not (prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).GetResetXformStack()):
+        prim = prim.GetParent()
+        if not prim or prim.IsPseudoRoot():
             return
-        above = above.GetParent()
+        if prim.HasAPI(UsdPhysics.RigidBodyAPI):
+            yield f"must not be a rigid body in the rigid body {prim.GetPath()} without !resetXformStack!"
+            return
 
 
 def _material(prim: Any) -> Iterator[str]:

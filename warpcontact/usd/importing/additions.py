@@ -12,6 +12,7 @@ from warpcontact.usd.importing.findings import path_of
 from warpcontact.usd.importing.kinds import below, reasons
 from warpcontact.usd.importing.physics import read_gravity
 from warpcontact.usd.importing.records import Record
+from warpcontact.usd.importing.schemas import has, is_on
 
 _ENVIRONMENT = re.compile(r"env_\d+")
 _ITEM = re.compile(r"item_\d+")
@@ -29,16 +30,18 @@ def additions(stage: Any, description: Record) -> list[str]:
         stage: The stage.
         description: Its description.
     """
-    from pxr import UsdPhysics
+    from pxr import Usd, UsdPhysics
 
-    expected = _Expected(description)
+    expected, time = _Expected(description), Usd.TimeCode.EarliestTime()
     found = []
     for prim in below(stage.GetPseudoRoot()):
         role, said = expected.role(prim), []
-        if prim.HasAPI(UsdPhysics.RigidBodyAPI) and role != "body":
-            said += ["a rigid body"] if UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get() else []
-        if prim.HasAPI(UsdPhysics.CollisionAPI) and role != "collider":
-            said += ["a collider"] if UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get() else []
+        if has(prim, "PhysicsRigidBodyAPI") and role != "body":
+            enabled = is_on(UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr(), time)
+            said += ["a rigid body"] if enabled else []
+        if has(prim, "PhysicsCollisionAPI") and role != "collider":
+            enabled = is_on(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), time)
+            said += ["a collider"] if enabled else []
         if role != "joint":
             said += reasons(prim)
         if prim.IsA(UsdPhysics.Scene):

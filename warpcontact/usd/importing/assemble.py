@@ -16,7 +16,8 @@ from warpcontact.usd.importing.errors import StageError, shortened
 from warpcontact.usd.importing.findings import Unsupported, Wrong
 from warpcontact.usd.importing.forms import Part, part_of
 from warpcontact.usd.importing.solids import Weight
-from warpcontact.usd.importing.touching import NO_MATERIAL, Collider, Touching
+from warpcontact.usd.importing.templates import FRICTION, Material
+from warpcontact.usd.importing.touching import Collider, Touching
 
 #: Density where nothing says one [kg/m³].
 DENSITY = 1000.0
@@ -93,9 +94,9 @@ class _Assembly:
         self._refuse(subject, skip)
         bare = sum(record["material"] is None for record in self.physics["colliders"])
         if bare and template is None:
-            self.remarks.append(
-                f"{bare} colliders have no physics material: friction {NO_MATERIAL['static']}, restitution 0"
-            )
+            self.remarks.append(f"{bare} colliders have no physics material: friction {FRICTION}, restitution 0")
+        scene.suggested_dt = self.physics["stepping"]["dt"]
+        scene.suggested_iterations = self.physics["stepping"]["iterations"]
         scene.remarks = (*self.remarks, *touching.remarks, *(f"left out: {one}" for one in self.unsupported))
         return scene
 
@@ -173,7 +174,7 @@ class _Assembly:
         self.remarks += [f"{shortened(record['path'])}: {remark}" for remark in own.remarks]
         placed = Part(own.form, own.mesh, own.position - shift, own.orientation, own.solid)
         moves = record["body"] >= 0 and not self.physics["bodies"][record["body"]]["kinematic"]
-        material = NO_MATERIAL if record["material"] is None else record["material"]
+        material = Material.of(record["material"])
         return Collider(record["path"], name, body, moves, placed, material, bool(record["visible"]))
 
 
@@ -185,7 +186,8 @@ def _local(body: dict[str, Any], place: Array) -> Array:
 
 def _weight_of(body: dict[str, Any], record: dict[str, Any], own: Part) -> Weight | None:
     """Returns the weight of a collider in the frame of its body; ``None`` if it has none."""
-    density = record["density"] or (record["material"] or {}).get("density") or body["density"] or DENSITY
+    # UsdPhysics: the density of a material has the lowest precedence.
+    density = record["density"] or body["density"] or (record["material"] or {}).get("density") or DENSITY
     if own.solid is None or not own.solid.volume > 0.0:
         return None
     weight = Weight.of(own.solid, record["mass"] or density * own.solid.volume)

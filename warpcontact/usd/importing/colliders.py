@@ -7,6 +7,7 @@ import numpy as np
 from warpcontact.meshes.readers.polygons import triangulate
 from warpcontact.meshes.readers.usd import polygons, without_holes
 from warpcontact.usd.importing.findings import Unsupported, Wrong, number
+from warpcontact.usd.importing.schemas import has, value_of
 
 # What is done with a mesh, by what the stage asks for; other approximations have no counterpart.
 APPROXIMATIONS = {
@@ -75,7 +76,7 @@ def _axes(prim: Any, time: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def _mesh(prim: Any, time: Any, most_faces: int) -> dict[str, Any]:
-    from pxr import UsdGeom, UsdPhysics
+    from pxr import UsdGeom
 
     mesh = UsdGeom.Mesh(prim)
     vertices, counts, corners = polygons(mesh, time)
@@ -94,8 +95,9 @@ def _mesh(prim: Any, time: Any, most_faces: int) -> dict[str, Any]:
         raise Wrong("the mesh has no faces")
     if str(mesh.GetOrientationAttr().Get(time)) == "leftHanded":
         faces = faces[:, ::-1]
-    api = UsdPhysics.MeshCollisionAPI(prim)
-    asked = str(api.GetApproximationAttr().Get() or "none") if prim.HasAPI(UsdPhysics.MeshCollisionAPI) else "none"
+    asked = "none"
+    if has(prim, "PhysicsMeshCollisionAPI"):
+        asked = str(value_of(prim.GetAttribute("physics:approximation"), time) or "none")
     if asked not in APPROXIMATIONS:
         raise Unsupported(f"the approximation {asked!r}; allowed: {', '.join(APPROXIMATIONS)}")
     return {"kind": "mesh", "vertices": vertices, "faces": faces, "approximation": asked}

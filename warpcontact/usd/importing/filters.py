@@ -1,6 +1,6 @@
 """Which colliders of a stage do not touch each other: collision groups and filtered pairs."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,19 @@ from warpcontact.usd.importing.findings import Wrong
 _MOST_PAIRS = 5_000_000
 
 
-def apart(stage: Any, paths: Sequence[str]) -> npt.NDArray[np.int64]:
+def apart(
+    stage: Any, paths: Sequence[str], owners: Sequence[str | None], rigid: Collection[Any]
+) -> npt.NDArray[np.int64]:
     """Returns the pairs of colliders that do not touch, (n, 2), by their numbers among ``paths``.
 
+    Args:
+        stage: The stage.
+        paths: Paths of the colliders.
+        owners: Paths of their bodies; ``None``: the world.
+        rigid: Paths of all rigid bodies.
+
     Raises:
-        Wrong: If they are too many.
+        Wrong: If there are too many.
     """
     from pxr import Sdf, Usd, UsdPhysics
 
@@ -25,19 +33,29 @@ def apart(stage: Any, paths: Sequence[str]) -> npt.NDArray[np.int64]:
     everywhere = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
     prims = list(Usd.PrimRange(stage.GetPseudoRoot(), everywhere))
     groups = [UsdPhysics.CollisionGroup(prim) for prim in prims if prim.IsA(UsdPhysics.CollisionGroup)]
+    members = {group.GetPath(): _members(group, colliders) for group in groups}
+    grouped = set().union(*members.values())
+    alone = [i for i in range(len(colliders)) if i not in grouped]
     for first, second in _apart(groups):
-        _add(found, _members(first, colliders), _members(second, colliders))
+        _add(found, members[first.GetPath()], alone if second is None else members[second.GetPath()])
+
+    def below(root: Any) -> list[int]:
+        # A body stands for its own colliders, without those of bodies that are nested in it.
+        if root in rigid:
+            return [i for i, owner in enumerate(owners) if owner == str(root)]
+        return [i for i, path in enumerate(colliders) if path.HasPrefix(root)]
+
     for prim in prims:
-        if prim.HasAPI(UsdPhysics.FilteredPairsAPI):
-            own = _below(prim.GetPath(), colliders)
-            for target in UsdPhysics.FilteredPairsAPI(prim).GetFilteredPairsRel().GetForwardedTargets():
-                _add(found, own, _below(target, colliders))
+        relation = prim.GetRelationship("physics:filteredPairs")
+        for target in relation.GetForwardedTargets() if relation else ():
+            _add(found, below(prim.GetPath()), below(target))
     return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
 
 
-def _apart(groups: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+def _apart(groups: Sequence[Any]) -> Iterator[tuple[Any, Any | None]]:
     """Iterates over the pairs of groups that do not touch; a group may be one of a pair with itself.
 
+    The second is ``None`` for the colliders that are in no group, which an inverted group does not touch.
     ``UsdPhysics.CollisionGroup.ComputeCollisionGroupTable`` takes a filtered group that there is not for another.
     """
     merged = [str(group.GetMergeGroupNameAttr().Get() or group.GetPath()) for group in groups]
@@ -45,8 +63,11 @@ def _apart(groups: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
     never = set[tuple[str, str]]()
     for group, key in zip(groups, merged, strict=True):
         listed = {named[path] for path in group.GetFilteredGroupsRel().GetForwardedTargets() if path in named}
-        filtered = set(merged) - listed if group.GetInvertFilteredGroupsAttr().Get() else listed
+        inverted = bool(group.GetInvertFilteredGroupsAttr().Get())
+        filtered = set(merged) - listed if inverted else listed
         never |= {(key, other) for other in filtered} | {(other, key) for other in filtered}
+        if inverted:
+            yield from ((one, None) for one, other in zip(groups, merged, strict=True) if other == key)
     for i, first in enumerate(groups):
         for j, second in enumerate(groups[: i + 1]):
             if (merged[i], merged[j]) in never:
@@ -56,10 +77,6 @@ def _apart(groups: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
 def _members(group: Any, colliders: Sequence[Any]) -> list[int]:
     query = group.GetCollidersCollectionAPI().ComputeMembershipQuery()
     return [i for i, path in enumerate(colliders) if query.IsPathIncluded(path)]
-
-
-def _below(root: Any, colliders: Sequence[Any]) -> list[int]:
-    return [i for i, path in enumerate(colliders) if path.HasPrefix(root)]
 
 
 def _add(found: set[tuple[int, int]], own: Iterable[int], others: Sequence[int]) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from warpcontact.usd.importing.errors import shortened
+from warpcontact.usd.importing.schemas import value_of
 
 
 @dataclass
@@ -72,8 +73,7 @@ def number(
     Raises:
         Wrong: If it is not finite or out of range.
     """
-    given = attribute.Get(time)
-    value = fallback if given is None else float(given)
+    value = float(value_of(attribute, time, fallback))
     if not (-inf < value < inf and least <= value <= most and value > above):
         rules = [
             *([f"greater than {above:g}"] if above > -inf else []),
@@ -90,8 +90,7 @@ def vector(attribute: Any, time: Any, size: int = 3) -> npt.NDArray[np.float64]:
     Raises:
         Wrong: If one of them is not finite.
     """
-    given = attribute.Get(time)
-    values = np.zeros(size) if given is None else np.array(given, dtype=np.float64)
+    values = np.array(value_of(attribute, time, np.zeros(size)), dtype=np.float64)
     if values.shape != (size,) or not np.isfinite(values).all():
         raise Wrong(f"{attribute.GetName()} must be {size} finite numbers, got {values.tolist()}")
     return values

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from warpcontact.usd.importing.findings import Findings
+from warpcontact.usd.importing.schemas import applied, has, is_on
 
 # Parts of names of applied schemas of other libraries that say what moves how, not how well it is computed.
 _ESSENTIAL = {
@@ -33,6 +34,13 @@ _READ = (
     "PhysicsMaterialAPI",
     "PhysicsFilteredPairsAPI",
 )
+# Schemas of Newton that are read; each attribute of them without a counterpart has a remark of its own.
+_READ_OF_NEWTON = (
+    "NewtonSceneAPI",
+    "NewtonMassAPI",
+    "NewtonCollisionAPI",
+    "NewtonMaterialAPI",
+)
 
 
 @dataclass
@@ -46,9 +54,10 @@ class Prims:
 
 def sorted_out(stage: Any, findings: Findings) -> Prims:
     """Returns the prims of physics of a stage, instances as well; notes those that there is no counterpart for."""
-    from pxr import UsdGeom, UsdPhysics
+    from pxr import Usd, UsdGeom, UsdPhysics
 
     prims, tuning, looks = Prims(), Counter[str](), 0
+    time = Usd.TimeCode.EarliestTime()
     instanced = _prototypes(stage)
     walk = iter(below(stage.GetPseudoRoot()))
     for prim in walk:
@@ -60,20 +69,20 @@ def sorted_out(stage: Any, findings: Findings) -> Prims:
             continue
         for reason in reasons(prim):
             findings.pass_over(prim, reason)
-        tuning.update(name for name in _schemas(prim) if name.startswith(_FOREIGN) and _essence(name) is None)
+        tuning.update(name for name in applied(prim) if _is_tuning(name))
         if prim.IsA(UsdPhysics.Scene):
             prims.scenes.append(prim)
-        if prim.HasAPI(UsdPhysics.RigidBodyAPI):
-            if UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get():
+        if has(prim, "PhysicsRigidBodyAPI"):
+            if is_on(UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr(), time):
                 prims.bodies.append(prim)
             else:
                 findings.remark(prim, "its rigid body is not enabled: it is part of what carries it")
-        if prim.HasAPI(UsdPhysics.CollisionAPI):
-            if not UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get():
+        if has(prim, "PhysicsCollisionAPI"):
+            if not is_on(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), time):
                 findings.remark(prim, "its collision is not enabled: it touches nothing and has no mass")
             elif prim.IsA(UsdGeom.Gprim):
                 prims.colliders.append(prim)
-            elif any(one.HasAPI(UsdPhysics.CollisionAPI) for one in list(below(prim))[1:]):
+            elif any(has(one, "PhysicsCollisionAPI") for one in list(below(prim))[1:]):
                 findings.remark(prim, "it has no shape to collide with; those below it that collide are read")
             else:
                 kind = prim.GetTypeName() or "no type"
@@ -104,9 +113,7 @@ def below(prim: Any) -> Any:
 
 
 def _is_physical(prim: Any) -> bool:
-    from pxr import UsdPhysics
-
-    return prim.HasAPI(UsdPhysics.RigidBodyAPI) or prim.HasAPI(UsdPhysics.CollisionAPI)
+    return has(prim, "PhysicsRigidBodyAPI") or has(prim, "PhysicsCollisionAPI")
 
 
 def reasons(prim: Any) -> list[str]:
@@ -117,7 +124,7 @@ def reasons(prim: Any) -> list[str]:
     if prim.IsA(UsdPhysics.Joint):
         return [f"a joint, {kind}"]
     found = [f"{kind}, of another program"] if kind.startswith(_FOREIGN) else []
-    for name in _schemas(prim):
+    for name in applied(prim):
         if name == "PhysicsArticulationRootAPI":
             found.append("an articulation")
         elif name.startswith("Physics") and name not in _READ:
@@ -127,9 +134,8 @@ def reasons(prim: Any) -> list[str]:
     return found
 
 
-def _schemas(prim: Any) -> list[str]:
-    """Returns the names of the applied schemas of a prim, without those of instances."""
-    return [str(name).partition(":")[0] for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
+def _is_tuning(schema: str) -> bool:
+    return schema.startswith(_FOREIGN) and schema not in _READ_OF_NEWTON and _essence(schema) is None
 
 
 def _essence(schema: str) -> str | None:

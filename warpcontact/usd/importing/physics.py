@@ -14,7 +14,11 @@ from warpcontact.meshes.readers.unreadable import Unreadable
 from warpcontact.usd.importing import kinds
 from warpcontact.usd.importing.colliders import shape_of
 from warpcontact.usd.importing.filters import apart
-from warpcontact.usd.importing.findings import Findings, Unsupported, Wrong, number, path_of, vector
+from warpcontact.usd.importing.findings import Findings, Unsupported, Wrong, path_of, vector
+from warpcontact.usd.importing.masses import read_mass
+from warpcontact.usd.importing.materials import is_material, read_material
+from warpcontact.usd.importing.schemas import is_authored, value_of
+from warpcontact.usd.importing.stepping import NOTHING, Stepping, has_gravity, read_stepping
 
 Array = npt.NDArray[np.float64]
 
@@ -34,8 +38,8 @@ def read_physics(stage: Any, most_faces: int) -> dict[str, Any]:
         most_faces: Number of triangles that a mesh may have.
 
     Returns:
-        ``gravity`` (3,) [m/s²]; ``bodies`` and ``colliders``, see ``_Reader``; ``apart``, pairs of numbers of
-        colliders that do not touch (n, 2); and the ``Findings``.
+        ``gravity`` (3,) [m/s²]; ``stepping``, see ``Stepping``; ``bodies`` and ``colliders``, see ``_Reader``;
+        ``apart``, pairs of numbers of colliders that do not touch (n, 2); and the ``Findings``.
 
     Raises:
         Unreadable: If it has too many rigid bodies or colliders.
@@ -60,8 +64,8 @@ class _Reader:
     [kg·m²], ``axes`` (4,), quaternion (x, y, z, w) of the principal axes to its prim, ``centre`` (3,), world [m].
 
     Of a collider: ``path``; ``body``, the number of its body, −1: none; ``placement``; ``shape``; ``mass``,
-    ``density``, ``moments``, ``axes`` and ``centre`` as of a body; and ``material``, ``None`` or ``static``,
-    ``dynamic``, ``restitution`` and ``density``; ``visible``.
+    ``density``, ``moments``, ``axes`` and ``centre`` as of a body; ``material``, ``None`` or as ``read_material``
+    returns it; ``visible``.
     """
 
     def __init__(self, stage: Any, most_faces: int) -> None:
@@ -72,7 +76,11 @@ class _Reader:
         self.findings = Findings()
         self.time = Usd.TimeCode.EarliestTime()
         self.places = UsdGeom.XformCache(self.time)
-        self.numbers: dict[Any, int] = {}  # of bodies by path
+        self.rigid: set[Any] = set()  # paths of all rigid bodies
+        self.numbers: dict[Any, int] = {}  # of those that are read, by path
+        self.wrong: set[Any] = set()  # paths of prims that are errors
+        # Bodies whose transform includes that of another one, with that one.
+        self.nested: list[tuple[Any, Any]] = []
         self.materials: dict[Any, Any] = {}
         self.moving: dict[Any, bool] = {}  # whether a prim, or one that carries it, is animated
 
@@ -82,18 +90,21 @@ class _Reader:
         for what, count in (("rigid bodies", len(prims.bodies)), ("colliders", len(prims.colliders))):
             if count > MOST:
                 raise Unreadable(f"it has {count} {what}; allowed: {MOST}")
+        self.rigid = {prim.GetPath() for prim in prims.bodies}
         bodies = [found for prim in prims.bodies if (found := self._tried(prim, self._body)) is not None]
         colliders = [found for prim in prims.colliders if (found := self._tried(prim, self._collider)) is not None]
-        gravity = self._gravity(prims.scenes)
-        pairs = self._tried(
-            self.stage.GetPseudoRoot(), lambda root: apart(self.stage, [c["path"] for c in colliders])
-        )
+        gravity, stepping = self._gravity(prims.scenes), self._stepping(prims.scenes)
+        owners = [bodies[one["body"]]["path"] if one["body"] >= 0 else None for one in colliders]
+        paths = [one["path"] for one in colliders]
+        pairs = self._tried(self.stage.GetPseudoRoot(), lambda root: apart(self.stage, paths, owners, self.rigid))
+        self._remark_nested()
         if not prims.bodies and not prims.colliders and not self.findings.unsupported:
             self.findings.wrong.append(
                 "there is no rigid body and no collider of UsdPhysics; load_mesh reads meshes"
             )
         return {
             "gravity": gravity,
+            "stepping": stepping,
             "bodies": bodies,
             "colliders": colliders,
             "apart": np.empty((0, 2), dtype=np.int64) if pairs is None else pairs,
@@ -105,6 +116,7 @@ class _Reader:
             return read(prim)
         except (Wrong, Unreadable) as error:
             self.findings.blame(prim, error)
+            self.wrong.add(prim.GetPath())
         except Unsupported as error:
             self.findings.pass_over(prim, error)
         return None
@@ -146,12 +158,32 @@ class _Reader:
         found = self._tried(scenes[0], lambda prim: vector(scene.GetGravityDirectionAttr(), self.time))
         direction = np.zeros(3) if found is None else self.up @ found
         length = float(np.linalg.norm(direction))
-        magnitude = scene.GetGravityMagnitudeAttr().Get(self.time)
+        if not has_gravity(scenes[0], self.time):
+            self.findings.remark(scenes[0], "newton:gravityEnabled is off: there is no gravity")
+            return np.zeros(3)
+        magnitude = value_of(scene.GetGravityMagnitudeAttr(), self.time, -inf)
         if not magnitude < inf:  # nor NaN
             self.findings.blame(scenes[0], f"physics:gravityMagnitude must be a number, got {magnitude:g}")
             return down
         own = GRAVITY if magnitude < 0.0 else float(magnitude) * self.metres
         return own * (direction / length if length > 0.0 else down)
+
+    def _stepping(self, scenes: list[Any]) -> Stepping:
+        found: Stepping | None = None
+        if scenes:
+            found = self._tried(scenes[0], lambda prim: read_stepping(prim, self.time))
+        return NOTHING if found is None else found
+
+    def _remark_nested(self) -> None:
+        """Adds one remark on bodies that are nested in others, of which converters make one for each link."""
+        if self.nested:
+            prim, carrier = self.nested[0]
+            more = f" and {len(self.nested) - 1} more" if len(self.nested) > 1 else ""
+            self.findings.remark(
+                prim,
+                f"the rigid body is nested in the rigid body {path_of(carrier)} without !resetXformStack!{more}: "
+                "each is a body of its own, placed as the stage composes it, and does not follow the outer one",
+            )
 
     def _placement(self, prim: Any) -> Array:
         """Returns the matrix from a prim to the world, for columns [m]."""
@@ -175,16 +207,15 @@ class _Reader:
 
         if not prim.IsA(UsdGeom.Xformable):
             raise Wrong(f"a rigid body must be an Xformable, got {prim.GetTypeName() or 'no type'}")
-        carrier = self._body_of(prim.GetParent())
-        if carrier is not None and not UsdGeom.Xformable(prim).GetResetXformStack():
-            raise Wrong(f"the rigid body is nested in the rigid body {path_of(carrier)}")
+        if (outer_body := self._outer_of(prim)) is not None:
+            self.nested.append((prim, outer_body))
         api = UsdPhysics.RigidBodyAPI(prim)
-        kinematic = bool(api.GetKinematicEnabledAttr().Get(self.time))
+        kinematic = bool(value_of(api.GetKinematicEnabledAttr(), self.time, False))
         if self._animated(prim):
             if kinematic:
                 raise Unsupported("a kinematic body whose pose is animated")
             self.findings.remark(prim, "its pose is animated; what it starts with is taken")
-        if api.GetStartsAsleepAttr().Get(self.time):
+        if value_of(api.GetStartsAsleepAttr(), self.time, False):
             self.findings.remark(prim, "starts asleep on the stage; it is awake here")
         outer = prim.GetParent()
         reset = UsdGeom.Xformable(prim).GetResetXformStack() or not outer or outer.IsPseudoRoot()
@@ -203,16 +234,25 @@ class _Reader:
         self.numbers[prim.GetPath()] = len(self.numbers)
         return body
 
-    def _body_of(self, prim: Any) -> Any:
-        """Returns the rigid body that a prim is part of, itself or one that carries it; ``None``: the world."""
+    def _rigid_of(self, prim: Any) -> Any:
+        """Returns the nearest rigid body that a prim is part of, itself or one above; ``None``: the world.
+
+        As the parser of UsdPhysics has it, also if a prim between them resets its transform.
+        """
+        while prim and not prim.IsPseudoRoot():
+            if prim.GetPath() in self.rigid:
+                return prim
+            prim = prim.GetParent()
+        return None
+
+    def _outer_of(self, prim: Any) -> Any:
+        """Returns the rigid body whose transform that of another rigid body includes; ``None``: none."""
         from pxr import UsdGeom
 
-        while prim and not prim.IsPseudoRoot():
-            if prim.GetPath() in self.numbers:
-                return prim
-            if prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).GetResetXformStack():
-                return None
+        while not (prim.IsA(UsdGeom.Xformable) and UsdGeom.Xformable(prim).GetResetXformStack()):
             prim = prim.GetParent()
+            if prim.IsPseudoRoot() or prim.GetPath() in self.rigid:
+                return None if prim.IsPseudoRoot() else prim
         return None
 
     def _animated(self, prim: Any) -> bool:
@@ -229,41 +269,18 @@ class _Reader:
             self.moving[path] = own or (outer and self._animated(prim.GetParent()))
         return self.moving[path]
 
-    def _mass(self, prim: Any, placement: Array) -> dict[str, Any]:
-        """Returns what MassAPI says of a body or collider."""
-        from pxr import UsdPhysics
-
-        said: dict[str, Any] = {"mass": 0.0, "density": 0.0, "moments": None, "axes": None, "centre": None}
-        if not prim.HasAPI(UsdPhysics.MassAPI):
-            return said
-        api = UsdPhysics.MassAPI(prim)
-        said["mass"] = self.kilograms * number(api.GetMassAttr(), self.time, least=0.0)
-        said["density"] = number(api.GetDensityAttr(), self.time, least=0.0) * self.kilograms / self.metres**3
-        moments = vector(api.GetDiagonalInertiaAttr(), self.time)
-        if moments.any():
-            if (moments < 0.0).any():
-                raise Wrong(f"physics:diagonalInertia must be positive, got {moments.tolist()}")
-            said["moments"] = self.kilograms * self.metres**2 * moments
-        axes = api.GetPrincipalAxesAttr().Get(self.time)
-        turn = np.array([*axes.GetImaginary(), axes.GetReal()], dtype=np.float64)
-        length = float(np.linalg.norm(turn))
-        if not isfinite(length):
-            raise Wrong(f"physics:principalAxes must be finite, got {turn.tolist()}")
-        if length > 0.0:
-            said["axes"] = turn / length
-        # −inf in all of them: not given.
-        if api.GetCenterOfMassAttr().Get(self.time) != (-inf,) * 3:
-            centre = vector(api.GetCenterOfMassAttr(), self.time)
-            said["centre"] = placement[:3, :3] @ centre + placement[:3, 3]
-        return said
-
-    def _collider(self, prim: Any) -> dict[str, Any]:
+    def _collider(self, prim: Any) -> dict[str, Any] | None:
         from pxr import UsdGeom
 
-        carrier = self._body_of(prim)
+        carrier = self._rigid_of(prim)
+        if carrier is not None and carrier.GetPath() not in self.numbers:
+            if carrier.GetPath() in self.wrong:
+                return None  # the body is an error already
+            raise Unsupported(f"it is part of the rigid body {path_of(carrier)}, which is left out")
         if carrier is None and self._animated(prim):
             raise Unsupported("a collider of the world whose pose is animated")
         placement = self._placement(prim)
+        self._note_unused(prim)
         return {
             "path": str(prim.GetPath()),
             "body": -1 if carrier is None else self.numbers[carrier.GetPath()],
@@ -274,26 +291,37 @@ class _Reader:
             "visible": str(UsdGeom.Imageable(prim).ComputeVisibility(self.time)) != "invisible",
         }
 
-    def _material(self, prim: Any) -> dict[str, float] | None:
-        """Returns what the material of a collider says of physics."""
-        from pxr import UsdPhysics, UsdShade
+    def _note_unused(self, prim: Any) -> None:
+        """Notes attributes of NewtonCollisionAPI and NewtonMassAPI of a collider that have no counterpart."""
+        margin, model, most = (
+            value_of(attribute, self.time) if is_authored(attribute) else None
+            for attribute in map(
+                prim.GetAttribute, ("newton:contactMargin", "newton:massModel", "newton:maxHullVertices")
+            )
+        )
+        if margin is not None and margin > 0.0:
+            self.findings.remark(prim, f"newton:contactMargin {margin:g} is not used: the surface itself touches")
+        if most is not None and most >= 0:
+            self.findings.remark(
+                prim, f"newton:maxHullVertices {most} is not used: a convex hull has all vertices"
+            )
+        if model == "shell":
+            self.findings.pass_over(prim, "newton:massModel shell; its mass is that of a solid")
+
+    def _mass(self, prim: Any, placement: Array) -> dict[str, Any]:
+        return read_mass(prim, placement, self.time, self.metres, self.kilograms)
+
+    def _material(self, prim: Any) -> dict[str, Any] | None:
+        """Returns the physics material that is bound to a collider."""
+        from pxr import UsdShade
 
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
-        if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
+        if not material or not is_material(material.GetPrim()):
             return None
         own = material.GetPrim()
         if own.GetPath() not in self.materials:
-            api = UsdPhysics.MaterialAPI(own)
             self.materials[own.GetPath()] = self._tried(
-                own,
-                lambda _: {
-                    "static": number(api.GetStaticFrictionAttr(), self.time, least=0.0),
-                    "dynamic": number(api.GetDynamicFrictionAttr(), self.time, least=0.0),
-                    "restitution": number(api.GetRestitutionAttr(), self.time, least=0.0, most=1.0),
-                    "density": number(api.GetDensityAttr(), self.time, least=0.0)
-                    * self.kilograms
-                    / self.metres**3,
-                },
+                own, lambda prim: read_material(prim, self.time, self.metres, self.kilograms, self.findings)
             )
-        found: dict[str, float] | None = self.materials[own.GetPath()]
+        found: dict[str, Any] | None = self.materials[own.GetPath()]
         return found

@@ -46,6 +46,8 @@ def scene_from_usd(
         if found["additions"] and not skip:
             raise StageError(subject, [f"{one} (not supported)" for one in found["additions"]])
         scene = restored(found["description"], own, subject)
+        scene.suggested_dt = found["stepping"]["dt"]
+        scene.suggested_iterations = found["stepping"]["iterations"]
         scene.remarks = tuple(f"left out: {one}" for one in found["additions"])
         return scene
     return assembled(

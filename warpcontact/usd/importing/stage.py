@@ -8,6 +8,7 @@ from warpcontact.meshes.readers.usd_layers import check_layers, reason
 from warpcontact.usd.importing.additions import additions
 from warpcontact.usd.importing.physics import read_physics
 from warpcontact.usd.importing.records import read_records
+from warpcontact.usd.importing.stepping import stepping_of
 
 
 def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[Any]]:
@@ -23,7 +24,7 @@ def answer(task: dict[str, Any]) -> tuple[dict[str, Any], list[Any]]:
 def read_stage(file: str, most_faces: int, *, confined: bool) -> dict[str, Any]:
     """Returns ``description``, the records of a scene of ours, or ``physics``, what UsdPhysics says.
 
-    Beside a description are ``additions``, what the stage has that it does not have.
+    With a description come ``additions``, what the stage has that it does not have, and ``stepping``.
 
     Args:
         file: Path of the file.
@@ -41,7 +42,11 @@ def read_stage(file: str, most_faces: int, *, confined: bool) -> dict[str, Any]:
         stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll)
         records = read_records(stage)
         if records is not None:
-            return {"description": records, "additions": additions(stage, records)}
+            return {
+                "description": records,
+                "additions": additions(stage, records),
+                "stepping": stepping_of(stage),
+            }
         return {"physics": read_physics(stage, most_faces)}
     except Tf.ErrorException as error:
         raise Unreadable(f"not valid USD: {reason(error)}") from error

@@ -1,14 +1,12 @@
 """Which colliders touch, and by which contacts; ``docs/usd.md`` says the rules."""
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import islice
-from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 
 from warpcontact.elements import Body, Points, Surface, Template
-from warpcontact.kernels.frictions import CundallStrack, Frictionless
-from warpcontact.kernels.laws import KelvinVoigt
 from warpcontact.kernels.smooth import shapes
 from warpcontact.meshes import sample_surface
 from warpcontact.scene import Scene
@@ -16,21 +14,16 @@ from warpcontact.smooth.elements import Shape
 from warpcontact.usd.importing.findings import Wrong
 from warpcontact.usd.importing.forms import Part
 from warpcontact.usd.importing.pairs import Numbers, loose, piles_of, within
+from warpcontact.usd.importing.templates import Material, Side, Templates
 from warpcontact.usd.importing.together import share_of
+from warpcontact.usd.rolling import rolling_radius
 
-#: Friction and restitution where no physics material is bound.
-NO_MATERIAL = {"static": 0.5, "dynamic": 0.5, "restitution": 0.0}
-#: Least restitution of the law: at 0 its dashpot would be infinite.
-LEAST_RESTITUTION = 0.01
 #: So many spheres and capsules of one material are a pile, in which partners are looked for.
 PILE = 32
 #: Most contacts of one scene, but for piles.
 MOST_CONTACTS = 10_000
 #: Most points of what is at rest that look for what moves.
 MOST_POINTS = 2000
-# A spring along the tangent that is this part of the one along the normal has half a period of the same length
-# for a solid sphere; the dashpot beside it damps half as much as would let it creep back.
-_ASIDE = 2.0 / 7.0
 
 
 @dataclass(eq=False)
@@ -43,7 +36,7 @@ class Collider:
         body: Body that carries it; ``None``: the world.
         moves: Whether forces move that.
         own: What it is.
-        material: ``static``, ``dynamic`` and ``restitution``.
+        material: Its physics material.
         visible: Whether it is drawn.
     """
 
@@ -52,7 +45,7 @@ class Collider:
     body: Body | None
     moves: bool
     own: Part
-    material: dict[str, float]
+    material: Material
     visible: bool
     shape: Shape | None = None
     outside: Surface | None = None
@@ -60,9 +53,9 @@ class Collider:
     points: Points | None = None
 
     @property
-    def mass(self) -> float:
-        """Mass that an impact feels [kg]; infinite if it does not move."""
-        return float(self.body.mass) if self.moves and self.body is not None else float("inf")
+    def side(self) -> Side:
+        """Its material and the body that forces move."""
+        return Side(self.material, self.body if self.moves else None)
 
     def is_a(self, *kinds: type) -> bool:
         """Whether its form is one of these."""
@@ -114,10 +107,8 @@ class Touching:
 
     def __init__(self, scene: Scene, template: Template | None, contact_time: float, samples: int | str) -> None:
         self.scene = scene
-        self.given = template
-        self.contact_time = contact_time
         self.samples = samples
-        self.templates: dict[tuple[float, ...], Template] = {}
+        self.templates = Templates(template, contact_time)
         self.remarks: list[str] = []
 
     def add(self, colliders: list[Collider], apart: Numbers) -> None:
@@ -144,67 +135,59 @@ class Touching:
             # What moves, and no half-space, is the first: normals point towards it.
             swap = (one.is_a(shapes.Plane), not one.moves) > (other.is_a(shapes.Plane), not other.moves)
             self._add_pair(*((other, one) if swap else (one, other)))
+        self.remarks += self.templates.remarks()
 
     def _add_pile(self, members: list[Collider], apart: Numbers, colliders: list[Collider]) -> None:
-        heaviest = max(members, key=lambda one: one.mass)
-        template = self._template(heaviest, heaviest)
+        heaviest = max(members, key=lambda one: one.side.mass)
+        radii = {one.own.form.radius for one in members}  # type: ignore[union-attr]
+        radius = radii.pop() / 2.0 if len(radii) == 1 else None
+        label = f"the mutual contact of {members[0].name!r}"
+        template, options = self.templates.between(label, heaviest.side, heaviest.side, radius)
         exclude = [(_shape(colliders[i]), _shape(colliders[j])) for i, j in apart.tolist()]
-        self.scene.add_mutual_contact([_shape(one) for one in members], template, exclude=exclude)
+        self.scene.add_mutual_contact([_shape(one) for one in members], template, exclude=exclude, **options)
 
     def _add_pair(self, one: Collider, other: Collider) -> None:
-        scene, template = self.scene, self._template(one, other)
+        scene = self.scene
         name = scene.new_name(f"{one.name}_{other.name}", None)
-        if one.own.form is not None and other.own.form is not None:
-            scene.add_smooth_contact(_shape(one), _shape(other), template, name=name)
-        elif one.is_a(shapes.Sphere) or other.is_a(shapes.Sphere):
-            ball, around = (one, other) if one.is_a(shapes.Sphere) else (other, one)
-            radius = ball.own.form.radius  # type: ignore[union-attr]
-            scene.add_contact(ball.middle(scene), around.surface(scene), template, radius=radius, name=name)
-        elif other.is_a(shapes.Plane):
-            self._add_points(one, other, template, name, 1.0)
+        form, other_form = one.own.form, other.own.form
+        ball, around = (one, other) if one.is_a(shapes.Sphere) else (other, one)
+        smooth = form is not None and other_form is not None
+        if form is not None and other_form is not None:
+            radius = rolling_radius(form, other_form)
         else:
-            self._add_surfaces(one, other, template, name)
+            radius = ball.own.form.radius if ball.is_a(shapes.Sphere) else None  # type: ignore[union-attr]
+        template, common = self.templates.between(repr(name), one.side, other.side, radius)
+        options: dict[str, Any] = {**common, "name": name}
+        if smooth:
+            scene.add_smooth_contact(_shape(one), _shape(other), template, **options)
+        elif radius is not None:
+            scene.add_contact(ball.middle(scene), around.surface(scene), template, radius=radius, **options)
+        elif other.is_a(shapes.Plane):
+            self._add_points(one, other, template, options, 1.0)
+        else:
+            self._add_surfaces(one, other, template, options)
 
-    def _add_surfaces(self, one: Collider, other: Collider, template: Template, name: str) -> None:
+    def _add_surfaces(self, one: Collider, other: Collider, template: Template, options: dict[str, Any]) -> None:
         """Lets points of two surfaces touch the other one; of one at rest only if they are not too many."""
         both = other.moves or len(other.surface(self.scene).mesh.vertices) <= MOST_POINTS
-        self._add_points(one, other, template, name, 0.5 if both else 1.0)
+        self._add_points(one, other, template, options, 0.5 if both else 1.0)
         if both:
-            self._add_points(other, one, template, self.scene.new_name(f"{other.name}_{one.name}", None), 0.5)
+            name = self.scene.new_name(f"{other.name}_{one.name}", None)
+            self._add_points(other, one, template, options | {"name": name}, 0.5)
         else:
             self.remarks.append(
                 f"{other.path}: it has more than {MOST_POINTS} vertices and does not move: points of "
                 f"{one.path} touch it, and not the reverse"
             )
 
-    def _add_points(self, one: Collider, other: Collider, template: Template, name: str, part: float) -> None:
+    def _add_points(
+        self, one: Collider, other: Collider, template: Template, options: dict[str, Any], part: float
+    ) -> None:
         """Lets points of one surface touch the other; ``part``: of the force of the pair."""
         points, outside = one.sampled(self.scene, self.samples), other.surface(self.scene)
         reach = 0.5 * float(np.linalg.norm(np.ptp(outside.mesh.bounds, axis=0)))
         share = part * share_of(points.positions, reach, convex=one.moves)
-        self.scene.add_contact(points, outside, template, share=share, name=name)
-
-    def _template(self, one: Collider, other: Collider) -> Template:
-        """Returns law and friction of a pair: means of what materials say, and a spring of the contact time."""
-        if self.given is not None:
-            return self.given
-        mass = 1.0 / (1.0 / one.mass + 1.0 / other.mass)
-        mean = {key: 0.5 * (one.material[key] + other.material[key]) for key in NO_MATERIAL}
-        key = (mass, *mean.values())
-        if key not in self.templates:
-            stiffness = mass * (pi / self.contact_time) ** 2
-            aside = _ASIDE * stiffness
-            friction = CundallStrack(
-                mu_static=mean["static"],
-                mu_dynamic=mean["dynamic"],
-                stiffness=aside,
-                damping=sqrt(_ASIDE * mass * aside),
-            )
-            self.templates[key] = Template(
-                law=KelvinVoigt(stiffness=stiffness, restitution=max(mean["restitution"], LEAST_RESTITUTION)),
-                friction=friction if mean["static"] or mean["dynamic"] else Frictionless(),
-            )
-        return self.templates[key]
+        self.scene.add_contact(points, outside, template, share=share, **options)
 
 
 def _shape(one: Collider) -> Shape:
@@ -212,8 +195,8 @@ def _shape(one: Collider) -> Shape:
     return one.shape
 
 
-def _pile_key(one: Collider) -> tuple[float, ...] | None:
+def _pile_key(one: Collider) -> tuple[float | None, ...] | None:
     """Returns what spheres and capsules of a pile have in common; ``None``: it is in none."""
     if one.moves and one.is_a(shapes.Sphere, shapes.Capsule):
-        return tuple(one.material.values())
+        return astuple(one.material)
     return None
