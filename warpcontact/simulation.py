@@ -439,14 +439,14 @@ class Simulation:
                 before = done
         for sentence in (*remarks.about_frozen(), *remarks.new()):
             warnings.warn(sentence, RuntimeWarning, stacklevel=2)
-        health = self.model.health()
-        return recorder.finish(
-            {
-                "dt": self.dt,
-                "integrator": type(self.integrator).__name__,
-                "frozen_environments": health.frozen.tolist(),
-            }
-        )
+        attributes = {
+            "dt": self.dt,
+            "integrator": type(self.integrator).__name__,
+            "frozen_environments": self.model.health().frozen.tolist(),
+        }
+        if (iterations := getattr(self.integrator, "iterations", None)) is not None:
+            attributes["iterations"] = iterations
+        return recorder.finish(attributes)
 
     def advance(
         self,

@@ -127,6 +127,8 @@ def _make_folder(runner: ShardRunner, job: Job) -> None:
         "name": settings.name,
         "seed": settings.seed,
     }
+    if settings.integrator.iterations is not None:
+        attributes["iterations"] = settings.integrator.iterations
     times = frames.times(settings.dt)
     store.create(folder / store.DATA, runner.templates(), settings.envs, times, frames.block, attributes)
 

@@ -75,6 +75,7 @@ class Environments:
         )
         prototype.write()
         physics.define_gravity(self.stage, scene_path, self.gravity[0])
+        self._write_stepping(content.replay, scene_path)
         space, masses = self._space(content, survey), physics.Masses(content.replay)
         for row in range(len(layout.envs)):
             self._define_environment(prototype, content, masses, row)
@@ -83,6 +84,12 @@ class Environments:
         if len(paths) > 1:
             shared = None if layout.apart else layout.surfaces
             physics.define_collision_groups(self.stage, f"{WORLD}/CollisionGroups", paths, shared)
+
+    def _write_stepping(self, replay: Replay, scene_path: str) -> None:
+        attrs = replay.data.attrs
+        if "dt" in attrs:
+            iterations = int(attrs["iterations"]) if "iterations" in attrs else None
+            physics.write_stepping(self.stage.GetPrimAtPath(scene_path), float(attrs["dt"]), iterations)
 
     def _define_environment(
         self, prototype: Prototype, content: Content, masses: physics.Masses, row: int

@@ -1,4 +1,4 @@
-"""Materials of UsdPhysics: friction and restitution of what collides, from the contacts that it takes part in."""
+"""Materials of UsdPhysics and Newton: friction, restitution and stiffness of colliders, from their contacts."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,13 +9,25 @@ import numpy as np
 from warpcontact.checks import Array
 from warpcontact.kernels.frictions import Friction, Frictionless
 from warpcontact.replay.replay import Replay
+from warpcontact.scene import Contact
+from warpcontact.smooth.elements import SmoothContact
 from warpcontact.usd.layout import WORLD
+from warpcontact.usd.rolling import rolling_radius
 
 #: Of a friction: parameters that are its static coefficient, and its dynamic one; the first group it has.
 STATIC = (("mu_static",), ("mu",), ("mu_1", "mu_2"))
 DYNAMIC = (("mu_dynamic",), ("mu",), ("mu_1", "mu_2"))
 # Schema attributes by the names of the coefficients.
 _ATTRIBUTES = {"static": "StaticFriction", "dynamic": "DynamicFriction", "restitution": "Restitution"}
+# Those of NewtonMaterialAPI, all of type float.
+_OF_NEWTON = {
+    "stiffness": "newton:contactStiffness",
+    "damping": "newton:contactDamping",
+    "rolling": "newton:rollingFriction",
+    "torsion": "newton:torsionalFriction",
+}
+# Units of stiffness and damping in laws whose force is linear; those of others have no counterpart.
+_LINEAR = {"stiffness": "N/m", "damping": "N·s/m"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +36,8 @@ class Material:
 
     Attributes:
         name: Name of the first contact that has it.
-        values: By ``"static"``, ``"dynamic"`` and ``"restitution"``: coefficients, (env,).
+        values: By ``"static"``, ``"dynamic"``, ``"restitution"``: coefficients, (env,); by ``"stiffness"`` [N/m],
+            ``"damping"`` [N·s/m], ``"rolling"`` and ``"torsion"`` [m]: values of NewtonMaterialAPI.
     """
 
     name: str
@@ -50,8 +63,8 @@ class Materials:
     def __init__(self, replay: Replay) -> None:
         found: dict[tuple[tuple[str, bytes], ...], Material] = {}
         self._of: dict[tuple[str, str], Material] = {}
-        for name, formulas, colliders in _contacts(replay):
-            material = _material(replay, name, formulas)
+        for contact, colliders in _contacts(replay):
+            material = _material(replay, contact)
             material = found.setdefault(material.key, material)
             for collider in colliders if material.values else ():
                 self._of.setdefault(collider, material)
@@ -68,31 +81,77 @@ class Materials:
         return material is not None and not material.shared
 
 
-def _contacts(replay: Replay) -> Iterator[tuple[str, dict[str, Any], list[tuple[str, str]]]]:
+def _contacts(replay: Replay) -> Iterator[tuple[Any, list[tuple[str, str]]]]:
     scene = replay.scene
     for contact in scene.contacts:
-        sides = [("points", contact.points.name), ("surface", contact.surface.name)]
-        yield contact.name, contact.template.formulas, sides
+        yield contact, [("points", contact.points.name), ("surface", contact.surface.name)]
     for smooth in scene.smooth_contacts:
-        yield smooth.name, smooth.formulas, [("shape", shape.name) for shape in smooth.shapes]
+        yield smooth, [("shape", shape.name) for shape in smooth.shapes]
     for mutual in scene.mutual_contacts:
-        yield mutual.name, mutual.formulas, [("shape", shape.name) for shape in mutual.shapes]
+        yield mutual, [("shape", shape.name) for shape in mutual.shapes]
 
 
-def _material(replay: Replay, contact: str, formulas: dict[str, Any]) -> Material:
-    friction: Friction = formulas["friction"]
-    values = {}
+def _material(replay: Replay, contact: Any) -> Material:
+    formulas = contact.template.formulas
+    values: dict[str, Array] = {}
     for name, groups in (("static", STATIC), ("dynamic", DYNAMIC)):
-        group = next((one for one in groups if all(hasattr(friction, key) for key in one)), None)
-        if isinstance(friction, Frictionless):
-            values[name] = np.zeros(len(replay.envs))
-        elif group is not None:
-            each = [_values(replay, f"{contact}.friction.{key}", getattr(friction, key)) for key in group]
-            values[name] = np.mean(each, axis=0)
-    restitution = getattr(formulas["law"], "restitution", None)
+        found = _coefficient(replay, contact.name, "friction", formulas["friction"], groups)
+        if found is not None:
+            values[name] = found
+    law = formulas["law"]
+    restitution = getattr(law, "restitution", None)
     if restitution is not None:
-        values["restitution"] = _values(replay, f"{contact}.law.restitution", restitution)
-    return Material(contact, values)
+        values["restitution"] = _values(replay, f"{contact.name}.law.restitution", restitution)
+    for name in _LINEAR if law.power == 1.0 else ():
+        value = getattr(law, name, None)
+        if value is not None and law.limits(name)["unit"] == _LINEAR[name]:
+            values[name] = _values(replay, f"{contact.name}.law.{name}", value)
+    if "stiffness" in values and {"restitution", "damping"}.isdisjoint(law.parameters()):
+        values["damping"] = np.zeros(len(replay.envs))  # elastic; no value would stand for a default damping
+    for name, arm_of in (("rolling", _rolling_arm), ("torsion", _torsion_arm)):
+        if not isinstance(formulas[name], Frictionless):
+            found, arm = _coefficient(replay, contact.name, name, formulas[name], DYNAMIC), arm_of(replay, contact)
+            if found is not None and arm is not None:
+                values[name] = found * arm
+    return Material(contact.name, values)
+
+
+def _coefficient(
+    replay: Replay, contact: str, part: str, friction: Friction, groups: tuple[tuple[str, ...], ...]
+) -> Array | None:
+    """Returns a coefficient of friction, rolling or torsion of a contact, (env,); ``None``: it has none."""
+    if isinstance(friction, Frictionless):
+        return np.zeros(len(replay.envs))
+    group = next((one for one in groups if all(hasattr(friction, key) for key in one)), None)
+    if group is None:
+        return None
+    each = [_values(replay, f"{contact}.{part}.{key}", getattr(friction, key)) for key in group]
+    return np.asarray(np.mean(each, axis=0))
+
+
+def _rolling_arm(replay: Replay, contact: Any) -> Array | None:
+    """Returns the radius of rolling of a contact, (env,) [m]; ``None``: it has none, or it is not one number."""
+    count = len(replay.envs)
+    if isinstance(contact, Contact):
+        radii = replay.radii(contact)
+        return radii[:, 0] if radii.size and (radii == radii[:, :1]).all() and radii[:, 0].all() else None
+    shapes = contact.shapes
+    if any(f"{shape.name}.{size}" in replay.data for shape in shapes for size in shape.sizes):
+        return None  # sizes differ between environments
+    forms = [shape.form(item) for shape in shapes for item in range(shape.count)]
+    if isinstance(contact, SmoothContact):
+        radius = rolling_radius(*forms) if len(forms) == 2 else None
+    else:
+        sizes: set[float] = {form.radius for form in forms}
+        radius = 0.5 * sizes.pop() if len(sizes) == 1 else None
+    return None if radius is None else np.full(count, radius)
+
+
+def _torsion_arm(replay: Replay, contact: Any) -> Array | None:
+    """Returns the arm of torsion of a contact, (env,) [m]; ``None``: it depends on the overlap."""
+    if contact.torsion_radius is None:
+        return None
+    return _values(replay, f"{contact.name}.torsion_radius", contact.torsion_radius)
 
 
 def _values(replay: Replay, name: str, default: float) -> Array:
@@ -117,16 +176,21 @@ def define_material(stage: Any, path: str, material: Material, row: int) -> None
     prim = UsdShade.Material.Define(stage, path).GetPrim()
     prim.SetDocumentation(f"Friction and restitution of contact {material.name}.")
     UsdPhysics.MaterialAPI.Apply(prim)
+    if not _OF_NEWTON.keys().isdisjoint(material.values):
+        prim.AddAppliedSchema("NewtonMaterialAPI")
     set_material(prim, material, row)
 
 
 def set_material(prim: Any, material: Material, row: int) -> None:
     """Gives a material the coefficients of environment number ``row``."""
-    from pxr import UsdPhysics
+    from pxr import Sdf, UsdPhysics
 
     api = UsdPhysics.MaterialAPI(prim)
     for name, values in material.values.items():
-        getattr(api, f"Create{_ATTRIBUTES[name]}Attr")(float(values[row]))
+        if name in _ATTRIBUTES:
+            getattr(api, f"Create{_ATTRIBUTES[name]}Attr")(float(values[row]))
+        else:
+            prim.CreateAttribute(_OF_NEWTON[name], Sdf.ValueTypeNames.Float, False).Set(float(values[row]))
 
 
 def bind_material(prim: Any, path: str) -> None:

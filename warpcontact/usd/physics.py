@@ -11,6 +11,9 @@ from warpcontact.replay.replay import Replay
 from warpcontact.scene import Body
 from warpcontact.usd.author import Samples, vectors
 
+# Recordings have the time step in single precision.
+_SINGLE = 1.0e-6
+
 
 def define_gravity(stage: Any, path: str, gravity: Array) -> None:
     """Writes the physics scene with gravity [m/s²]."""
@@ -24,6 +27,28 @@ def define_gravity(stage: Any, path: str, gravity: Array) -> None:
     scene.CreateGravityMagnitudeAttr(magnitude)
     # Readers of the description tell by it whether somebody changed these since.
     scene.GetPrim().SetCustomDataByKey("warpcontact:gravity", Gf.Vec3d(*gravity.tolist()))
+
+
+def write_stepping(scene: Any, dt: float, iterations: int | None) -> None:
+    """Writes the settings of the solver into a PhysicsScene, as NewtonSceneAPI.
+
+    A time step that is not a whole fraction of a second cannot be written.
+
+    Args:
+        scene: The prim of the PhysicsScene.
+        dt: Time step [s].
+        iterations: Largest number of iterations of the solver in a step; ``None``: its default.
+    """
+    from pxr import Sdf
+
+    rate = round(1.0 / dt)
+    whole = rate >= 1 and abs(rate * dt - 1.0) < _SINGLE
+    values = {"timeStepsPerSecond": rate if whole else None, "maxSolverIterations": iterations}
+    for name, value in values.items():
+        if value is not None:
+            scene.AddAppliedSchema("NewtonSceneAPI")
+            kind, uniform = Sdf.ValueTypeNames.Int, Sdf.VariabilityUniform
+            scene.CreateAttribute(f"newton:{name}", kind, False, uniform).Set(value)
 
 
 def apply_rigid_body(prim: Any, body: Body, scene: str | None) -> None:
