@@ -232,3 +232,23 @@ def test_mass_of_a_shell_is_refused_or_that_of_a_solid(tmp_path):
         read(tmp_path, content)
     scene = read(tmp_path, content, skip_unsupported=True)
     assert float(scene.bodies[0].mass) == pytest.approx(1000.0)
+
+
+@pytest.mark.slow
+def test_rolling_and_spinning_ball_slows_down_by_the_friction_of_its_material(tmp_path):
+    values = {"rollingFriction": 0.002, "torsionalFriction": 0.004}
+    stuff = material(**{f"newton_{key}": value for key, value in values.items()}, physics_dynamicFriction=0.5)
+    degrees = np.degrees([0.0, 10.0, 20.0]).tolist()
+    moving = f"vector3f physics:velocity = (1, 0, 0)\nvector3f physics:angularVelocity = {tuple(degrees)}\n"
+    skin = prim("Sphere", "skin", BOUND, "double radius = 0.1\nrel material:binding:physics = </m>\n")
+    scene = read(
+        tmp_path, stuff + body("ball", "float physics:mass = 3\n" + moving + skin, moved(0, 0, 0.1)) + floor()
+    )
+    simulation = wc.Simulation(scene.build(device="cpu", precision="float64"), dt=1e-4)
+    names = ["ball.linear_velocity", "ball.angular_velocity"]
+    found = simulation.run(0.5, names, every=0.25)
+    v, w = (found[name].values[:, 0] for name in names)
+    # A rolling solid sphere: (1 + 2/5) a = ρ g/R; a spinning one: (2/5) m R² α = τ m g. In the second half
+    # the ball has settled.
+    assert (v[1, 0] - v[2, 0]) / 0.25 == pytest.approx(0.002 / 0.1 * 9.81 / 1.4, rel=1e-3)
+    assert (w[1, 2] - w[2, 2]) / 0.25 == pytest.approx(0.004 * 9.81 / (0.4 * 0.1**2), rel=1e-3)

@@ -91,6 +91,9 @@ WEIGHING = (
     "examples/assets/palletizer_scene.usda",
     "examples/assets/humanoid.usda",
     "tests/assets/cube_cylinder.usda",
+    # Written by a converter, with each link below the one before and no reset of its transform.
+    "tests/assets/cartpole_mjc.usda",
+    "tests/assets/humanoid_mjc.usda",
 )
 
 
