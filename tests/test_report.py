@@ -13,6 +13,8 @@ import report_runs
 
 import warpcontact as wc
 from warpcontact.cli import main
+from warpcontact.number_format import quantity, scaled
+from warpcontact.run_report import chart, replay, series
 from warpcontact.run_report import page as page_of
 
 pytestmark = pytest.mark.installed
@@ -114,7 +116,84 @@ def test_bands_over_time_are_quantiles_of_what_was_recorded(text):
     assert len(charts) == len(series)
     assert {float(chart["data-t1"]) for chart in charts} == {0.5}
     assert set(series[0]["lines"]) == {"0", "1", "2", "3", "4", "5"}
-    assert all(len(line) == len(series[0]["x"]) == 101 for line in series[0]["lines"].values())
+    assert all(len(line["x"]) == len(line["y"]) == 101 for line in series[0]["lines"].values())
+
+
+@pytest.fixture(scope="module")
+def recorded_every_step(tmp_path_factory):
+    """The crate with a record of each step, and its report: curves have fewer points than records."""
+    folder = tmp_path_factory.mktemp("every_step")
+    study = report_runs.changed()
+    study["record"]["every"] = study["dt"]
+    run = report_runs.run(folder / "run", study)
+    return run, written(run, folder / "report.html")
+
+
+def drawn_curve(chart_data, env):
+    """Returns times [s] and values of a curve of a report, and the size of a tenth of a unit of its chart."""
+    line = chart_data["lines"][env]
+    x = np.cumsum(line["x"]) / 10
+    seconds = (x - chart.LEFT) / (chart.WIDTH - chart.RIGHT - chart.LEFT) * 0.5
+    floor, top = chart.HEIGHT - chart.BOTTOM, chart.TOP
+    unit = (chart_data["high"] - chart_data["low"]) / (floor - top)
+    return seconds, chart_data["low"] + (floor - np.cumsum(line["y"]) / 10) * unit, 0.1 * unit
+
+
+@pytest.mark.parametrize(
+    ("reading", "reduced"),
+    [
+        ("feet.normal_force", lambda values: values.sum("item")),
+        ("feet.gap", lambda values: values.min("item")),
+        ("scene.kinetic_energy", lambda values: values),
+    ],
+)
+def test_curves_of_a_report_have_the_peaks_and_the_ends_of_the_data(reading, reduced, recorded_every_step):
+    run, text = recorded_every_step
+    page = report_runs.Parsed(text)
+    data = next(one for one in page.blocks["series"] if one["name"] == reading)
+    expected = reduced(run.series[reading])
+    assert expected.sizes["time"] > series.SAMPLES
+    for env in (0, 1, 2, 3, 5):
+        own = expected.sel(env=env)
+        seconds, values, tenth = drawn_curve(data, str(env))
+        assert len(values) <= series.SAMPLES
+        peak = int(own.values.argmax())
+        assert values.max() == pytest.approx(own.max().item(), abs=tenth)
+        assert values.min() == pytest.approx(own.min().item(), abs=tenth)
+        assert values[-1] == pytest.approx(own[-1].item(), abs=tenth)
+        # A tenth of a unit along the time axis.
+        assert seconds[values.argmax()] == pytest.approx(own["time"][peak].item(), abs=0.5 / 2980)
+    counted = expected.sel(env=[0, 1, 2, 3, 5])
+    env, time = counted.argmax(["env", "time"]).values()
+    factor, unit = scaled(data["unit"], max(abs(data["low"]), abs(data["high"])))
+    told = (
+        f"largest {quantity(factor * counted.max().item(), unit, 5)} at "
+        f"{quantity(counted['time'][time].item(), 's', 5)} in environment {counted['env'][env].item()}"
+    )
+    assert told in page.text
+
+
+def test_loops_of_a_report_have_the_largest_force_of_all_records(recorded_every_step):
+    run, text = recorded_every_step
+    page = report_runs.Parsed(text)
+    forces = run.series["feet.normal_force"]
+    counted = [int(attributes["data-env"]) for _, attributes in page.elements if "data-env" in attributes]
+    force = forces.sel(env=counted).max("item")
+    env, time = (int(place) for place in force.argmax(["env", "time"]).values())
+    value = quantity(force.max().item(), "N", 5)
+    told = f"largest force {value} at {quantity(force['time'][time].item(), 's', 5)} in environment {counted[env]}"
+    assert told in page.text
+
+
+def test_records_of_the_largest_forces_are_replayed(recorded_every_step):
+    run, text = recorded_every_step
+    page = report_runs.Parsed(text)
+    shown = [one["env"] for one in page.blocks["replay"]["envs"]]
+    force = run.series["feet.normal_force"].sel(env=shown).max(["env", "item"])
+    times = np.array(page.blocks["replay"]["times"])
+    assert len(times) <= replay.FRAMES < force.sizes["time"]
+    assert np.abs(times - force["time"][int(force.values.argmax())].item()).min() < 1e-9
+    assert page.blocks["replay"]["largestForce"] >= force.max().item() * (1 - 1e-6)
 
 
 def test_loops_of_a_set_say_of_which_point_they_are(text):

@@ -5,16 +5,29 @@ import dataclasses
 import re
 import tracemalloc
 import zlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import xarray as xr
 
+from warpcontact import number_format
 from warpcontact.contact_coupling_report import CouplingReport
 from warpcontact.health import Health
 from warpcontact.replay.drawing import Shape
 from warpcontact.replay.triangles import ball
-from warpcontact.run_report import chart, couplings, ended, environments, markup, meshes, outcomes, series, words
+from warpcontact.run_report import (
+    chart,
+    couplings,
+    ended,
+    environments,
+    loops,
+    markup,
+    meshes,
+    outcomes,
+    replay,
+    series,
+)
 from warpcontact.run_report.choice import choose
 from warpcontact.run_report.columns import columns_of
 from warpcontact.run_report.packing import Pack
@@ -128,7 +141,7 @@ def test_large_meshes_get_fewer_triangles_in_the_same_place():
     ],
 )
 def test_numbers_are_written_as_one_reads_them(value, text):
-    assert words.number(value) == text
+    assert number_format.number(value) == text
 
 
 @pytest.mark.parametrize(
@@ -148,7 +161,7 @@ def test_numbers_are_written_as_one_reads_them(value, text):
     ],
 )
 def test_units_fit_what_is_measured_in_them(unit, largest, expected):
-    factor, text = words.scaled(unit, largest)
+    factor, text = number_format.scaled(unit, largest)
     assert factor == pytest.approx(expected[0])
     assert text == expected[1]
 
@@ -241,6 +254,64 @@ def test_contact_couplings_are_told():
     none = dataclasses.replace(report, minimum_distance=np.full(3, np.nan))
     assert cells(couplings.section([none]))[1][1:4] == ["0 of 3", "–", "–"]
     assert couplings.section([]) is None
+
+
+def test_loops_have_late_peaks_in_their_drawing_and_in_their_caption():
+    seconds = np.linspace(0.0, 1.0, 10_001)
+    depth = 1e-3 * np.abs(np.sin(40.0 * seconds))
+    force = 1e5 * depth * (1.0 + 0.2 * np.cos(40.0 * seconds))
+    force[9000] = 777.77
+    values = np.stack([np.zeros_like(force), force], axis=1)  # another point without a force
+    data = xr.Dataset(
+        {
+            "touch.gap": (("time", "env", "item"), np.repeat(-depth[:, None, None], 2, axis=2)),
+            "touch.normal_force": (("time", "env", "item"), values[:, None]),
+        },
+        coords={"time": seconds, "env": [3]},
+    )
+    content = loops.section(data, [3])
+    assert "largest force 777.77\u202fN at 0.9\u202fs in environment 3; largest penetration 1\u202fmm" in content
+    path = re.search(r'd="M([^"]*)" class="loop"', content)[1]
+    up = np.array(path.split(), dtype=float)[1::2]
+    assert len(up) <= loops.SAMPLES
+    assert up.min() == pytest.approx(chart.vertical(0.0, 1.05 * 777.77, "N").place(777.77), abs=0.06)
+
+
+def test_a_short_impact_keeps_its_loop_before_a_long_rest():
+    angle = np.linspace(0.0, np.pi, 200)
+    depth = np.append(np.sin(angle), np.full(20_000, 0.1))
+    force = np.append(np.sin(angle) * (1.0 + 0.5 * np.cos(angle)), np.full(20_000, 0.1))
+    data = xr.Dataset(
+        {
+            "touch.penetration": (("time", "env"), depth[:, None]),
+            "touch.normal_force": (("time", "env"), force[:, None]),
+        },
+        coords={"time": 1e-4 * np.arange(len(depth)), "env": [0]},
+    )
+    (loop,) = loops._loops(data, "touch.penetration", "touch.normal_force")
+
+    def area(depth, force):
+        return np.trapezoid(force, depth)
+
+    assert len(loop.force) <= loops.SAMPLES
+    assert area(loop.penetration, loop.force) == pytest.approx(area(depth, force), rel=1e-2)
+
+
+def test_records_with_peaks_of_forces_are_replayed():
+    force = np.zeros((3000, 2, 5))
+    peaks = [17, 1234, 2500, 2998]
+    force[peaks, [0, 1, 1, 0], [4, 2, 0, 0]] = 10.0
+    data = xr.Dataset({"touch.normal_force": (("time", "env", "item"), force)})
+    scene = SimpleNamespace(contacts=[SimpleNamespace(name="touch")], smooth_contacts=[])
+    rows = replay._frames(data, scene, 256)
+    assert {0, 2999, *peaks} <= set(rows)
+    assert len(rows) <= 256
+    assert np.diff(rows).max() < 3000 / 127 + 1
+    assert (
+        replay._frames(data.drop_vars("touch.normal_force").assign_coords(time=range(3000)), scene, 256).size
+        == 256
+    )
+    assert replay._frames(data, scene, 5000).size == 3000
 
 
 def test_failed_stopped_and_repeated_environments_are_told():

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
 from warpcontact import checks
 from warpcontact.analysis.results import (
@@ -18,6 +19,7 @@ from warpcontact.analysis.results import (
     rest_of,
     variable,
 )
+from warpcontact.checks import Array
 
 # Times are taken together up to this size of what they are computed from [bytes].
 BLOCK = 256 * 2**20
@@ -81,13 +83,8 @@ def quantile_fan(
             # The record of the very moment at which it was stopped counts, however the clocks were rounded.
             late = array["time"].values[times, None] > ends * (1.0 + ROUNDING)
             finite &= ~late.reshape(*late.shape, *(1,) * (values.ndim - 2))
-        if finite.all() and not halted.any():
-            found[:, times] = np.quantile(values, levels, axis=1)
-            continue
         values[~finite] = np.nan
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
-            found[:, times] = np.nanquantile(values[:, ~halted], levels, axis=1) if (~halted).any() else np.nan
+        found[:, times] = quantiles_over(values[:, ~halted], levels)
     return xr.DataArray(
         found,
         dims=("quantile", *dims),
@@ -95,3 +92,20 @@ def quantile_fan(
         name=reading,
         attrs=array.attrs | {"stopped": stopped, "stopped_environments": int(np.isfinite(ends).sum())},
     )
+
+
+def quantiles_over(values: Array, levels: ArrayLike) -> Array:
+    """Returns quantiles (level, time, …) of the values (time, env, …) that are not NaN."""
+    levels = np.asarray(levels)
+    found = np.full((len(levels), len(values), *values.shape[2:]), np.nan)
+    if not values.shape[1]:
+        return found
+    whole = ~np.isnan(values).any(axis=tuple(range(1, values.ndim)))
+    if whole.any():
+        found[:, whole] = np.quantile(values[whole], levels, axis=1)
+    # Much slower.
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
+        if not whole.all():
+            found[:, ~whole] = np.nanquantile(values[~whole], levels, axis=1)
+    return found

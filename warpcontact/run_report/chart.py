@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
+from warpcontact.number_format import NOTHING, number, scaled
 from warpcontact.run_report.markup import Markup, element, joined
-from warpcontact.run_report.words import NOTHING, number, scaled
 
 WIDTH, HEIGHT = 360, 200
 LEFT, RIGHT, TOP, BOTTOM = 50, 12, 10, 36

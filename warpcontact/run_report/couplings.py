@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from warpcontact.contact_coupling_report import CouplingReport
+from warpcontact.number_format import count, number, quantity
 from warpcontact.run_report.markup import Markup, element, joined, name, table
-from warpcontact.run_report.words import count, number, quantity
 
 
 def section(reports: Sequence[CouplingReport]) -> Markup | None:

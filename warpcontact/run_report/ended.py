@@ -5,8 +5,8 @@ import xarray as xr
 
 from warpcontact.flags import words_of
 from warpcontact.health import Health
+from warpcontact.number_format import count, quantity, several
 from warpcontact.run_report.markup import Markup, element, joined, name, table
-from warpcontact.run_report.words import count, quantity, several
 from warpcontact.status import Cause
 
 # Rows; more are counted.

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact.number_format import count, several
 from warpcontact.run_report.columns import Column, columns_of, too_many_in
 from warpcontact.run_report.markup import Markup, element, joined, short
-from warpcontact.run_report.words import count, several
 
 ROWS = 2000
 COLUMNS = 40

@@ -7,8 +7,8 @@ from typing import Any
 from warpcontact.experiment.folder import EXPERIMENT
 from warpcontact.experiment.probe import spoken
 from warpcontact.experiment.status import RunStatus
+from warpcontact.number_format import count, number, quantity, several
 from warpcontact.run_report.markup import Markup, clean, element, joined, name, short, table
-from warpcontact.run_report.words import count, number, quantity, several
 
 # Of the settings so many characters are shown, and so many notices.
 SETTINGS = 100_000

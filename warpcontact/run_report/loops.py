@@ -1,32 +1,45 @@
 """Force over penetration of contacts: the loop that a law draws, and the area that it takes from the motion."""
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
 from warpcontact.checks import Array
+from warpcontact.decimation import kept_samples
+from warpcontact.number_format import quantity, several
 from warpcontact.run_report import chart
 from warpcontact.run_report.markup import Markup, element, joined, name
-from warpcontact.run_report.words import quantity, several
 
 CHARTS = 6
-# Records of one environment, from the first in contact on.
-RECORDS = 2000
-# Numbers of one environment that are read at once: of more items the largest force is looked for among the first.
+# Samples of the loop of one environment.
+SAMPLES = 600
+# Digits of extremes.
+DIGITS = 5
+# Numbers of one environment that are read in one block.
 NUMBERS = 8_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """What one environment does in a contact, (record,): penetration [m] and normal force [N].
+    """One environment in a contact: penetration [m] and normal force [N] of the drawn records, (record,).
 
-    Of a set it is the item with the largest force.
+    For a set of points, that of the point with the largest force.
+
+    Attributes:
+        env: Number of the environment.
+        penetration: Penetration, NaN in gaps.
+        force: Normal force, NaN in gaps.
+        largest: The largest force of all records [N].
+        time: Time of its first record [s].
     """
 
     env: int
     penetration: Array
     force: Array
+    largest: float
+    time: float
 
 
 def pairs_of(series: xr.Dataset) -> list[tuple[str, str, str]]:
@@ -62,36 +75,59 @@ def section(series: xr.Dataset | None, chosen: list[int]) -> Markup | None:
 
 
 def _loops(series: xr.Dataset, depth: str, force: str) -> list[Loop]:
+    seconds = series["time"].values
     found = []
     for env in series["env"].values:
-        # One environment at a time: sets may have many items.
+        # One environment and one point at a time: sets may have many points.
         own = series[[depth, force]].sel(env=env)
         items = [dim for dim in own[force].dims if dim != "time"]
-        own = own.isel({dim: slice(0, max(1, NUMBERS // own.sizes["time"])) for dim in items})
-        forces = own[force].values.astype(np.float64).reshape(own.sizes["time"], -1)
-        depths = own[depth].values.astype(np.float64).reshape(forces.shape)
-        finite = np.isfinite(forces) & np.isfinite(depths)
-        size = np.where(finite, np.abs(forces), 0.0)
-        if not size.any():
+        if items:
+            own = own.isel(dict(zip(items, _strongest(own[force], items), strict=True)))
+        forces, depths = own[force].values.astype(np.float64), own[depth].values.astype(np.float64)
+        through = np.maximum(0.0, depths if depth.endswith("penetration") else -depths)
+        good = np.isfinite(forces) & np.isfinite(depths)
+        touching = good & ((through > 0.0) | (forces != 0.0))
+        if not forces[touching].any():
             continue
-        item = int(size.max(axis=0).argmax())
-        through = np.maximum(0.0, depths[:, item] if depth.endswith("penetration") else -depths[:, item])
-        good = finite[:, item]
-        touching = np.flatnonzero(good & ((through > 0.0) | (forces[:, item] != 0.0)))
-        some = slice(max(0, touching[0] - 1), touching[0] + RECORDS)
-        known = good[some]
-        found.append(
-            Loop(int(env), np.where(known, through[some], np.nan), np.where(known, forces[some, item], np.nan))
-        )
+        # Contact phases with the records around them, and gaps within.
+        near = touching.copy()
+        near[1:] |= touching[:-1]
+        near[:-1] |= touching[1:]
+        values = np.where(good[:, None], np.stack([through, forces], axis=1), np.nan)[near]
+        some = values[kept_samples(values, SAMPLES, _length(values))]
+        peak = int(np.where(good, forces, -np.inf).argmax())
+        found.append(Loop(int(env), some[:, 0], some[:, 1], float(forces[peak]), float(seconds[peak])))
     return found
+
+
+def _length(values: Array) -> Array:
+    """Returns the length of a loop (record, 2) up to each record, in sizes of the loop.
+
+    Buckets of equal length keep the shape of short impacts among long contacts at rest.
+    """
+    sizes = np.nanmax(np.abs(values), axis=0)
+    scaled = values / np.where(sizes > 0.0, sizes, 1.0)
+    return np.cumsum(np.nan_to_num(np.hypot(*np.diff(scaled, axis=0, prepend=scaled[:1]).T)))
+
+
+def _strongest(forces: xr.DataArray, items: list[Hashable]) -> tuple[int, ...]:
+    """Returns the indices of the item with the largest force of one environment, (time, …)."""
+    sizes = [forces.sizes[dim] for dim in items]
+    rows = max(1, NUMBERS // int(np.prod(sizes)))
+    largest = np.zeros(sizes)
+    for first in range(0, forces.sizes["time"], rows):
+        block = forces.isel(time=slice(first, first + rows)).transpose("time", *items).values
+        sizes_of = np.where(np.isfinite(block), np.abs(block), 0.0)
+        largest = np.maximum(largest, sizes_of.max(axis=0))
+    return tuple(int(place) for place in np.unravel_index(int(largest.argmax()), largest.shape))
 
 
 def _picture(title: str, loops: list[Loop], items: int) -> Markup:
     depths = np.concatenate([loop.penetration for loop in loops])
     forces = np.concatenate([loop.force for loop in loops])
-    deepest, largest = float(np.nanmax(depths)), float(np.nanmax(forces))
+    deepest, strongest = float(np.nanmax(depths)), max(loops, key=lambda loop: loop.largest)
     x = chart.horizontal(0.0, deepest * 1.05, "m")
-    y = chart.vertical(min(0.0, float(np.nanmin(forces))) * 1.05, largest * 1.05, "N")
+    y = chart.vertical(min(0.0, float(np.nanmin(forces))) * 1.05, max(0.0, strongest.largest) * 1.05, "N")
     marks: list[Markup] = []
     for loop in loops:
         across, up = x.place(loop.penetration), y.place(loop.force)
@@ -107,13 +143,17 @@ def _picture(title: str, loops: list[Loop], items: int) -> Markup:
     what = "normal force over penetration"
     if items > 1:
         what += f" of one point of {items}, in each environment that with the largest force"
-    about = f"{title}, {what}: up to {quantity(largest, 'N')}, {quantity(deepest, 'm')} deep"
+    about = f"{title}, {what}: up to {quantity(strongest.largest, 'N')}, {quantity(deepest, 'm')} deep"
     caption = element(
         "figcaption",
         element("strong", name(title, 40), " ", element("span", f"[{y.label}]", class_="unit")),
         element("span", what),
     )
-    force, depth = quantity(y.factor * largest, y.label), quantity(x.factor * deepest, x.label)
-    told = f"{several(len(loops), 'environment')} in contact; largest force {force}, {depth} deep"
+    force = quantity(y.factor * strongest.largest, y.label, DIGITS)
+    depth = quantity(x.factor * deepest, x.label, DIGITS)
+    told = (
+        f"{several(len(loops), 'environment')} in contact; largest force {force} at "
+        f"{quantity(strongest.time, 's', DIGITS)} in environment {strongest.env}; largest penetration {depth}"
+    )
     drawing = chart.chart(x, y, marks, about, "penetration", data_loops=True)
     return element("figure", caption, drawing, element("p", told, class_="note"), class_="chart")

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from warpcontact.analysis.results import frozen
 from warpcontact.checks import Array
 from warpcontact.experiment.bars import are_counts, edges_of_bars
+from warpcontact.number_format import count, number, scaled, several, unit_suffix
 from warpcontact.outcomes.watch import RESERVED
 from warpcontact.run_report import chart
 from warpcontact.run_report.columns import Column, columns_of, too_many_in
 from warpcontact.run_report.markup import Markup, element, joined, name, table
-from warpcontact.run_report.words import count, number, scaled, several, unit_suffix
 
 # Rows of the table, and histograms; more are counted.
 ROWS = 60

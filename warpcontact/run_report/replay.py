@@ -5,15 +5,17 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
+from warpcontact.checks import Array
+from warpcontact.decimation import evenly, kept_samples
+from warpcontact.number_format import count, several
 from warpcontact.replay.colors import GAPS
 from warpcontact.replay.drawing import Drawing, Shape
 from warpcontact.run_report.choice import Choice
 from warpcontact.run_report.markup import short
 from warpcontact.run_report.meshes import add_shape, drawable
 from warpcontact.run_report.packing import Pack
-from warpcontact.run_report.series import thinned
-from warpcontact.run_report.words import count, several
 from warpcontact.scene import Scene
 
 # Records that are drawn; between them bodies are interpolated.
@@ -61,8 +63,9 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
             f"There is no replay of {several(items, 'body')} and points of contact: too many for a page."
         )
         return replay
-    rows = thinned(records, min(FRAMES, POSES // items))
-    envs = choice.envs[: max(1, POSES // (items * len(rows)))]
+    frames = min(FRAMES, POSES // items)
+    envs = choice.envs[: max(1, POSES // (items * min(frames, records)))]
+    rows = _frames(recording.sel(env=envs), scene, frames)
     drawing, refused = _drawing(recording.isel(time=rows), scene, envs)
     replay.notes += refused
     if drawing is None:
@@ -84,6 +87,29 @@ def replay_of(recording: xr.Dataset, scene: Scene, choice: Choice) -> Replay:
     if len(rows) < records:
         replay.notes.append(f"{count(len(rows))} of {count(records)} records are drawn.")
     return replay
+
+
+def _frames(recording: xr.Dataset, scene: Scene, most: int) -> NDArray[np.intp]:
+    """Returns the records that are drawn: evenly spaced ones, and those with the largest and smallest forces."""
+    records = recording.sizes["time"]
+    contacts: list[Any] = [*scene.contacts, *scene.smooth_contacts]
+    forces = [recording[name] for one in contacts if (name := f"{one.name}.normal_force") in recording]
+    if records <= most or most < 8 or not forces:
+        return evenly(records, most)
+    largest = np.max([_largest(force) for force in forces], axis=0)
+    return np.union1d(evenly(records, most // 2), kept_samples(largest, most // 2))
+
+
+def _largest(forces: xr.DataArray) -> Array:
+    """Returns the largest force of each record (time, env, …), read in blocks of time."""
+    records = forces.sizes["time"]
+    rows = max(1, POSES * records // max(1, forces.size))
+    found = np.zeros(records)
+    for first in range(0, records, rows):
+        block = forces.isel(time=slice(first, first + rows)).transpose("time", ...).values
+        sizes = np.where(np.isfinite(block), np.abs(block), 0.0).reshape(len(block), -1)
+        found[first : first + rows] = sizes.max(axis=1)
+    return found
 
 
 def _items(recording: xr.Dataset, scene: Scene) -> int:

@@ -1,6 +1,6 @@
-"""Readings over time: quantile bands over the environments, and the curve of one environment in them."""
+"""Sensors over time: quantile bands over the environments, and the curve of one environment in them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -8,28 +8,30 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from warpcontact.analysis.fan import quantile_fan
-from warpcontact.flags import words_of
+from warpcontact.analysis.results import frozen
+from warpcontact.checks import Array
+from warpcontact.decimation import evenly, kept_samples
+from warpcontact.experiment.curves import (
+    VALUES,
+    Extreme,
+    SensorCurves,
+    can_be_drawn,
+    read_curves,
+    sample_size,
+)
 from warpcontact.health import Health
+from warpcontact.number_format import count, quantity, several
 from warpcontact.run_report import chart
-from warpcontact.run_report.markup import Markup, element, joined, name
-from warpcontact.run_report.words import count, several
+from warpcontact.run_report.markup import Markup, element, joined, name, short
 
-# Charts, and points of a curve.
+# Charts, and samples of a curve.
 CHARTS = 12
-POINTS = 200
-# Quantiles of more environments than this look the same and take longer; of sets of many items fewer are taken.
-SAMPLE = 4096
-SAMPLED_BYTES = 128 * 2**20
+SAMPLES = 200
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+# Digits of extremes.
+DIGITS = 5
 # Steps of its precision by which rounding alone moves a number in a simulation, and no law does.
 ROUNDING = 16.0
-
-# What is drawn of the items of a set, by the last word of the name of the reading; of others their mean.
-_SMALLEST = ("gap", "distance", "minimum_distance")
-_SUMS = ("normal_force", "impulse", "kinetic_energy", "tension_a", "tension_b")
-_LARGEST = ("penetration",)
-# What nobody reads from a curve.
-_LEFT_OUT = ("orientation", "point", "normal")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,55 +44,57 @@ class Sampled:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """A chart of a reading, and what a script draws into it.
+    """A chart of a sensor, and the curves that the script draws into it.
 
     Attributes:
         picture: The chart.
-        lines: Of each chosen environment by its number, tenths of units of the chart at each time; ``None``: not
-            finite there.
-        places: Tenths of units along the time axis.
+        about: Name of the sensor, its unit, and the values at the bottom and the top of the plot.
+        lines: Curves of the chosen environments by their numbers: ``x`` and ``y`` of each sample in tenths of
+            units of the chart, as differences from the previous one, the first from 0; ``y`` is ``None`` in gaps.
+        sampled: Number of environments in the quantiles.
     """
 
     picture: Markup
-    lines: dict[str, list[int | None]]
-    places: list[int]
+    about: dict[str, Any]
+    lines: dict[str, dict[str, list[Any]]]
+    sampled: int
 
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """What a chart shows of a reading.
+    """The numbers in a chart.
 
     Attributes:
-        label: Its name, with the component.
+        label: Name of the sensor, with the component.
         meaning: What it is.
-        unit: Its unit.
         precision: Relative distance of its numbers.
-        seconds: Time of each record [s].
-        fan: Quantiles over the environments, (level, time).
-        lines: Of the chosen environments, (time, env).
-        chosen: Their numbers.
-        single: Whether there is no other.
+        curves: Curves of the chosen environments, and extremes.
+        fan: Quantiles over the sampled environments, (level, time).
+        failed: Which of these are frozen.
+        sampled: Number of environments in the quantiles.
+        total: Number of environments.
+        active: Number of environments that are not frozen.
     """
 
     label: str
     meaning: str
-    unit: str
     precision: float
-    seconds: NDArray[np.float64]
-    fan: NDArray[np.float64]
-    lines: NDArray[np.float64]
-    chosen: list[int]
-    single: bool
+    curves: SensorCurves
+    fan: Array
+    failed: NDArray[np.bool_]
+    sampled: int
+    total: int
+    active: int
+
+    @property
+    def single(self) -> bool:
+        """Whether there is only one environment."""
+        return self.total == 1
 
     @property
     def magnitude(self) -> float:
         """The largest quantile."""
         return float(np.abs(self.fan).max(initial=0.0, where=np.isfinite(self.fan)))
-
-
-def thinned(size: int, most: int) -> NDArray[np.int64]:
-    """Returns at most so many of ``size`` places, evenly spread, with both ends."""
-    return np.unique(np.linspace(0, size - 1, min(size, most)).round().astype(np.int64))
 
 
 def readings_of(series: xr.Dataset) -> list[tuple[str, str | None]]:
@@ -100,18 +104,8 @@ def readings_of(series: xr.Dataset) -> list[tuple[str, str | None]]:
     """
     found: list[tuple[str, str | None]] = []
     for key, array in series.data_vars.items():
-        reading = str(key)
-        last = reading.rpartition(".")[2]
-        if (
-            array.dims[:2] != ("time", "env")
-            or last in _LEFT_OUT
-            or words_of(array)
-            or array.dtype.kind not in "iuf"
-        ):
-            continue
-        if {"row", "component"} & set(array.dims):
-            continue
-        found += [(reading, axis) for axis in ("xyz" if "axis" in array.dims else (None,))]
+        if can_be_drawn(str(key), array):
+            found += [(str(key), axis) for axis in ("xyz" if "axis" in array.dims else (None,))]
     return found
 
 
@@ -124,14 +118,12 @@ def curves_of(outcome: xr.Dataset, series: xr.Dataset, chosen: list[int]) -> tup
         chosen: Numbers of the environments that have a curve of their own.
     """
     every = readings_of(series)
-    numbers = series["env"].values
-    there = [env for env in chosen if env in numbers]
-    times = thinned(series.sizes["time"], POINTS)
-    measured = [_measured(outcome, series, reading, axis, there, times) for reading, axis in every[:CHARTS]]
+    measured = [_measured(outcome, series, reading, axis, chosen) for reading, axis in every[:CHARTS]]
     scales: dict[str, float] = {}
     for one in measured:
-        scales[one.unit] = max(scales.get(one.unit, 0.0), one.magnitude)
-    return [_curves(one, scales[one.unit]) for one in measured], len(every) - len(measured)
+        unit = one.curves.unit
+        scales[unit] = max(scales.get(unit, 0.0), one.magnitude)
+    return [_curves(one, scales[one.curves.unit]) for one in measured], len(every) - len(measured)
 
 
 def section(curves: list[Curves], more: int, envs: int, records: int, health: Health) -> Markup:
@@ -153,10 +145,11 @@ def section(curves: list[Curves], more: int, envs: int, records: int, health: He
         if len(health.stopped):
             told.append(f"{several(len(health.stopped), 'stopped one')} stay in them as they were.")
         told.append("Orange: the environment that the replay shows.")
-    if records > POINTS:
-        told.append(f"Each curve has {POINTS} of the records.")
-    if envs > SAMPLE:
-        told.append(f"Quantiles are those of at most {count(SAMPLE)} environments, evenly spread over all.")
+    if records > SAMPLES:
+        told.append("Curves have fewer points than there are records; peaks stay at their times and heights.")
+    sampled = min(one.sampled for one in curves)
+    if sampled < envs:
+        told.append(f"Quantiles are those of {count(sampled)} environments or more, evenly spread over all.")
     if more:
         told.append(f"{several(more, 'further reading')} left out; all are in data.zarr.")
     return joined(
@@ -168,64 +161,89 @@ def section(curves: list[Curves], more: int, envs: int, records: int, health: He
 
 
 def data(curves: list[Curves]) -> list[dict[str, Any]]:
-    """Returns what the script of the page needs of them, in their order."""
-    return [{"x": one.places, "lines": one.lines} for one in curves]
+    """Returns the data of the charts for the script of the page, in their order."""
+    return [one.about | {"lines": one.lines} for one in curves]
 
 
 def _measured(
-    outcome: xr.Dataset,
-    series: xr.Dataset,
-    reading: str,
-    axis: str | None,
-    chosen: list[int],
-    times: NDArray[np.int64],
+    outcome: xr.Dataset, series: xr.Dataset, reading: str, axis: str | None, chosen: list[int]
 ) -> _Measured:
-    whole = series[reading] if axis is None else series[reading].sel(axis=axis, drop=True)
-    whole = whole.isel(time=times)
-    per_env = whole.dtype.itemsize * max(1, whole.size // whole.sizes["env"])
-    most = int(np.clip(SAMPLED_BYTES // per_env, 1, SAMPLE))
-    sample, word = _of_items(whole.isel(env=thinned(whole.sizes["env"], most)).load(), reading)
-    chosen = chosen[: max(1, SAMPLED_BYTES // per_env)]
-    own, _ = _of_items(whole.sel(env=chosen).load(), reading)
-    sampled = Sampled(outcome, sample.to_dataset(name=reading))
+    array = series[reading]
+    envs = np.asarray(array["env"].values)
+    halted = np.isin(envs, frozen(outcome))
+    sample = evenly(len(envs), sample_size(array))
+    known = [env for env in chosen if env in envs][: max(1, VALUES // array.sizes["time"])]
+    own = np.array([int(np.flatnonzero(envs == env)[0]) for env in known], dtype=np.intp)
+    rows = np.union1d(sample, own)
+    curves = read_curves(array, rows, halted, axis)
+    sampled = xr.DataArray(
+        curves.values[:, np.searchsorted(rows, sample)],
+        dims=("time", "env"),
+        coords={"time": curves.seconds, "env": envs[sample]},
+    )
+    fan = quantile_fan(Sampled(outcome, sampled.to_dataset(name=reading)), reading, LEVELS, missing="drop")
+    # Those of the others are not held for all charts.
+    lines = curves.values[:, np.searchsorted(rows, own)]
     return _Measured(
         label=reading if axis is None else f"{reading}.{axis}",
-        meaning=f"{word} {whole.attrs.get('long_name', '')}".strip(),
-        unit=str(whole.attrs.get("units", "-")),
-        precision=float(np.finfo(whole.dtype).eps) if whole.dtype.kind == "f" else 0.0,
-        seconds=whole["time"].values.astype(np.float64),
-        fan=quantile_fan(sampled, reading, LEVELS, missing="drop").values,
-        lines=own.values.astype(np.float64),
-        chosen=chosen,
-        single=whole.sizes["env"] == 1,
+        meaning=f"{curves.reduction} {array.attrs.get('long_name', '')}".strip(),
+        precision=float(np.finfo(array.dtype).eps) if array.dtype.kind == "f" else 0.0,
+        curves=replace(curves, envs=envs[own], values=lines),
+        fan=fan.values,
+        failed=halted[own],
+        sampled=len(sample),
+        total=len(envs),
+        active=int((~halted).sum()),
     )
 
 
 def _curves(one: _Measured, scale: float) -> Curves:
     """Draws a reading; ``scale``: the largest value of all readings of its unit."""
-    seconds, lines = one.seconds, one.lines
-    low, high = visible(*_range(one.fan, lines), one.precision, scale)
+    seconds = one.curves.seconds
+    span = _range(one.fan, one.curves.values, one.failed)
+    low, high = visible(*span, one.precision, scale)
     x = chart.horizontal(float(seconds[0]), float(seconds[-1]), "s")
-    y = chart.vertical(low, high, one.unit)
-    across, levels = x.place(seconds), y.place(one.fan)
-    marks = [chart.polyline(across, levels[2], "curve" if one.single else "median")]
+    y = chart.vertical(low, high, one.curves.unit)
+
+    def line(values: Array) -> tuple[Array, Array]:
+        some = kept_samples(values, SAMPLES)
+        return x.place(seconds[some]), y.place(values[some])
+
+    def band(low: Array, high: Array, style: str) -> Markup:
+        some = np.union1d(kept_samples(low, SAMPLES), kept_samples(high, SAMPLES))
+        return chart.band(x.place(seconds[some]), y.place(low[some]), y.place(high[some]), style)
+
+    marks = [chart.polyline(*line(one.fan[2]), "curve" if one.single else "median")]
     if not one.single:
-        marks = [
-            chart.band(across, levels[0], levels[4], "band"),
-            chart.band(across, levels[1], levels[3], "band inner"),
-            *marks,
-        ]
+        marks = [band(one.fan[0], one.fan[4], "band"), band(one.fan[1], one.fan[3], "band inner"), *marks]
     about = f"{one.label} over time: median and quantiles over the environments"
     drawing = chart.chart(x, y, marks, about, "time", data_t0=seconds[0], data_t1=seconds[-1], data_series=True)
     unit_told = element("span", f"[{y.label}]" if y.label else "", class_="unit")
     heading = element("strong", name(one.label, 40), " ", unit_told)
     caption = element("figcaption", heading, element("span", one.meaning))
-    places = (
-        {}
-        if one.single
-        else {str(env): _tenths(y.place(lines[:, i])) for i, env in enumerate(one.chosen) if i < lines.shape[1]}
+    extremes = element("p", _extremes(one, y), class_="note")
+    drawn = [] if one.single else zip(one.curves.envs, map(line, one.curves.values.T), strict=True)
+    return Curves(
+        picture=element("figure", caption, drawing, extremes, class_="chart"),
+        about={"name": short(one.label, 200), "unit": one.curves.unit, "low": y.low, "high": y.high},
+        lines={str(env): _differences(*places) for env, places in drawn},
+        sampled=one.sampled,
     )
-    return Curves(element("figure", caption, drawing, class_="chart"), places, _whole(across))
+
+
+def _extremes(one: _Measured, axis: chart.Axis) -> str:
+    """Returns the extremes of a sensor, with their times and environments."""
+
+    def told(word: str, extreme: Extreme) -> str:
+        value = quantity(axis.factor * extreme.value, axis.label, DIGITS)
+        where = "" if one.single else f" in environment {extreme.env}"
+        return f"{word} {value} at {quantity(extreme.time, 's', DIGITS)}{where}"
+
+    low, high, searched = one.curves.smallest, one.curves.largest, one.curves.searched
+    if low is None or high is None:
+        return "no finite value"
+    sampled = f", of {several(searched, 'sampled environment')}" if searched < one.active else ""
+    return f"{told('smallest', low)}; {told('largest', high)}{sampled}"
 
 
 def visible(low: float, high: float, precision: float, scale: float) -> tuple[float, float]:
@@ -246,42 +264,35 @@ def visible(low: float, high: float, precision: float, scale: float) -> tuple[fl
     return low - room, high + room
 
 
-def _of_items(array: xr.DataArray, reading: str) -> tuple[xr.DataArray, str]:
-    """Returns one number (time, env) of the items of a set, and which it is."""
-    items = [dim for dim in array.dims if dim not in ("time", "env")]
-    if not items:
-        return array, ""
-    last = reading.rpartition(".")[2]
-    values = array.astype(np.float64)
-    if last in _SMALLEST:
-        return values.min(items, keep_attrs=True), "smallest"
-    if last in _LARGEST:
-        return values.max(items, keep_attrs=True), "largest"
-    if last in _SUMS:
-        return values.sum(items, skipna=False, keep_attrs=True), "sum of"
-    return values.mean(items, skipna=False, keep_attrs=True), "mean"
+def _range(fan: Array, lines: Array, failed: NDArray[np.bool_]) -> tuple[float, float]:
+    """Returns the values at the ends of the vertical axis: the quantiles and the chosen curves, with some room.
 
-
-def _range(fan: NDArray[np.float64], lines: NDArray[np.float64]) -> tuple[float, float]:
-    """Returns what the vertical axis shows: the quantiles with some room; single curves may leave it."""
-    shown = fan[np.isfinite(fan)]
-    shown = shown if len(shown) else lines[np.isfinite(lines)]
+    Curves of frozen environments may leave it.
+    """
+    shown = np.concatenate([fan[np.isfinite(fan)], lines[:, ~failed][np.isfinite(lines[:, ~failed])]])
+    own = lines[np.isfinite(lines)]
+    shown = shown if len(shown) else own
     if not len(shown):
         return 0.0, 1.0
     low, high = float(shown.min()), float(shown.max())
-    room = 0.06 * (high - low)
-    own = lines[np.isfinite(lines)]
     if len(own):
-        # Those of chosen environments, up to as much again.
+        # Those of frozen environments, up to as much again.
         reach = high - low
         low = max(low - reach, min(low, float(own.min())))
         high = min(high + reach, max(high, float(own.max())))
+    room = 0.06 * (high - low)
     return low - room, high + room
 
 
-def _tenths(places: NDArray[np.float64]) -> list[int | None]:
-    return [round(10.0 * place) if np.isfinite(place) and abs(place) < 1.0e4 else None for place in places]
+def _differences(across: Array, up: Array) -> dict[str, list[Any]]:
+    """Returns a curve as ``Curves.lines`` has it."""
+    good = np.isfinite(up) & (np.abs(up) < 1.0e4)
+    y: list[int | None] = [None] * len(up)
+    for i, step in zip(np.flatnonzero(good), _steps(up[good]), strict=True):
+        y[i] = step
+    return {"x": _steps(across), "y": y}
 
 
-def _whole(places: NDArray[np.float64]) -> list[int]:
-    return [round(10.0 * place) for place in places]
+def _steps(places: Array) -> list[int]:
+    steps: list[int] = np.diff(np.round(10.0 * places).astype(np.int64), prepend=0).tolist()
+    return steps

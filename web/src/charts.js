@@ -36,13 +36,7 @@ function seriesChart(svg, data) {
   return {
     showEnv(env) {
       const line = data?.lines[env];
-      let path = "";
-      let down = false;
-      for (let i = 0; line && i < line.length; i++) {
-        if (line[i] !== null) path += `${down ? "L" : "M"}${data.x[i] / 10} ${line[i] / 10}`;
-        down = line[i] !== null;
-      }
-      curve.setAttribute("d", path);
+      curve.setAttribute("d", line ? pathOf(line) : "");
     },
     showTime(time) {
       const x = last > first ? LEFT + ((time - first) / (last - first)) * (RIGHT - LEFT) : LEFT;
@@ -50,4 +44,18 @@ function seriesChart(svg, data) {
       cursor.setAttribute("x2", x);
     },
   };
+}
+
+/** Returns the path of a curve of differences in tenths of units; null in y: a gap. */
+function pathOf({ x, y }) {
+  let [path, across, up, down] = ["", 0, 0, false];
+  for (let i = 0; i < x.length; i++) {
+    across += x[i];
+    if (y[i] !== null) {
+      up += y[i];
+      path += `${down ? "L" : "M"}${across / 10} ${up / 10}`;
+    }
+    down = y[i] !== null;
+  }
+  return path;
 }
