@@ -16,6 +16,7 @@ from warpcontact.cli import main
 from warpcontact.number_format import quantity, scaled
 from warpcontact.run_report import chart, replay, series
 from warpcontact.run_report import page as page_of
+from warpcontact.viewer.sources import RunSource
 
 pytestmark = pytest.mark.installed
 
@@ -250,6 +251,26 @@ def test_wrong_words_are_named(words, message, crate, capsys, monkeypatch, tmp_p
 def test_a_folder_without_a_run_is_named(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 2
     assert "holds no run" in capsys.readouterr().err
+
+
+def test_a_parameter_of_a_set_is_one_column_of_tables(crate, tmp_path):
+    pytest.importorskip("pandas")
+    run = wc.open_run(crate.folder)
+    assert run.params["feet.friction.mu"].dims == ("env", "item")
+    frame = run.to_dataframe()
+    assert [name for name in frame if name.startswith("feet.")] == ["feet.friction.mu", "feet.radius"]
+    assert frame["feet.friction.mu"].tolist() == run.params["feet.friction.mu"][:, 3].values.tolist()
+    run.to_csv(tmp_path / "table.csv")
+    head = (tmp_path / "table.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    assert [name for name in head if name.startswith("feet.")] == ["feet.friction.mu", "feet.radius"]
+    facts = dict(RunSource(crate.folder).facts(1)["Parameters"])
+    assert float(facts["feet.friction.mu"]) == pytest.approx(frame["feet.friction.mu"][1], rel=1e-5)
+    # One point that differs in one environment.
+    params = run.params.load().copy(deep=True)
+    params["feet.friction.mu"][5, 2] += 0.1
+    run.__dict__["params"] = params
+    columns = [name for name in run.to_dataframe() if name.startswith("feet.friction.mu")]
+    assert columns == [f"feet.friction.mu.{point}" for point in range(8)]
 
 
 # Whatever a run holds

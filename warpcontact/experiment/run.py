@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.contact_coupling_report import CouplingReport, report_of
+from warpcontact.equal_items import merged_items
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.errors import ExperimentError, Problems, shown
@@ -244,6 +245,7 @@ class Run:
     def to_dataframe(self) -> "pd.DataFrame":
         """Returns one row for each finished environment: its parameters and outcomes, vectors by component.
 
+        A parameter of a set has one column if its items are equal in every environment, else one for each item.
         Codes, such as that of ``status``, are categories by their words; where there is none, as of ``stopped_by``
         in an environment that no condition stopped, the value is missing.
         """
@@ -253,7 +255,7 @@ class Run:
         columns: dict[str, Any] = {}
         for name, array in table.data_vars.items():
             words = words_of(array)
-            for labels, values in _columns(array):
+            for labels, values in _columns(array if name in self.outcome else merged_items(array)):
                 key = ".".join([str(name), *labels])
                 columns[key] = values
                 if words:

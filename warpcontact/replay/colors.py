@@ -8,6 +8,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from warpcontact.checks import Array
+from warpcontact.equal_items import merged_items
 
 #: Perceptually ordered, and readable for who does not see some colours.
 COLORMAP = "viridis"
@@ -58,10 +59,8 @@ def number_of_each(array: xr.DataArray) -> xr.DataArray | None:
     """
     if array.dtype.kind not in "biuf":
         return None
-    if set(array.dims) == {"env", "item"}:
-        values = array.transpose("env", "item").values
-        same = (values == values[:, :1]) | ((values != values) & (values[:, :1] != values[:, :1]))  # NaN is NaN
-        return array.isel(item=0, drop=True) if values.size and same.all() else None
+    if array.size and "time" not in array.dims:
+        array = merged_items(array)
     return array.transpose("time", "env", missing_dims="ignore") if set(array.dims) - {"time"} == {"env"} else None
 
 

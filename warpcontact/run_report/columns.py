@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact.equal_items import merged_items
 from warpcontact.flags import words_of
-from warpcontact.replay.colors import number_of_each
 
 # Numbers of a variable in each environment that have columns; sets of bodies and points have more.
 MOST = 12
@@ -49,7 +49,7 @@ def columns_of(data: xr.Dataset, without: Collection[str] = ()) -> Iterator[Colu
     for key, variable in data.data_vars.items():
         if key in without or not _is_shown(variable):
             continue
-        array = _alike(variable.compute() if variable.nbytes <= AT_ONCE else variable)
+        array = merged_items(variable.compute() if variable.nbytes <= AT_ONCE else variable)
         axes = [str(dim) for dim in array.dims if dim != "env"]
         for place in np.ndindex(*(array.sizes[dim] for dim in axes)):
             labels = [
@@ -72,12 +72,11 @@ def too_many_in(data: xr.Dataset) -> list[str]:
 
 
 def _is_shown(array: xr.DataArray) -> bool:
-    of_each = int(np.prod([array.sizes[dim] for dim in array.dims if dim != "env"], initial=1))
-    few = of_each <= MOST or (array.nbytes <= AT_ONCE and _alike(array.compute()).ndim == 1)
-    return "env" in array.dims and array.dtype.kind in "biuf" and few
+    if "env" not in array.dims or array.dtype.kind not in "biuf":
+        return False
+    return _of_each(array) <= MOST or _of_each(merged_items(array)) <= MOST
 
 
-def _alike(array: xr.DataArray) -> xr.DataArray:
-    """Returns what the items of a set have in common, if they are the same in each environment, and else all."""
-    found = number_of_each(array) if array.nbytes <= AT_ONCE else None
-    return array if found is None else found
+def _of_each(array: xr.DataArray) -> int:
+    """Returns the number of values of each environment."""
+    return int(np.prod([array.sizes[dim] for dim in array.dims if dim != "env"], initial=1))

@@ -15,7 +15,7 @@ from warpcontact.experiment.status import status_of
 from warpcontact.replay.drawing import Drawing
 from warpcontact.scene import Scene
 from warpcontact.status import Cause
-from warpcontact.viewer.values import rows_of, spoken
+from warpcontact.viewer.values import rows_of, rows_of_parameters, spoken
 
 Facts = dict[str, list[tuple[str, str]]]
 
@@ -100,7 +100,7 @@ class RecordingSource(Source):
     def facts(self, env: int) -> Facts:
         """Returns the parameters of an environment."""
         own = self.recording.sel(env=env)
-        return {"Parameters": rows_of(own[[name for name in own.data_vars if "time" not in own[name].dims]])}
+        return {"Parameters": rows_of_parameters(own.drop_dims("time"))}
 
 
 class RunSource(Source):
@@ -178,7 +178,7 @@ class RunSource(Source):
             own = self._table.sel(env=env)
             found["Outcomes"] = rows_of(own[[name for name in own.data_vars if str(name) not in parameters]])
         if env in self.run.params["env"].values:
-            found["Parameters"] = rows_of(self.run.params.sel(env=env))
+            found["Parameters"] = rows_of_parameters(self.run.params.sel(env=env))
         return found
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.environments import Environments
+from warpcontact.equal_items import merged_items
 
 # So many numbers are written out; of more, how many they are and from where to where they go.
 MOST = 9
@@ -42,6 +43,11 @@ def rows_of(data: xr.Dataset) -> list[tuple[str, str]]:
         value = spoken(array.values, array.attrs)
         rows.append((str(name), f"{value} {unit}".strip() if unit not in ("", "-", "1") else value))
     return rows
+
+
+def rows_of_parameters(data: xr.Dataset) -> list[tuple[str, str]]:
+    """Returns the rows of parameters of one environment; those of a set have one value if all items are equal."""
+    return rows_of(data.map(merged_items, keep_attrs=True))
 
 
 class ParameterText:
