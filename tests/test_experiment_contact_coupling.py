@@ -6,7 +6,7 @@ from test_experiment_errors import problems_of
 from usd_stages import arrows
 
 import warpcontact as wc
-from warpcontact.experiment import picture
+from warpcontact.experiment.sensor_panels import panels_of
 
 IMPACT = {"mass": 50, "area": 0.06, "speed": 1.5, "effective_range": 0.02, "closest": 0.005, "damping_ratio": 0.05}
 COUPLING = {
@@ -63,9 +63,9 @@ def test_a_coupling_is_that_of_the_python_interface(tmp_path):
     # The picture shows its force, of which no reading is one number.
     without = run.recording.drop_vars(LINES)
     without.scene = run.recording.scene
-    values, label = picture._chosen_readings(without)[1]
-    assert label == "size of keep.force [N]"
-    np.testing.assert_allclose(values, np.linalg.norm(recording["keep.force"], axis=-1))
+    panel = panels_of(without, np.zeros(0, dtype=int), 2)[0]
+    assert (panel.heading, panel.curves.unit) == ("magnitude of keep.force", "N")
+    np.testing.assert_allclose(panel.curves.values, np.linalg.norm(recording["keep.force"], axis=-1))
     # The written experiment says the same.
     assert wc.Experiment.from_toml(run.files["experiment"]).settings == experiment.settings
 

@@ -12,6 +12,7 @@ import xarray as xr
 from test_experiment import content
 
 import warpcontact as wc
+from warpcontact.decimation import evenly
 from warpcontact.experiment.status import status_of
 
 pytestmark = pytest.mark.installed
@@ -142,7 +143,7 @@ def tracks_of(recording):
     """The tracks that a picture shows."""
     from warpcontact.experiment import picture
 
-    chosen = picture._evenly(recording.sizes["env"], picture.TRACKS)
+    chosen = evenly(recording.sizes["env"], picture.TRACKS)
     return [picture._tracks(recording, body, chosen) for body in recording.scene.bodies]
 
 
@@ -285,5 +286,7 @@ def test_picture_shows_the_mesh_that_the_first_environment_has(variation, differ
     assert said(figure) == []
     assert ("surfaces as in environment 0" in figure.axes[0].get_title("left")) is differ
     # What is the same everywhere is no colour of tracks.
-    expected = "ground.mesh" if differ else "ball.mass [kg]"
+    expected = (
+        "ground.mesh\none of 3 varied parameters" if differ else "ball.mass [kg]\none of 2 varied parameters"
+    )
     assert picture._color_values(recording, list(varied))[1] == expected

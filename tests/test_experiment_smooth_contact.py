@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import warpcontact as wc
+from warpcontact.experiment.sensor_panels import panels_of
 
 BOWL = '''
 from typing import Any
@@ -137,4 +138,5 @@ def test_the_picture_shows_what_shapes_stand_on_and_how_they_touch(tmp_path, dev
     floor, ring = ground.grounds_of(recording, 2.0)
     assert floor.corners[..., 2].max() == -1.0 < ring.corners[..., 2].min()
     assert floor.corners[..., 0].min() <= -2.0
-    assert picture._chosen_readings(recording)[0][1] == "touch.gap [m]"
+    headings = [panel.heading for panel in panels_of(recording, np.zeros(0, dtype=int), 2)]
+    assert headings == ["touch.normal_force", "touch.gap"]

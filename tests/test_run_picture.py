@@ -1,6 +1,8 @@
-"""What the picture of a run tells of the ground, and of the numbers that colour the tracks."""
+"""The picture of a run: the ground, the numbers that color tracks and curves, and sensors over time."""
 
+import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +12,10 @@ from matplotlib.figure import Figure
 import warpcontact as wc
 from warpcontact.experiment import picture
 from warpcontact.experiment.ground import Ground, contour_step, draw_from_above
+from warpcontact.experiment.sensor_panels import CURVES, draw_panel, panels_of
 from warpcontact.frames import placed
+from warpcontact.health import Health
+from warpcontact.recording import Recording
 
 WINDOW = np.array([-2.0, -2.0]), np.array([2.0, 2.0])
 
@@ -126,3 +131,165 @@ def test_the_view_is_of_the_tracks_that_are_shown():
     plane, low, high = picture._extent([level, np.array([[[-1.0, 3.0, 0.0]]])])
     assert plane == [0, 1]
     np.testing.assert_array_equal([low, high], [[-1.0, 0.0], [2.0, 3.0]])
+
+
+# Sensors over time
+
+NONE = np.zeros(0, dtype=int)
+
+
+def recorded(*names, envs=3, records=50, **parameters):
+    """A recording of sensors that rise with time and environment; contacts a and b, spring s, body ball."""
+    seconds = np.linspace(0.0, 1.0, records)
+    values = seconds[:, None] + np.arange(envs)
+    variables = {}
+    for name in (*names, "ball.position"):
+        vector = name.endswith(("position", "velocity", "friction_force"))
+        dims = ("time", "env", "axis") if vector else ("time", "env")
+        variables[name] = (dims, np.repeat(values[..., None], 3, axis=2) if vector else values.copy())
+    variables |= parameters
+    recording = Recording(variables, {"time": seconds, "env": np.arange(envs), "axis": ["x", "y", "z"]})
+    for name in recording:
+        recording[name].attrs["units"] = "N" if name.endswith("force") else "m"
+    named = [SimpleNamespace(name=name) for name in ("a", "b", "s", "ball")]
+    recording.scene = SimpleNamespace(
+        contacts=named[:2], smooth_contacts=[], mutual_contacts=[], contact_couplings=[], couplings=named[2:3],
+        bodies=named[3:],
+    )  # fmt: skip
+    return recording
+
+
+def headings(recording, most=3):
+    return [panel.heading for panel in panels_of(recording, NONE, most)]
+
+
+def test_sensors_of_contacts_come_first():
+    energy, speed = "scene.kinetic_energy", "ball.linear_velocity"
+    touch = ("a.gap", "a.normal_force", "b.gap", "b.normal_force")
+    assert headings(recorded(speed, energy, *touch)) == ["a.normal_force", "a.gap", f"magnitude of {speed}"]
+    assert headings(recorded(speed, energy, *touch), 2) == ["a.normal_force", "a.gap"]
+    assert headings(recorded(energy, "a.friction_force", "s.length", "s.force", "b.penetration")) == [
+        "b.penetration",
+        "magnitude of a.friction_force",
+        "s.force",
+    ]
+    assert headings(recorded("a.normal_force", "b.normal_force")) == ["a.normal_force", "b.normal_force"]
+
+
+def test_a_contact_with_a_force_comes_before_one_without():
+    recording = recorded("a.gap", "a.normal_force", "b.gap", "b.normal_force")
+    recording["a.normal_force"][:] = 0.0
+    assert headings(recording) == ["b.normal_force", "a.normal_force", "b.gap"]
+    assert headings(recording, 2) == ["b.normal_force", "b.gap"]
+
+
+def test_positions_are_drawn_if_nothing_else_was_recorded():
+    assert headings(recorded()) == ["height of ball", "distance of ball from its start"]
+    assert headings(recorded("scene.kinetic_energy")) == ["scene.kinetic_energy", "height of ball"]
+
+
+def test_a_peak_of_one_record_is_drawn_and_printed():
+    recording = recorded("a.normal_force", envs=3, records=100_000)
+    recording["a.normal_force"][77_777, 1] = 1234.5
+    panel = panels_of(recording, NONE, 2)[0]
+    axes = Figure().add_subplot()
+    draw_panel(axes, panel, np.eye(4)[[0, 1, 2]])
+    lines = axes.get_lines()
+    assert [line.get_color().tolist() for line in lines] == np.eye(4)[[0, 1, 2]].tolist()
+    assert max(lines[1].get_ydata()) == 1234.5
+    assert max(len(line.get_xdata()) for line in lines) <= 4000
+    heading = axes.get_title(loc="left").replace("\u202f", " ")
+    assert heading == "a.normal_force\nmin 0 N at 0 s (env 0), max 1234.5 N at 0.77778 s (env 1)"
+    assert axes.get_ylabel() == "normal_force [N]"
+
+
+def test_a_frozen_environment_is_dotted_and_leaves_the_others_readable():
+    recording = recorded("a.normal_force", envs=3)
+    recording["a.normal_force"][:, 1] = 1e9
+    axes = Figure().add_subplot()
+    draw_panel(axes, panels_of(recording, np.array([1]), 2)[0], np.eye(4)[[0, 1, 2]])
+    assert [line.get_linestyle() for line in axes.get_lines()] == ["-", ":", "-"]
+    assert axes.get_ylim()[1] == pytest.approx(6.0)
+    assert axes.get_ylabel() == "normal_force [N]"
+
+
+def test_many_environments_are_drawn_as_quantiles_without_frozen_ones():
+    recording = recorded("a.normal_force", envs=20)
+    recording["a.normal_force"][:, 4] = 1e9
+    panel = panels_of(recording, np.array([4]), 2)[0]
+    axes = Figure().add_subplot()
+    draw_panel(axes, panel, None)
+    assert [text.get_label() for text in axes.get_lines()] == ["median of 19 environments"]
+    assert len(axes.collections) == 2
+    assert axes.get_lines()[0].get_ydata()[0] == 10.0
+    assert "max 20\u202fN at 1\u202fs (env 19)" in axes.get_title(loc="left")
+
+
+@pytest.mark.parametrize(
+    ("name", "dims", "values", "expected"),
+    [
+        ("a.law.stiffness", ("env",), [1.0, 2.0, 4.0], "a.law.stiffness [m]"),
+        ("a.radius", ("env", "a.item"), [[1.0, 1.0], [2.0, 2.0], [4.0, 4.0]], "a.radius [m]"),
+        ("ball.way.initial", ("env", "axis"), [[0, 1, 0], [0, 2, 0], [0, 4, 0]], "ball.way.initial.y [m]"),
+        ("a.radius", ("env", "a.item"), [[1.0, 3.0], [2.0, 3.0], [4.0, 3.0]], "environment"),
+        ("a.radius", ("env",), [1.0, 1.0, 1.0], "environment"),
+    ],
+)  # fmt: skip
+def test_curves_are_colored_by_the_first_varied_parameter_that_is_one_number(name, dims, values, expected):
+    recording = recorded(**{name: (dims, np.array(values, dtype=float))})
+    numbers, label = picture._color_values(recording, [name.removesuffix(".initial")])
+    assert label == expected
+    assert numbers.tolist() == ([0, 1, 2] if expected == "environment" else [1.0, 2.0, 4.0])
+    recording["other"] = "env", [5.0, 5.0, 6.0]
+    _, label = picture._color_values(recording, [name.removesuffix(".initial"), "other"])
+    differs = len(np.unique(values, axis=0)) > 1
+    first = "other" if expected == "environment" else expected
+    assert label == (f"{first}\none of 2 varied parameters" if differs else first)
+
+
+@pytest.fixture(scope="module")
+def drops(tmp_path_factory):
+    """Balls that start at different heights, without contact."""
+    study = {
+        "envs": 20,
+        "duration": 0.2,
+        "dt": 1e-3,
+        "output": {"usd_envs": 0},
+        "body": [{"name": "a_ball_with_a_very_long_name_" + 60 * "x", "mass": 1, "inertia": [1, 1, 1]}],
+        "record": {"every": 1e-2, "readings": ["scene.kinetic_energy"]},
+    }
+    body = study["body"][0]["name"]
+    study["variation"] = {
+        f"{body}.linear_velocity": {"linspace": [[0, 0, -1], [1, 1, 1]]},
+        f"{body}.mass": {"linspace": [1.0, 2.0]},
+    }
+    return wc.Experiment.from_dict(study).run(tmp_path_factory.mktemp("drops") / "run", device="cpu").recording
+
+
+@pytest.mark.parametrize("envs", [1, CURVES, CURVES + 1])
+def test_no_text_is_clipped_or_overlaps_another(envs, drops, tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(picture, "save", lambda figure, path: figures.append(figure))
+    some = drops.isel(env=slice(0, envs))
+    some.scene = drops.scene
+    varied = [str(name).removesuffix(".initial") for name in drops if "time" not in drops[name].dims]
+    health = Health.of(np.zeros(envs), np.zeros(envs), np.zeros(envs))
+    picture.write_picture(tmp_path / "x.png", some, "n" * 300, varied[:2], health)
+    (figure,) = figures
+    figure.canvas.draw()
+    _, *panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
+    assert len(panels) == 2
+    assert all(len(axes.get_lines()) == (envs if envs <= CURVES else 1) for axes in panels)
+    assert len(figure.legends) == (envs > CURVES)
+    texts = [figure._suptitle, *(text for legend in figure.legends for text in legend.get_texts())]
+    for axes in figure.axes:
+        texts += [axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label]
+        texts += [axes.xaxis.get_offset_text(), axes.yaxis.get_offset_text()]
+    boxes = [text.get_window_extent() for text in texts if text.get_visible() and text.get_text()]
+    assert len(boxes) > 8
+    whole = figure.bbox
+    for box in boxes:
+        assert whole.x0 <= box.x0 <= box.x1 <= whole.x1
+        assert whole.y0 <= box.y0 <= box.y1 <= whole.y1
+    for one, other in itertools.combinations(boxes, 2):
+        assert not one.overlaps(other)

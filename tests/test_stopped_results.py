@@ -68,7 +68,7 @@ def test_stopped_environments_are_held_in_a_fan_or_leave_it(run, tmp_path):
 
 
 def test_pictures_and_reports_count_the_stopped_environments_in_their_bands(run, titles, tmp_path):
-    held = "4 stopped and 1 frozen, shown as they were to the end"
+    held = "4 stopped and 1 frozen (dotted), shown as they were to the end"
     assert titles == [f"fall: 6 environments, 0.5 s, float32; {held}"]
     page = report_runs.Parsed(wc.report(run, tmp_path / "report.html").read_text(encoding="utf-8"))
     assert "4 stopped ones stay in them as they were." in " ".join(page.text.split())

@@ -15,12 +15,16 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from warpcontact.experiment.bars import are_counts, edges_of_bars
+from warpcontact.footprint import environments
+from warpcontact.hostile import in_one_line, shortened
 from warpcontact.outcomes.watch import RESERVED
 from warpcontact.picture_file import save
 from warpcontact.status import EnvironmentStatus
 
 # More would be too small to read.
 MOST = 6
+# Letters of the title.
+TITLE = 60
 COLUMNS = 3
 QUANTILES = (0.05, 0.5, 0.95)
 # Of the summand of ticks, as matplotlib writes it.
@@ -47,7 +51,8 @@ def write_outcome_picture(path: Path, outcome: xr.Dataset, title: str) -> bool:
     figure = Figure(figsize=(1.0 + 4.2 * columns, 0.8 + 3.2 * rows), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     left_out = f", {frozen.sum()} frozen left out" if frozen.any() else ""
-    figure.suptitle(f"{title}: {len(frozen)} environments{left_out}")
+    title = f"{shortened(in_one_line(title), TITLE)}: {environments(len(frozen))}"
+    figure.suptitle(f"{title}{left_out}", parse_math=False)
     for i, (name, label, values) in enumerate(drawn):
         axes = figure.add_subplot(rows, columns, i + 1)
         _draw_histogram(axes, values[~frozen])
@@ -89,7 +94,9 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64]) -> None:
         marks = np.quantile(finite, QUANTILES)
         for q, mark, line in zip(QUANTILES, marks, (":", "-", ":"), strict=True):
             axes.axvline(mark, color="C1", linestyle=line, label=f"{100 * q:g} %: {mark:.4g}")
-        axes.legend(loc="best", fontsize="small", framealpha=0.7)
+        # Below the label of the axis, where the legend hides nothing.
+        place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.16), "ncols": 3}
+        axes.legend(**place, fontsize="small", frameon=False, handlelength=1.2, columnspacing=1.0)
     else:
         axes.set(xticks=(), yticks=())
     if len(finite) < len(values) or not len(values):

@@ -1,4 +1,4 @@
-"""One picture of what happened: tracks of the bodies over the ground, and two readings over time.
+"""One picture of a run: tracks of the bodies over the ground, and sensors over time.
 
 Tracks are seen from above, or from the side if they run in the plane of x and z.
 
@@ -9,16 +9,19 @@ import math
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import ListedColormap, LogNorm, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from warpcontact.decimation import evenly
+from warpcontact.equal_items import merged_items
 from warpcontact.experiment.ground import (
     Ground,
     contour_step,
@@ -27,16 +30,22 @@ from warpcontact.experiment.ground import (
     grounds_of,
     legend_entries,
 )
+from warpcontact.experiment.sensor_panels import CURVES, draw_panel, panels_of
+from warpcontact.footprint import environments
 from warpcontact.health import Health
+from warpcontact.hostile import in_one_line, shortened
 from warpcontact.picture_file import save
 from warpcontact.recording import Recording
 from warpcontact.scene import Body, Scene
 
+# Sensors over time: below each other, or in one row if the tracks take the whole width.
+PANELS, WIDE_PANELS = 3, 2
 # More tracks would hide each other.
 TRACKS = 200
-# Quantiles of more environments than this look the same and take longer.
-SAMPLE = 4096
-COLORS = "plasma"
+# Without its bright end, which is pale on white.
+COLORS = ListedColormap(mpl.colormaps["plasma"](np.linspace(0.0, 0.9, 256)), "plasma to 0.9")
+# Letters of the title, and of the name of a parameter.
+TITLE, NAME = 60, 40
 # Of springs and lines.
 COUPLING_COLOR = "0.45"
 # Values that span more than this factor are coloured on a logarithmic scale.
@@ -66,7 +75,7 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
         health: Which environments are stopped or frozen.
     """
     envs, times = recording.sizes["env"], recording["time"].values
-    chosen = _evenly(envs, TRACKS)
+    chosen = evenly(envs, TRACKS)
     # Of a set so many bodies that its tracks are as many as those of one body may be.
     tracks = [_tracks(recording, body, chosen) for body in recording.scene.bodies]
     plane, lower, upper = _extent(tracks)
@@ -77,7 +86,8 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
     grounds = grounds_of(recording, 2.0 * float(np.abs(window).max()))
     width, height = window[1] - window[0]
     wide = bool(width > WIDE * height)
-    size = (13.0, 4.0 + 10.8 * height / width) if wide else (13.0, 6.8)
+    panels = panels_of(recording, health.frozen, WIDE_PANELS if wide else PANELS)
+    size = (13.0, 4.2 + 10.8 * height / width if wide else 4.8 + 1.1 * len(panels))
     figure = Figure(figsize=size, dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     held = [
@@ -85,24 +95,35 @@ def write_picture(path: Path, recording: Recording, title: str, varied: list[str
         for state, numbers in (("stopped", health.stopped), ("frozen", health.frozen))
         if len(numbers)
     ]
-    after = f"; {' and '.join(held)}, shown as they were to the end" if held else ""
-    figure.suptitle(f"{title}: {envs} environments, {times[-1]:g} s, {recording.attrs['precision']}{after}")
+    dotted = " (dotted)" if len(health.frozen) and envs <= CURVES else ""
+    after = f"; {' and '.join(held)}{dotted}, shown as they were to the end" if held else ""
+    title = f"{shortened(in_one_line(title), TITLE)}: {environments(envs)}"
+    figure.suptitle(f"{title}, {times[-1]:g} s, {recording.attrs['precision']}{after}", parse_math=False)
     if wide:
-        grid = figure.add_gridspec(2, 2, height_ratios=(size[1] - 3.7, 2.9))
-        places = grid[0, :], grid[1, 0], grid[1, 1]
+        grid = figure.add_gridspec(2, len(panels), height_ratios=(size[1] - 3.9, 3.1))
+        above, below = grid[0, :], [grid[1, i] for i in range(len(panels))]
     else:
-        grid = figure.add_gridspec(2, 2, width_ratios=(float(np.clip(width / height, 0.6, 1.15)), 1.0))
-        places = grid[:, 0], grid[0, 1], grid[1, 1]
-    above, first, second = (figure.add_subplot(place) for place in places)
-    _draw_tracks(figure, above, recording, chosen, tracks, grounds, shapes, varied, plane, window, wide)
-    for axes, (values, label) in zip((first, second), _chosen_readings(recording), strict=True):
-        _draw_quantiles(axes, times, values, label)
+        ratios = float(np.clip(width / height, 0.6, 1.15)), 1.0
+        grid = figure.add_gridspec(len(panels), 2, width_ratios=ratios)
+        above, below = grid[:, 0], [grid[i, 1] for i in range(len(panels))]
+    values, label = _color_values(recording, varied)
+    norm = _norm(values)
+    coloring = values, label, norm
+    axes_above = figure.add_subplot(above)
+    _draw_tracks(figure, axes_above, recording, chosen, tracks, grounds, shapes, coloring, plane, window, wide)
+    rest = [figure.add_subplot(place) for place in below]
+    colors = COLORS(norm(values)) if 1 < envs <= CURVES else np.array([to_rgba("C0")]) if envs == 1 else None
+    for axes, panel in zip(rest, panels, strict=True):
+        draw_panel(axes, panel, colors)
         axes.set_xlabel("time [s]")
     if not wide:
-        first.sharex(second)
-        first.tick_params(labelbottom=False)
-        first.set_xlabel("")
-    first.legend(loc="best", fontsize="small")
+        for axes in rest[:-1]:
+            axes.sharex(rest[-1])
+            axes.tick_params(labelbottom=False)
+            axes.set_xlabel("")
+    if colors is None:
+        handles, labels = rest[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower right", ncols=3, fontsize="small")
     save(figure, path)
 
 
@@ -123,7 +144,7 @@ def _draw_tracks(
     tracks: list[NDArray[Any]],
     grounds: list[Ground],
     shapes: list[NDArray[Any]],
-    varied: list[str],
+    coloring: tuple[NDArray[Any], str, Normalize],
     plane: list[int],
     window: tuple[NDArray[Any], NDArray[Any]],
     wide: bool,
@@ -143,8 +164,7 @@ def _draw_tracks(
     if not all(ground.active.all() for ground in grounds):
         # Below everything, where it hides no track.
         figure.legend(handles=legend_entries(from_above), loc="outside lower left", ncols=2, fontsize="small")
-    values, label = _color_values(recording, varied)
-    norm = _norm(values)
+    values, label, norm = coloring
     for track in tracks:
         own = np.repeat(values[chosen], track.shape[1] // len(chosen))
         lines = LineCollection(
@@ -157,7 +177,8 @@ def _draw_tracks(
     axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), aspect="equal")
     axes.set(xlabel="x [m]", ylabel=f"{'xyz'[plane[1]]} [m]")
     view = "from above" if from_above else "from the side"
-    which = f"{len(chosen)} of {envs} environments" if len(chosen) < envs else "all environments"
+    which = f"{len(chosen)} of {envs} environments" if len(chosen) < envs else f"all {envs} environments"
+    which = "one environment" if envs == 1 else which
     shown = sum(track.shape[1] for track in tracks) // len(chosen)
     if shown < (bodies := sum(body.count for body in scene.bodies)):
         which = f"{shown} of {bodies} bodies of {which}"
@@ -184,7 +205,7 @@ def _tracks(recording: Recording, body: Body, chosen: NDArray[np.int_]) -> NDArr
     position = recording[f"{body.name}.position"].isel(env=chosen)
     if body.single:
         return np.asarray(position.values)
-    some = _evenly(body.count, max(1, TRACKS // len(chosen)))
+    some = evenly(body.count, max(1, TRACKS // len(chosen)))
     values = position.isel({position.dims[2]: some}).values
     return np.asarray(values.reshape(len(values), -1, 3))
 
@@ -235,22 +256,23 @@ def _window(
     return centre - half, centre + half
 
 
-def _evenly(envs: int, most: int) -> NDArray[np.int_]:
-    """Returns at most so many of the environments, evenly spread."""
-    return np.unique(np.linspace(0, envs - 1, min(envs, most)).astype(int))
-
-
 def _color_values(recording: Recording, varied: list[str]) -> tuple[NDArray[Any], str]:
-    """Returns one number per environment and what it is."""
-    for name in varied:
-        # What was set alike for all items of a set is one number as well; alike everywhere, it tells nothing.
-        array = recording.get(name)
-        if array is None or array.dims[0] != "env" or not set(array.dims).isdisjoint(("axis", "component", "row")):
-            continue
+    """Returns one number per environment and its label: the first varied parameter that differs in one number."""
+    names = [one for name in varied for one in (name, f"{name}.initial") if one in recording]
+    found: tuple[NDArray[Any], str] | None = None
+    count = 0
+    for name in (one for one in names if "time" not in recording[one].dims):
+        array = merged_items(recording[name]).transpose("env", ...)
         values = array.values.reshape(array.sizes["env"], -1)
-        if (values == values[:, :1]).all() and (len(values) == 1 or (values != values[0]).any()):
-            return values[:, 0], _label(name, array)
-    return recording["env"].values, "environment"
+        differ = np.flatnonzero((values != values[:1]).any(axis=0))
+        count += bool(len(differ))
+        if found is None and len(differ) == 1 and set(array.dims) <= {"env", "axis"}:
+            component = f".{'xyz'[differ[0]]}" if "axis" in array.dims else ""
+            label = _label(f"{shortened(name, NAME, middle=True)}{component}", array)
+            found = values[:, differ[0]], label
+    if found is None:
+        return recording["env"].values, "environment"
+    return found[0], found[1] + (f"\none of {count} varied parameters" if count > 1 else "")
 
 
 def _norm(values: NDArray[Any]) -> Normalize:
@@ -285,66 +307,3 @@ def _ticks(norm: Normalize, whole: bool) -> tuple[list[float], list[str]]:
 def _label(name: str, array: xr.DataArray) -> str:
     unit = array.attrs.get("units", "-")
     return name if unit == "-" else f"{name} [{unit}]"
-
-
-def _chosen_readings(recording: Recording) -> list[tuple[NDArray[Any], str]]:
-    """Returns two readings (time, env) that tell most, of a sample of the environments, with their labels."""
-    sample = _evenly(recording.sizes["env"], SAMPLE)
-    scene, bodies = recording.scene, [body.name for body in recording.scene.bodies]
-    contacts = [contact.name for contact in scene.contacts] + [contact.name for contact in scene.smooth_contacts]
-    found = []
-    couplings = [coupling.name for coupling in scene.couplings]
-    angles = [f"{body}.{key}" for body in bodies for key in ("angle", "displacement")]
-    for name in (*angles, *(f"{c}.gap" for c in contacts), f"{bodies[0]}.position"):
-        if name in recording:
-            found.append(_per_environment(name, recording[name].isel(env=sample), smallest=True))
-            break
-    forces = [f"{c}.{key}" for c in couplings for key in ("force", "tension_b")]
-    forces += [f"{c}.normal_force" for c in contacts]
-    forces += [f"{pile.name}.normal_force" for pile in scene.mutual_contacts]
-    energies = ["scene.kinetic_energy", *(f"{body}.kinetic_energy" for body in bodies)]
-    for name in (*energies, *forces):
-        if name in recording and "axis" not in recording[name].dims:
-            found.append(_per_environment(name, recording[name].isel(env=sample), smallest=False))
-            break
-    if len(found) < 2:
-        found += [
-            (np.linalg.norm(recording[name].isel(env=sample), axis=-1), f"size of {_label(name, recording[name])}")
-            for name in (f"{c}.force" for c in (*(keep.name for keep in scene.contact_couplings), *couplings))
-            if name in recording and "axis" in recording[name].dims
-        ][:1]
-    if len(found) < 2:
-        position = recording[f"{bodies[0]}.position"].isel(env=sample).values
-        way = np.linalg.norm(position - position[0], axis=-1)
-        if way.ndim > 2:
-            found.append((way.mean(axis=2), f"mean distance of {bodies[0]} from the start [m]"))
-        else:
-            found.append((way, f"distance of {bodies[0]} from its start [m]"))
-    return found
-
-
-def _per_environment(name: str, array: xr.DataArray, smallest: bool) -> tuple[NDArray[Any], str]:
-    """Returns a reading as (time, env): of sets the smallest or the sum, of positions the height, or its mean."""
-    label, values = _label(name, array), array.values
-    if "axis" in array.dims:
-        height, element = values[..., 2], name.partition(".")[0]
-        if height.ndim > 2:
-            return height.mean(axis=2), f"mean height of {element} [m]"
-        return height, f"height of {element} [m]"
-    if values.ndim > 2:
-        return (values.min(axis=2), f"smallest {label}") if smallest else (values.sum(axis=2), f"sum of {label}")
-    return values, label
-
-
-def _draw_quantiles(axes: Any, times: NDArray[Any], values: NDArray[Any], label: str) -> None:
-    envs = values.shape[1]
-    if envs == 1:
-        axes.plot(times, values[:, 0], color="C0", label="the environment")
-    else:
-        q05, q25, q50, q75, q95 = np.quantile(values, (0.05, 0.25, 0.5, 0.75, 0.95), axis=1)
-        axes.fill_between(times, q05, q95, color="C0", alpha=0.2, lw=0, label="5 % to 95 % of the environments")
-        axes.fill_between(times, q25, q75, color="C0", alpha=0.35, lw=0, label="25 % to 75 %")
-        axes.plot(times, q50, color="C0", label="median")
-    axes.set_ylabel(label)
-    axes.grid(alpha=0.3)
-    axes.margins(x=0.0)
