@@ -17,9 +17,11 @@ from typing import Any, ClassVar, dataclass_transform
 
 import numpy as np
 import warp as wp
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.types import structs
 
 
+@explain_keywords
 def parameter(
     unit: str,
     meaning: str,
@@ -53,6 +55,7 @@ def parameter(
 ROWS = -1
 
 
+@explain_keywords
 def table(unit: str, meaning: str, *, at_least: float = -math.inf) -> Any:
     """Declares a table of a spring or damper: values over the distance, linear in between and held outside.
 
@@ -99,6 +102,7 @@ class Memory:
     tangent: bool
 
 
+@explain_keywords
 def memory(unit: str, meaning: str, *, tangent: bool = False) -> Any:
     """Declares, as an attribute of a formula's class, something that it remembers.
 
@@ -230,6 +234,7 @@ class Formula:
                 )
         # A subclass without a docstring would get the signature for one; keep what the author wrote.
         dataclasses.dataclass(frozen=True, kw_only=not cls.positional)(cls)
+        cls.__init__ = explain_keywords(cls.__init__)  # type: ignore[method-assign]
         for field in dataclasses.fields(cls):
             if "unit" not in field.metadata:
                 raise TypeError(

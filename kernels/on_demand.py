@@ -9,6 +9,8 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from warpcontact.kernels.names import suggestion
+
 
 def names_of(
     module: str, homes: Mapping[str, str], catalogues: Mapping[str, Sequence[str]]
@@ -29,7 +31,8 @@ def names_of(
         elif name in catalogues:
             value = tuple(getattr(itself, one) for one in catalogues[name])
         else:
-            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+            hint = "" if name.startswith("_") else suggestion(name, [*homes, *catalogues])
+            raise AttributeError(f"module {module!r} has no attribute {name!r}{hint}")
         setattr(itself, name, value)
         return value
 

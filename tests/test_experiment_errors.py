@@ -58,6 +58,8 @@ BAD = [
     (("bodys",), [], "bodys is not known; did you mean 'body'?"),
     (("xyz",), 1, "xyz is not known; allowed: name, envs, duration"),
     (("body", 0, "mas"), 1, "body[0].mas is not known; did you mean 'mass'?"),
+    (("body", 0, "velocity"), [0, 0, 1], "body[0].velocity is not known; did you mean 'linear_velocity'?"),
+    ((*LAW, "k"), 1, "template[0].law.k is not known; did you mean 'stiffness'?"),
     (("contact", 0, "raduis"), 1, "contact[0].raduis is not known; did you mean 'radius'?"),
     ((*LAW, "stifness"), 1, "template[0].law.stifness is not known; did you mean 'stiffness'?"),
     ((*GROUND, "mesh", "celss"), 1, "surface[0].mesh.celss is not known; did you mean 'cells'?"),

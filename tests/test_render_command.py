@@ -176,8 +176,8 @@ def test_colours_tell_the_value_of_each_environment(run):
     refused = r"color_by must be one number for each environment, got "
     with pytest.raises(ValueError, match=refused + r"'mass'; did you mean 'ball\.mass'\?"):
         wc.render(run, env=range(3), color_by="mass", **SMALL)
-    with pytest.raises(ValueError, match=refused + r"'weight'; there are: .*ball\.mass"):
-        wc.render(run, env=range(3), color_by="weight", **SMALL)
+    with pytest.raises(ValueError, match=refused + r"'humidity'; there are: .*ball\.mass"):
+        wc.render(run, env=range(3), color_by="humidity", **SMALL)
 
 
 def test_a_gif_plays_as_long_as_what_it_shows(run, tmp_path, capsys):

@@ -212,7 +212,10 @@ def _load(name: str) -> ModuleType:
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
-        raise AttributeError(f"module 'warpcontact' has no attribute {name!r}")
+        from warpcontact.kernels.names import suggestion
+
+        hint = "" if name.startswith("_") else suggestion(name, _HOME)
+        raise AttributeError(f"module 'warpcontact' has no attribute {name!r}{hint}")
     module = _load(_HOME[name])
     value = module if _HOME[name].rpartition(".")[2] == name else getattr(module, name)
     globals()[name] = value

@@ -1,7 +1,6 @@
 """Warnings about scenes that run and give nonsense: steps too long for a contact, starts in deep overlap."""
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from warpcontact.smooth.elements import SmoothContact
     from warpcontact.unilateral.hard_contacts import HardContacts
 
-_PACKAGE = Path(__file__).parent
 # Steps per contact time from which on the restitution of a smooth law is kept to about 1e-3.
 ENOUGH_STEPS = 20.0
 # Likewise in a pile, to about 1e-2: its impacts are many, and single ones matter less.
@@ -33,7 +31,7 @@ ENOUGH_IN_PILES = 10.0
 def level_outside() -> int:
     """Returns the ``stacklevel`` with which its caller warns of what was called from outside this package."""
     level, frame = 1, sys._getframe(1)
-    while frame.f_back is not None and Path(frame.f_code.co_filename).is_relative_to(_PACKAGE):
+    while frame.f_back is not None and frame.f_globals["__name__"].partition(".")[0] == "warpcontact":
         level, frame = level + 1, frame.f_back
     return level
 

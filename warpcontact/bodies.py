@@ -9,10 +9,12 @@ from warpcontact import checks
 from warpcontact.body_sets import body_set
 from warpcontact.checks import limits
 from warpcontact.elements import MASS, Body
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.motions import Free, Motion
 from warpcontact.start import check_start
 
 
+@explain_keywords_of
 class Bodies:
     """The bodies of a ``Scene``, and how to add them."""
 

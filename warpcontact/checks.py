@@ -1,6 +1,5 @@
 """Checks of what a user hands in. Each error names the entry, the value and what is allowed."""
 
-import difflib
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.kernels.formula import check_values
+from warpcontact.kernels.names import suggestion
 
 Array = NDArray[np.float64]
 
@@ -150,7 +150,7 @@ def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
     """Returns ``value`` if it is one of ``allowed``, or raises ``ValueError``."""
     if value not in allowed:
         options = ", ".join(repr(option) for option in allowed)
-        raise ValueError(f"{name} must be one of {options}, got {value!r}")
+        raise ValueError(f"{name} must be one of {options}, got {value!r}{suggestion(value, allowed)}")
     return str(value)
 
 
@@ -189,9 +189,8 @@ def look_up(kind: str, name: str, table: Mapping[str, Any]) -> Any:
     try:
         return table[name]
     except KeyError:
-        close = difflib.get_close_matches(name, table, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else there_are(name, table)
-        raise KeyError(f"no {kind} {name!r}; {hint}") from None
+        hint = suggestion(name, table) or f"; {there_are(name, table)}"
+        raise KeyError(f"no {kind} {name!r}{hint}") from None
 
 
 def there_are(name: str, known: Iterable[str]) -> str:

@@ -10,6 +10,7 @@ from warpcontact.contact_range import ContactRange
 from warpcontact.elements import Contact, Surface, Template
 from warpcontact.kernels import laws
 from warpcontact.kernels.frictions import Friction, Frictionless
+from warpcontact.kernels.keywords import keywords_of, refuse_unknown
 from warpcontact.meshes.quadrature import ORDERS, face_points
 from warpcontact.surface_contact import SIDES
 
@@ -46,6 +47,7 @@ class ContactCoupling:
     @staticmethod
     def from_impact(**impact: Any) -> ContactRange:
         """Returns the range that stops an impact; see ``ContactRange.from_impact``."""
+        refuse_unknown("ContactCoupling.from_impact", impact, keywords_of(ContactRange.from_impact))
         return ContactRange.from_impact(**impact)
 
     def report(self, model: "Environments") -> "CouplingReport":

@@ -7,6 +7,7 @@ from warpcontact import checks
 from warpcontact.checks import limits
 from warpcontact.elements import AREA, MASS, RANGE
 from warpcontact.kernels import laws
+from warpcontact.kernels.keywords import explain_keywords_of
 
 SPEED = limits("m/s", above=0.0)
 CLOSEST = limits("m", at_least=0.0)
@@ -34,6 +35,7 @@ class ExpectedImpact:
     damping_ratio: float
 
 
+@explain_keywords_of
 @dataclass(frozen=True, kw_only=True)
 class ContactRange:
     """Repulsion per area within a range of the other surface: p = max(0, k₁ (d₀ − d) − k₂ ḋ).

@@ -1,15 +1,16 @@
 """The elements of a scene: bodies, surfaces, points, contacts, templates, and the ranges of their values."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from warpcontact import frames
 from warpcontact.checks import Array, limits
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction, Frictionless
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
 from warpcontact.kernels.touch import Parts
@@ -30,6 +31,7 @@ SCALE = limits("-", above=0.0)
 ENABLED = limits("-", at_least=0.0, at_most=1.0)
 
 
+@explain_keywords_of
 @dataclass(frozen=True, kw_only=True)
 class Template:
     """The force of a contact: a normal-force law and up to three friction models; any number of contacts share it.
@@ -200,6 +202,24 @@ class Points:
             return self.positions
         scaled = self.surface.scale * self.positions
         return frames.placed(scaled, self.surface.position, self.surface.orientation)
+
+
+class ContactOptions(TypedDict, total=False):
+    """Keywords of ``Scene.add_contact`` that ``Scene.add_surface_contact`` takes, too."""
+
+    radius: ArrayLike
+    kappa: float
+    search: str
+    entry: str
+    swept: bool
+    max_depth: float | None
+    rim: str
+    search_radius: float
+    torsion_radius: float | None
+    share: float
+    enabled: bool
+    color: ArrayLike | None
+    visible: bool
 
 
 @dataclass(frozen=True, eq=False)

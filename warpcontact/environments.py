@@ -14,6 +14,7 @@ from warpcontact.couplings.elements import Catenary
 from warpcontact.devices import spread
 from warpcontact.footprint import Footprint, environments, require, total
 from warpcontact.health import Health
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.looks import EVALUATED
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from warpcontact.model import Model, State
 
 
+@explain_keywords_of
 class Environments(ABC):
     """Many environments of one scene, in parts side by side: the interface of ``Model`` and of ``SplitModel``.
 
@@ -208,7 +210,7 @@ class Environments(ABC):
         """Returns what is known of reading ``name``; its array is that of the first part.
 
         Raises:
-            KeyError: If there is none; the message suggests the nearest name.
+            KeyError: If there is none; the message suggests the closest name.
         """
         return look_up("reading", name, self.parts[0].readings)
 

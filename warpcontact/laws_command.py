@@ -129,7 +129,7 @@ def _values(words: Sequence[str], chosen: Sequence[Chosen]) -> dict[str, float]:
         ValueError: If one is no ``NAME=VALUE``, is given twice, is of none of ``chosen``, or not allowed in one.
     """
     from warpcontact import checks
-    from warpcontact.experiment.errors import suggestion
+    from warpcontact.kernels.names import suggestion
 
     values: dict[str, float] = {}
     known = dict.fromkeys(name for entry in chosen for name in _parameters(entry))

@@ -1,7 +1,6 @@
 """The catalogue of laws and frictions as text, and how to find an entry by its name."""
 
 import dataclasses
-import difflib
 import inspect
 import textwrap
 from collections.abc import Sequence
@@ -9,6 +8,7 @@ from typing import Any
 
 from warpcontact.kernels import frictions, laws
 from warpcontact.kernels.formula import Formula
+from warpcontact.kernels.names import suggestion
 
 WIDTH = 100
 
@@ -52,10 +52,8 @@ def find(name: str) -> type[Formula]:
     entries = every()
     if name in entries:
         return entries[name]
-    lower = {key.lower(): key for key in entries}
-    close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=0.5)
-    hint = f"did you mean {lower[close[0]]!r}?" if close else "'warpcontact laws' lists them"
-    raise UnknownName(f"there is no law or friction {name!r}; {hint}")
+    hint = suggestion(name, entries) or "; 'warpcontact laws' lists them"
+    raise UnknownName(f"there is no law or friction {name!r}{hint}")
 
 
 def catalogue() -> str:

@@ -5,7 +5,7 @@ import math
 import os
 import textwrap
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,10 +22,12 @@ from warpcontact.elements import (
     SEARCH_RADIUS,
     Body,
     Contact,
+    ContactOptions,
     Points,
     Surface,
     Template,
 )
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.meshes import SurfaceSamples
 from warpcontact.meshes.groups import face_mask
 from warpcontact.piles.adding import MutualContacts
@@ -59,6 +61,7 @@ MAX_SPEED = limits("m/s", above=0.0, may_be_infinite=True)
 MAX_DISTANCE = limits("m", above=0.0, may_be_infinite=True)
 
 
+@explain_keywords_of
 class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
     """Bodies, surfaces, shapes, points, contacts and couplings of one environment; ``build`` makes many of it.
 
@@ -402,7 +405,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
         seed: int = 0,
         sides: str = "first",
         name: str | None = None,
-        **options: Any,
+        **options: Unpack[ContactOptions],
     ) -> tuple[Contact, ...]:
         """Adds the contact of two surfaces: points of one, with the area that each stands for, touch the other.
 

@@ -21,6 +21,7 @@ from warpcontact.crew import Crew, Share
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, Need, environments, require
 from warpcontact.integrators import Integrator, SemiImplicitEuler
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.looks import EVALUATED, in_parts, known_needs
 from warpcontact.model import Model, State
@@ -47,6 +48,7 @@ SHORTEST_PIECE = 8
 LONGEST_PIECE_QUEUED = 64
 
 
+@explain_keywords_of
 class Simulation:
     """Steps a model through time.
 
@@ -104,11 +106,8 @@ class Simulation:
         rounded("dt", np.array(self.dt), wp.dtype_to_numpy(model.parts[0].types.real))
         self.crossing_steps = checks.whole("crossing_steps", crossing_steps)
         if self.crossing_steps > 1 and not model.parts[0].sweeps:
-            warnings.warn(
-                f"crossing_steps = {self.crossing_steps} divides no step: no contact of the scene has swept=True",
-                ContactWarning,
-                stacklevel=2,
-            )
+            unused = f"crossing_steps = {self.crossing_steps} divides no step: no contact has swept=True"
+            warnings.warn(unused, ContactWarning, stacklevel=level_outside())
         self.threads = available_threads() if threads is None else checks.whole("threads", threads)
         self.deterministic = bool(deterministic)
         self.distance_cache = bool(distance_cache)
@@ -438,7 +437,7 @@ class Simulation:
                 bar.update(done - before)
                 before = done
         for sentence in (*remarks.about_frozen(), *remarks.new()):
-            warnings.warn(sentence, RuntimeWarning, stacklevel=2)
+            warnings.warn(sentence, RuntimeWarning, stacklevel=level_outside())
         attributes = {
             "dt": self.dt,
             "integrator": type(self.integrator).__name__,

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from warpcontact import checks
+from warpcontact.elements import ContactOptions
 from warpcontact.meshes import SurfaceSamples, sample_surface
 from warpcontact.scene import Contact, Scene, Surface, Template
 
@@ -24,7 +25,7 @@ def add_surface_contact(
     seed: int,
     sides: str,
     name: str | None,
-    options: dict[str, Any],
+    options: ContactOptions,
 ) -> tuple[Contact, ...]:
     """Adds what ``Scene.add_surface_contact`` promises, or nothing."""
     before = scene.snapshot()
@@ -44,7 +45,7 @@ def _add(
     seed: int,
     sides: str,
     name: str | None,
-    options: dict[str, Any],
+    options: ContactOptions,
 ) -> tuple[Contact, ...]:
     name = scene.new_name("contact", name)
     checks.choice(f"{name}.sides", sides, SIDES)
@@ -56,7 +57,8 @@ def _add(
     pair = _pair(name, samples, sides)
     runs = [(surface_a, surface_b, pair[0], name)]
     if sides == "average":
-        options = options | {"share": 0.5 * checks.numbers(f"{name}.share", options.get("share", 1.0), ())}
+        share = 0.5 * float(checks.numbers(f"{name}.share", options.get("share", 1.0), ()))
+        options = {**options, "share": share}
         runs = [
             (surface_a, surface_b, pair[0], f"{name}_first"),
             (surface_b, surface_a, pair[1], f"{name}_second"),

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
 
 
@@ -26,6 +27,7 @@ class ElasticFoundation(Law):
     damping: float = parameter("s/m", "damping χ", default=0.0, at_least=0.0)
 
     @classmethod
+    @explain_keywords
     def from_layer(
         cls, *, E: float, nu: float, thickness: float, area: float | None = None, damping: float = 0.0
     ) -> "ElasticFoundation":

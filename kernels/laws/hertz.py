@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import check_values, parameter
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
 from warpcontact.kernels.laws.roots import root_between
 
@@ -105,6 +106,7 @@ class Hertz(Law):
     stiffness: float = parameter("N/m^1.5", "stiffness K", above=0.0)
 
     @classmethod
+    @explain_keywords
     def from_materials(
         cls,
         E: float,
@@ -118,6 +120,7 @@ class Hertz(Law):
         return cls(stiffness=hertz_stiffness(E, nu, R, E2, nu2, R2))
 
     @classmethod
+    @explain_keywords
     def elliptic(
         cls, E: float, nu: float, Rx: float, Ry: float, E2: float | None = None, nu2: float = 0.0
     ) -> "Hertz":

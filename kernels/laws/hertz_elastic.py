@@ -1,10 +1,12 @@
 """Hertz contact whose radii and ellipse follow from the curvature of what touches."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.keywords import keywords_of, refuse_unknown
 from warpcontact.kernels.laws.base import Law
 from warpcontact.kernels.laws.elliptic import stiffness_per_modulus
 from warpcontact.kernels.laws.hertz import hertz_stiffness
@@ -55,6 +57,8 @@ class HertzElastic(Law):
         Raises:
             ValueError: If a value is out of range.
         """
+        losses = [field.name for field in dataclasses.fields(cls) if field.name != "modulus"]
+        refuse_unknown(f"{cls.__name__}.from_materials", others, [*keywords_of(cls.from_materials), *losses])
         # Of a sphere of 1 m: K = (4/3) E*.
         return cls(modulus=0.75 * hertz_stiffness(E, nu, 1.0, E2, nu2), **others)
 

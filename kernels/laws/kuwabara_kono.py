@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
 from warpcontact.kernels.laws.roots import root_between
 
@@ -40,6 +41,7 @@ class KuwabaraKono(Law):
     viscosity: float = parameter("s", "dissipative constant A", at_least=0.0)
 
     @classmethod
+    @explain_keywords
     def from_restitution(
         cls, *, stiffness: float, restitution: float, speed: float, mass: float
     ) -> "KuwabaraKono":

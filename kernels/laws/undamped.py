@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from warpcontact.kernels.keywords import explain_keywords
 
 
+@explain_keywords
 def greatest_penetration(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
@@ -23,6 +25,7 @@ def greatest_penetration(
     )
 
 
+@explain_keywords
 def contact_time(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
@@ -35,6 +38,7 @@ def contact_time(
     return np.asarray(factor * greatest_penetration(stiffness, exponent, mass, speed) / np.asarray(speed))
 
 
+@explain_keywords
 def greatest_force(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
@@ -43,6 +47,7 @@ def greatest_force(
     return np.asarray(np.asarray(stiffness) * depth ** np.asarray(exponent))
 
 
+@explain_keywords
 def recommended_dt(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike, steps: float = 20.0
 ) -> NDArray[np.float64]:

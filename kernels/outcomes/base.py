@@ -6,6 +6,7 @@ from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
 import warp as wp
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.outcomes.source import EACH, FOLDS, MOST
 
 #: What may be taken of a reading that is a vector, and which of its numbers that is.
@@ -66,6 +67,7 @@ def condition_of(owner: str, above: object, below: object) -> Condition:
     return Condition(float(value), 1.0 if above is not None else -1.0)
 
 
+@explain_keywords_of
 class Outcome:
     """A reading summed up over time, by a few numbers that are kept for each environment.
 
@@ -176,6 +178,7 @@ class Outcome:
         return f"<{type(self).__name__} {self.about()}>"
 
 
+@explain_keywords_of
 class OfContact(Outcome, abstract=True):
     """An outcome of several readings of one contact, ``quantities``; the argument is the name of the contact."""
 

@@ -1,11 +1,13 @@
 """Elastic forces of spring-dampers."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import warp as wp
 from warpcontact.kernels.formula import parameter, table
+from warpcontact.kernels.keywords import keywords_of, refuse_unknown
 from warpcontact.kernels.springs import tables
 from warpcontact.kernels.springs.base import Spring, area_below, polynomial, value_at
 
@@ -96,6 +98,8 @@ class StiffnessTable(Spring):
             lengths: Where to take it [m].
             **parameters: Parameters of the law.
         """
+        own = [field.name for field in dataclasses.fields(cls) if field.name != "table"]
+        refuse_unknown(f"{cls.__name__}.of", parameters, [*keywords_of(cls.of), *own])
         x = np.asarray(lengths, dtype=np.float64)
         return cls(table=tuple(zip(x.tolist(), np.asarray(stiffness(x)).tolist(), strict=True)), **parameters)
 

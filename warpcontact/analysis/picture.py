@@ -4,9 +4,11 @@ from os import PathLike
 
 import xarray as xr
 
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.picture_file import check_path, save
 
 
+@explain_keywords
 def write_fan(path: str | PathLike[str], fan: xr.DataArray, title: str | None = None) -> None:
     """Draws a quantile fan: a band between each quantile and its counterpart from the other end, and the median.
 

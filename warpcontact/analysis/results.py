@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array
-from warpcontact.experiment.errors import suggestion
 from warpcontact.experiment.schema import Settings
 from warpcontact.flags import words_of
+from warpcontact.kernels.names import suggestion
 
 MISSING = ("refuse", "drop")
 STOPPED = ("hold", "drop")

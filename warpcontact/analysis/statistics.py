@@ -8,12 +8,14 @@ from warpcontact.analysis.results import Results, probability, rest_of, usable, 
 from warpcontact.checks import Array
 from warpcontact.experiment.errors import key_path
 from warpcontact.experiment.schema import Settings
+from warpcontact.kernels.keywords import explain_keywords
 
 STATISTICS = ("mean", "quantile")
 # What gives the environments an order, so that the first ones are no sample of all.
 _ORDERED = ("linspace", "grid")
 
 
+@explain_keywords
 def convergence(
     run: Results,
     outcome: str,

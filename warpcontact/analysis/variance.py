@@ -7,11 +7,13 @@ from warpcontact import checks
 from warpcontact.analysis.results import Results, probability, rest_of, usable, variable
 from warpcontact.checks import Array
 from warpcontact.experiment.drawing import drawn_numbers
+from warpcontact.kernels.keywords import explain_keywords
 
 # So many resamples are averaged at once.
 AT_ONCE = 64
 
 
+@explain_keywords
 def sensitivity(
     run: Results,
     outcome: str,

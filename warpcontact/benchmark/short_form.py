@@ -19,6 +19,7 @@ from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simul
 from warpcontact.benchmark.works import DT, STEPS, WORKS, Work
 from warpcontact.contact_warning import ContactWarning
 from warpcontact.devices import find_device
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.simulation import Simulation
 
 #: Environments unless told: enough that all cores, or all of a GPU, have something to do.
@@ -39,6 +40,7 @@ class _Entry:
     busy: float = 0.0
 
 
+@explain_keywords
 def bench(
     device: str = "auto",
     envs: int | None = None,

@@ -10,6 +10,7 @@ from warpcontact.compare import figures, samples
 from warpcontact.compare.labels import number, prefixed, titled
 from warpcontact.compare.slip import breakaways, own_speeds, slips, swings
 from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.keywords import explain_keywords
 
 # Slip speeds of the linear panel, in terms of the highest that a friction names.
 LINEAR = 4.0
@@ -24,6 +25,7 @@ ROOM = 0.08
 LEAST = 0.1
 
 
+@explain_keywords
 def plot_frictions(frictions: Any, path: Any = None, *, load: float = 10.0, device: str = "cpu") -> Figure:
     """Draws one friction, or several side by side; see ``slips`` and ``swings``.
 

@@ -11,6 +11,7 @@ from warpcontact._version import __version__
 from warpcontact.checks import Array
 from warpcontact.compare.drop import Case, Impact, Run, cases, drop, loss_values
 from warpcontact.compare.labels import notes, settings
+from warpcontact.kernels.keywords import explain_keywords
 
 #: Restitutions that are asked for if none are given.
 RESTITUTIONS = tuple(round(0.05 * k, 2) for k in range(1, 21))
@@ -20,6 +21,7 @@ ALIKE = 2.0
 ALLOWED = checks.limits("-", at_least=0.01, at_most=1.0)
 
 
+@explain_keywords
 def impacts(
     laws: Any,
     restitution: Any = RESTITUTIONS,
@@ -66,6 +68,7 @@ def impacts(
     return _dataset(chosen, asked, values, run, impact)
 
 
+@explain_keywords
 def rebounds(
     laws: Any,
     restitution: Any = (0.3, 0.6, 0.9),

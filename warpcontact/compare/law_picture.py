@@ -10,6 +10,7 @@ from warpcontact.compare import figures, law_panels, samples
 from warpcontact.compare.impact import RESTITUTIONS, asked_restitutions, impacts, rebounds
 from warpcontact.compare.labels import number, titled
 from warpcontact.compare.law_panels import Scales
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
 
 #: Restitutions whose loops are drawn.
@@ -18,6 +19,7 @@ LOOPS = (0.2, 0.4, 0.6, 0.8, 1.0)
 UNVARIED = "0.25"
 
 
+@explain_keywords
 def plot_laws(
     laws: Any,
     path: Any = None,

@@ -18,6 +18,7 @@ from warpcontact.compare import samples
 from warpcontact.compare.labels import notes, settings
 from warpcontact.environments import Environments
 from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.hooke import Hooke
 from warpcontact.meshes import grid
 from warpcontact.recorder import Recorder
@@ -47,6 +48,7 @@ SWING_STEPS = 1000
 PERIODS = 2.0
 
 
+@explain_keywords
 def slips(
     frictions: Any,
     speeds: Any = None,
@@ -93,6 +95,7 @@ def slips(
     )
 
 
+@explain_keywords
 def swings(
     frictions: Any,
     amplitude: Any = None,

@@ -27,6 +27,7 @@ from warpcontact.couplings.elements import (
 from warpcontact.elements import Points, Surface
 from warpcontact.frames import placed
 from warpcontact.kernels import springs
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.springs import Damper, Spring
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
 
 
+@explain_keywords_of
 class Couplings:
     """The couplings of a ``Scene``, and how to add them."""
 

@@ -27,10 +27,11 @@ from pydantic import (
 from warpcontact import meshes
 from warpcontact.checks import limits
 from warpcontact.experiment import quantities as q
-from warpcontact.experiment.errors import shown, suggestion
+from warpcontact.experiment.errors import shown
 from warpcontact.experiment.own import OwnFiles, blame
 from warpcontact.kernels import frictions, laws, motions, springs
 from warpcontact.kernels.formula import ROWS, Formula, unit_vectors
+from warpcontact.kernels.names import suggestion
 from warpcontact.kernels.smooth import shapes
 from warpcontact.kernels.touch import Parts
 

@@ -6,7 +6,8 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from warpcontact.experiment.errors import ExperimentError, key_path, shown, suggestion
+from warpcontact.experiment.errors import ExperimentError, key_path, shown
+from warpcontact.kernels.names import suggestion
 
 # A bare key, one in quotes, or the number of an entry, as messages write them.
 _PART = re.compile(

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.experiment.errors import shown, suggestion
+from warpcontact.experiment.errors import shown
 from warpcontact.experiment.quantities import plain
+from warpcontact.kernels.names import suggestion
 
 # The numbers between 0 and 1 that are taken: those of 53 bits, with half a unit in place of 0, so that no
 # distribution is asked for its infinite ends.

@@ -1,10 +1,11 @@
 """What is wrong with an experiment: all problems at once, each with the place in the file."""
 
-import difflib
 import json
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any
+
+from warpcontact.kernels.names import suggestion
 
 # More than this helps nobody: they then have one cause.
 PROBLEMS_SHOWN = 40
@@ -94,10 +95,3 @@ def shown(value: Any) -> str:
     """Returns ``value`` for a message, cut if it is long."""
     text = repr(value)
     return text if len(text) <= VALUE_LENGTH else f"{text[: VALUE_LENGTH - 2]} …"
-
-
-def suggestion(value: Any, known: Iterable[str]) -> str:
-    """Returns ``"; did you mean 'mass'?"`` for the nearest name, or nothing if none is near."""
-    names = {name.lower(): name for name in known}
-    close = difflib.get_close_matches(str(value).lower(), names, n=1)
-    return f"; did you mean {names[close[0]]!r}?" if close else ""

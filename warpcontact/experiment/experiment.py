@@ -17,7 +17,7 @@ from warpcontact.experiment.catalogue import FileMesh
 from warpcontact.experiment.changes import changed_by
 from warpcontact.experiment.defaults import default_interval, default_readings
 from warpcontact.experiment.design import Design
-from warpcontact.experiment.errors import ExperimentError, Problems, suggestion
+from warpcontact.experiment.errors import ExperimentError, Problems
 from warpcontact.experiment.observation import check_watched, watching
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.plan import Plan, make_plan, recording_size
@@ -28,6 +28,8 @@ from warpcontact.experiment.trial import trial
 from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.footprint import environments
 from warpcontact.integrators.base import formulas_of
+from warpcontact.kernels.keywords import explain_keywords_of
+from warpcontact.kernels.names import suggestion
 from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import Simulation
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 CHECKPOINT = 60.0
 
 
+@explain_keywords_of
 class Experiment:
     """An experiment, checked as a whole: what is wrong with it is found before anything runs.
 

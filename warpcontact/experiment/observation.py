@@ -13,9 +13,10 @@ from warpcontact.checks import limits
 from warpcontact.environments import Environments
 from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import Section, own_class
-from warpcontact.experiment.errors import Problems, key_path, shown, suggestion
+from warpcontact.experiment.errors import Problems, key_path, shown
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.integrators import Integrator
+from warpcontact.kernels.names import suggestion
 from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
 from warpcontact.kernels.outcomes.source import EACH, FOLDS
 from warpcontact.outcomes.observer import sources_of

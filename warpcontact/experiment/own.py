@@ -20,11 +20,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from warpcontact.experiment.errors import ExperimentError, shown, suggestion
+from warpcontact.experiment.errors import ExperimentError, shown
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction
 from warpcontact.kernels.laws import Law
 from warpcontact.kernels.motions import Motion
+from warpcontact.kernels.names import suggestion
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.kernels.smooth.base import Shape
 from warpcontact.kernels.springs import Damper, Spring

@@ -10,10 +10,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from warpcontact.experiment.catalogue import Section
-from warpcontact.experiment.errors import ExperimentError, Problems, key_path, shown, suggestion
+from warpcontact.experiment.errors import ExperimentError, Problems, key_path, shown
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import LISTS, SECTIONS, Settings, VariationSettings, table_at
 from warpcontact.experiment.variation_settings import MOST_ENVS, grid_size
+from warpcontact.kernels.names import suggestion
 
 # What a value must be, by the type of pydantic's error.
 _KINDS = {

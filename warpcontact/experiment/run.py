@@ -27,6 +27,7 @@ from warpcontact.experiment.store import ORDER, Ledger, Shard, shards_of
 from warpcontact.flags import words_of
 from warpcontact.footprint import environments
 from warpcontact.health import Health
+from warpcontact.kernels.keywords import explain_keywords, explain_keywords_of
 from warpcontact.scene import Scene
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 READ_AT_ONCE = 256 * 2**20
 
 
+@explain_keywords_of
 @dataclass(frozen=True)
 class Run:
     """What a run left behind, finished or not: of shards that are not finished, what is committed.
@@ -372,6 +374,7 @@ class Run:
         return f"<Run in {self.folder}: {self.summary['name']}, {self.summary['state']}>"
 
 
+@explain_keywords
 def open_run(path: str | PathLike[str], *, verify: bool = False) -> Run:
     """Opens the folder of a run, finished or not.
 

@@ -26,7 +26,7 @@ from warpcontact.experiment.design import (
 )
 from warpcontact.experiment.distributions import is_discrete, marginal_of, shape_of
 from warpcontact.experiment.drawing import Columns
-from warpcontact.experiment.errors import Problems, key_path, suggestion
+from warpcontact.experiment.errors import Problems, key_path
 from warpcontact.experiment.rows_file import read_rows
 from warpcontact.experiment.variation_settings import (
     CorrelationSettings,
@@ -35,6 +35,7 @@ from warpcontact.experiment.variation_settings import (
     axis_of,
     grid_axes,
 )
+from warpcontact.kernels.names import suggestion
 from warpcontact.parameters import Parameter
 
 # Values are checked so many environments at a time.

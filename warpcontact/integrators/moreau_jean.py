@@ -11,6 +11,7 @@ from warpcontact.arrays import Layout
 from warpcontact.checks import limits
 from warpcontact.integrators.base import Integrator, formulas_of
 from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.motions import driven
 from warpcontact.kernels.unilateral import accelerated, gauss_seidel, restrain, step
 from warpcontact.schedule import Span, StepLength, force_stages
@@ -35,6 +36,7 @@ TOLERANCE = limits("-", above=0.0, at_most=1.0)
 RECOVERY_TIME = limits("s", above=0.0)
 
 
+@explain_keywords_of
 @dataclass(frozen=True)
 class MoreauJean(Integrator):
     """Impulses that keep contacts from approaching, with Newton's restitution and Coulomb's friction.

@@ -7,6 +7,7 @@ import warp as wp
 
 from warpcontact.integrators.base import Integrator, formulas_of
 from warpcontact.kernels import integrate, sweep
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.motions import driven, step
 from warpcontact.piles.pile import touches_of
 from warpcontact.schedule import FEW_TOGETHER, Span, StepLength, alone_stages, force_stages, in_place_stages
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from warpcontact.scene import Scene
 
 
+@explain_keywords_of
 @dataclass(frozen=True)
 class SemiImplicitEuler(Integrator):
     """Velocities from the forces at the state before the step, positions from the new velocities.

@@ -6,6 +6,7 @@ from numbers import Real
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.meshes.mesh import Mesh, positive
 
 # 20·4⁸ = 1 310 720 faces; one more level would be five million for a sphere already exact to 1e-5.
@@ -13,6 +14,7 @@ MAX_SUBDIVISIONS = 8
 MAX_CELLS = 100_000_000  # 200 million triangles; more is a slip of the pen
 
 
+@explain_keywords
 def grid(size: tuple[float, float] = (1.0, 1.0), cells: tuple[int, int] = (1, 1), name: str = "grid") -> Mesh:
     """A flat rectangle in the plane z = 0, centred at the origin, that faces +z.
 
@@ -30,6 +32,7 @@ def grid(size: tuple[float, float] = (1.0, 1.0), cells: tuple[int, int] = (1, 1)
     return Mesh(*_plane(size, cells), name=name)
 
 
+@explain_keywords
 def sinusoidal_terrain(
     size: tuple[float, float] = (10.0, 10.0),
     cells: tuple[int, int] = (100, 100),
@@ -61,6 +64,7 @@ def sinusoidal_terrain(
     return Mesh(vertices, faces, name=name)
 
 
+@explain_keywords
 def box(size: tuple[float, float, float] = (1.0, 1.0, 1.0), name: str = "box") -> Mesh:
     """A closed box along the axes, centred at the origin, that faces outward.
 
@@ -89,6 +93,7 @@ def box(size: tuple[float, float, float] = (1.0, 1.0, 1.0), name: str = "box") -
     return Mesh((corners - 0.5) * lengths, faces, name=name)
 
 
+@explain_keywords
 def icosphere(radius: float = 1.0, subdivisions: int = 3, name: str = "icosphere") -> Mesh:
     """A sphere about the origin, made of nearly equal triangles, that faces outward.
 

@@ -22,6 +22,7 @@ from typing import IO, Any, TypeVar
 
 import numpy as np
 
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.meshes.intake import Examined, Task
 from warpcontact.meshes.mesh import MeshError
 from warpcontact.meshes.reader_process import LIMITS_PROCESSOR_TIME, OUT_OF_MEMORY
@@ -64,6 +65,7 @@ def _default(name: str, value: float) -> float:
     return number
 
 
+@explain_keywords_of
 @dataclass(frozen=True)
 class Limits:
     """What reading a mesh file may take, with repair and examination.

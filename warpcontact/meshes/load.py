@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.meshes.groups import FaceChoice
 from warpcontact.meshes.intake import Examined, Task, carry_out, unreadable
 from warpcontact.meshes.isolation import Limits, carry_out_apart
@@ -14,6 +15,7 @@ from warpcontact.meshes.topology import CRACK_LIMIT
 from warpcontact.meshes.units import metres
 
 
+@explain_keywords
 def load_mesh(
     path: str | os.PathLike[str],
     *,
@@ -59,6 +61,7 @@ def load_mesh(
     return Mesh._examined(*examined(Path(path), name, options), f"mesh file {str(path)!r}")
 
 
+@explain_keywords
 def examine_file(
     path: str | os.PathLike[str],
     *,

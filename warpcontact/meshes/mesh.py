@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.meshes.examine import examine
 from warpcontact.meshes.groups import FaceChoice, checked_groups, face_mask
 from warpcontact.meshes.remarks import flipped, handed_on
@@ -22,6 +23,7 @@ class MeshError(ValueError):
     """A mesh, or a mesh file, that cannot be used; the message says why, problem by problem."""
 
 
+@explain_keywords_of
 class Mesh:
     """An immutable, oriented triangle mesh.
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.meshes.examine import COORDINATE_LIMIT, examine
 from warpcontact.meshes.mesh import Mesh, MeshError, positive
 from warpcontact.meshes.orient import turned_over
@@ -128,6 +129,7 @@ def mendable(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> bool:
     return bool(((faces >= 0) & (faces < len(vertices))).all() and (np.abs(vertices) <= COORDINATE_LIMIT).all())
 
 
+@explain_keywords
 def repaired(mesh: Any, repair: RepairRequest = True, *, tolerance: float = CRACK_LIMIT, name: str = "") -> Mesh:
     """Makes a mesh of anything with vertices and faces, repaired.
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.meshes.blue_noise import blue_noise
 from warpcontact.meshes.mesh import Mesh
 from warpcontact.meshes.topology import angles, area_vectors, directions
@@ -40,6 +41,7 @@ class SurfaceSamples:
         return f"<SurfaceSamples: {len(self)} points for {self.areas.sum():.6g} m²>"
 
 
+@explain_keywords
 def sample_surface(
     mesh: Mesh,
     count: int | None = None,

@@ -2,6 +2,7 @@
 
 from math import inf
 
+from warpcontact.kernels.names import suggestion
 from warpcontact.meshes.mesh import positive
 
 #: Metres per unit.
@@ -24,6 +25,6 @@ def metres(scale: object, unit: str | None, own: float | None) -> float:
     factor = positive("scale", scale)
     if unit is not None:
         if not isinstance(unit, str) or unit not in UNITS:
-            raise ValueError(f"unit must be one of {', '.join(UNITS)}, got {unit!r}")
+            raise ValueError(f"unit must be one of {', '.join(UNITS)}, got {unit!r}{suggestion(unit, UNITS)}")
         return factor * UNITS[unit]
     return factor * own if own is not None and 0.0 < own < inf else factor

@@ -6,6 +6,7 @@ from typing import Any
 
 from warpcontact import checks
 from warpcontact.checks import limits
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.outcomes.base import Condition, Outcome, Source, condition_of, source_of
 from warpcontact.kernels.outcomes.source import EACH
 
@@ -27,6 +28,7 @@ RESERVED = (
 )
 
 
+@explain_keywords_of
 class Stop:
     """A condition that stops an environment: it is held at the first state at which it holds, or has for a while.
 
@@ -66,6 +68,7 @@ class Stop:
         return f"<Stop where {self.source.name}{component} is {sign} {self.condition.limit:g}>"
 
 
+@explain_keywords_of
 class Events:
     """When contacts are made and lost, by the times of the first states in and out of contact.
 

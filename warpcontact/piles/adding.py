@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from warpcontact import checks
 from warpcontact.checks import limits
 from warpcontact.elements import Template
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.smooth import shapes as forms
 from warpcontact.piles.elements import MutualContact
 from warpcontact.scene_checks import options_of
@@ -19,6 +20,7 @@ from warpcontact.smooth.elements import Shape
 SKIN = 0.3
 
 
+@explain_keywords_of
 class MutualContacts:
     """The mutual contacts of a ``Scene``, and how to add them."""
 

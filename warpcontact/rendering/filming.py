@@ -11,6 +11,7 @@ import numpy as np
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.picture_file import check_path
 from warpcontact.rendering.look import Look, LookOptions
 from warpcontact.rendering.painter import Picture
@@ -50,6 +51,7 @@ class Film:
     partial: bool
 
 
+@explain_keywords
 def film(
     recording: Any,
     path: str | PathLike[str],

@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 
 from warpcontact.checks import Array
-from warpcontact.experiment.errors import suggestion
 from warpcontact.experiment.run import Run
+from warpcontact.kernels.names import suggestion
 from warpcontact.rendering.look import environment_numbers
 from warpcontact.replay.colors import number_of_each
 from warpcontact.replay.drawing import Drawing

@@ -9,6 +9,7 @@ from PIL import Image
 
 from warpcontact import checks
 from warpcontact.durable import replacing
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.picture_file import check_path
 from warpcontact.rendering.look import Look, LookOptions
 from warpcontact.rendering.painter import Picture
@@ -38,6 +39,7 @@ class Still:
     partial: bool
 
 
+@explain_keywords
 def render(
     recording: Any,
     path: str | PathLike[str] | None = None,

@@ -13,6 +13,7 @@ from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.records import StoreError
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.status import status_of
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.run_report import couplings, ended, environments, facts, loops, outcomes, series, viewer
 from warpcontact.run_report.choice import Choice, choose
 from warpcontact.run_report.markup import Markup, element, joined, short
@@ -24,6 +25,7 @@ REPORT = "report.html"
 SUFFIXES = (".html", ".htm")
 
 
+@explain_keywords
 def report(
     run: Run | str | PathLike[str],
     path: str | PathLike[str] | None = None,

@@ -10,6 +10,7 @@ from warpcontact import checks
 from warpcontact.checks import Array, limits
 from warpcontact.elements import Body, Template
 from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.smooth.base import Shape as Form
 from warpcontact.scene_checks import options_of
 from warpcontact.smooth.elements import ALL, Shape, SmoothContact
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 _OWN = ("position", "orientation")
 
 
+@explain_keywords_of
 class SmoothContacts:
     """The shapes and smooth contacts of a ``Scene``, and how to add them."""
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact.checks import Array
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.unilateral import intake
 from warpcontact.unilateral.solution import Solution
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from warpcontact.unilateral.diagnosis import Diagnosis
 
 
+@explain_keywords_of
 @dataclass(eq=False)
 class Problem:
     """K u + Gᵀλ = f with gap = d − G u ≥ 0, λ_n ≥ 0, gap·λ_n = 0, and with Coulomb friction across.

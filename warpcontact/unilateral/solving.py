@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact.checks import Array
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.unilateral import intake
 from warpcontact.unilateral.delassus import Delassus
 from warpcontact.unilateral.elimination import SingularError, eliminate
@@ -16,6 +17,7 @@ from warpcontact.unilateral.problem import Problem
 from warpcontact.unilateral.solution import Solution, modes
 
 
+@explain_keywords
 def solve(
     K: Any,
     f: ArrayLike,
@@ -97,6 +99,7 @@ def solve_problem(
     return finish(system, lam, w, u, taken, tolerance, method, problem, single)
 
 
+@explain_keywords
 def solve_delassus(
     W: ArrayLike,
     q: ArrayLike,

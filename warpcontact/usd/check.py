@@ -11,12 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.kernels.keywords import explain_keywords
+
 # Rounding of single precision, in sizes of what is compared.
 ROUNDING = 1.0e-5
 # More of one kind on one prim tell nothing new.
 MOST = 3
 
 
+@explain_keywords
 def check_usd(path: str | Path) -> list[str]:
     """Returns what is wrong with a stage, in sentences that begin with the path of a prim; none: it is sound.
 

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from warpcontact.checks import Array
-from warpcontact.experiment.errors import suggestion
+from warpcontact.kernels.names import suggestion
 from warpcontact.replay.colors import COLORMAP, Scale, number_of_each
 from warpcontact.usd.author import attribute_name
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.replay.content import Content
 from warpcontact.scene import Scene
 from warpcontact.usd.author import Samples
@@ -14,6 +15,7 @@ from warpcontact.usd.files import check_path, save_stage
 from warpcontact.usd.stage import Export, Tell
 
 
+@explain_keywords
 def export_usd(
     recording: xr.Dataset,
     path: str | Path,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from warpcontact.experiment.experiment import Experiment
 from warpcontact.experiment.run import Run
 from warpcontact.experiment.shards import make_simulation
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.recording import Recording
 from warpcontact.simulation import Simulation
 
@@ -71,6 +72,7 @@ class Viewer:
         return f"<Viewer at {self.url}>"
 
 
+@explain_keywords
 def view(
     target: Target,
     *,

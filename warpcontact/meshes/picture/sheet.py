@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.meshes.groups import FaceChoice
 from warpcontact.meshes.isolation import Limits
 from warpcontact.meshes.picture.defects import Defects, find_defects
@@ -36,6 +37,7 @@ LARGE = 250
 EDGE, CREASE, CREASE_COSINE = 0.80, 0.72, 0.77
 
 
+@explain_keywords
 def plot_file(
     path: str | PathLike[str],
     picture: str | PathLike[str],

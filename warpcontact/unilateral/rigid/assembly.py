@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.types import WORLD
 from warpcontact.unilateral.rigid.bodies import Bodies
 from warpcontact.unilateral.rigid.candidates import Candidates, Measured
@@ -157,6 +158,7 @@ def contact_rows(axes: Array, point: Array, bodies: NDArray[np.int_], position: 
     return rows.reshape(len(axes), 3, 6 * count)
 
 
+@explain_keywords
 def assemble(model: Any, env: int = 0, closed: float = 1.0e-6) -> Assembly:
     """Returns the closed contacts of one environment in its current state, and the bodies that they hold.
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact.checks import Array
+from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.status import ContactMode
 from warpcontact.unilateral.rigid.acceleration import METHODS, SINGULAR, columns, find_modes
 from warpcontact.unilateral.rigid.assembly import Assembler, Assembly
@@ -100,6 +101,7 @@ class Equilibrium:
         return "\n".join(lines)
 
 
+@explain_keywords
 def equilibrium(model: Any, env: int = 0, closed: float = 1.0e-6, method: str = "gauss_seidel") -> Equilibrium:
     """Tells whether the bodies of one environment, taken to be at rest where they are, stay at rest.
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact import checks
+from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.types import MODE_OPEN, MODE_STICK
 from warpcontact.unilateral.rigid.acceleration import METHODS, ParadoxError, find_modes
 from warpcontact.unilateral.rigid.assembly import Assembler
@@ -27,6 +28,7 @@ MOST_IDLE = 20
 NOTHING = np.zeros(0, dtype=int)
 
 
+@explain_keywords_of
 class EventDriven:
     """The motion of one environment with hard contacts, from event to event.
 
