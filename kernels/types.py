@@ -312,7 +312,7 @@ def structs(real: type) -> SimpleNamespace:
 
     @wp.struct
     class Contacts:
-        gap: wp.array2d(dtype=real)  # [env, contact] < 0 in overlap [m]
+        gap: wp.array2d(dtype=real)  # [env, contact] signed distance, < 0 also at WRONG_SIDE [m]
         penetration: wp.array2d(dtype=real)  # [env, contact] 0 unless status is CONTACT [m]
         normal: wp.array2d(dtype=vec3)  # [env, contact] out of the surface, W
         arm: wp.array2d(
@@ -324,8 +324,8 @@ def structs(real: type) -> SimpleNamespace:
         crossed_face: wp.array2d(dtype=wp.int32)  # [env, contact] row of that crossed in this step; −1: none
         crossed_at: wp.array2d(dtype=real)  # [env, contact] when in this step, 0 to 1
         approach_speed: wp.array2d(dtype=real)  # [env, contact] dδ/dt at K, 0 unless CONTACT [m/s]
-        normal_force: wp.array2d(dtype=real)  # [env, contact] [N]
-        friction_force: wp.array2d(dtype=vec3)  # [env, contact] on the point's body, W [N]
+        normal_force: wp.array2d(dtype=real)  # [env, contact] 0 unless CONTACT [N]
+        friction_force: wp.array2d(dtype=vec3)  # [env, contact] on the point's body, 0 unless CONTACT, W [N]
         slip_speed: wp.array2d(dtype=real)  # [env, contact] tangential, at K, 0 unless CONTACT [m/s]
         torque: wp.array2d(dtype=vec3)  # [env, contact] of rolling and torsion on the point's body, W [N·m]
 

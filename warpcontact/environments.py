@@ -15,6 +15,7 @@ from warpcontact.devices import spread
 from warpcontact.footprint import Footprint, environments, require, total
 from warpcontact.health import Health
 from warpcontact.kernels.keywords import explain_keywords_of
+from warpcontact.kernels.names import stored_name
 from warpcontact.looks import EVALUATED
 from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import Parameter
@@ -157,7 +158,7 @@ class Environments(ABC):
         parameters = self.parts[0].parameters
         if name in parameters:
             return parameters[name]
-        if name in self.parts[0].readings:
+        if stored_name(name) in self.parts[0].readings:
             raise KeyError(f"{name!r} is a reading, not a parameter; use model.reading({name!r})")
         element, _, quantity = name.rpartition(".")
         owners = {contact.name: contact.template.formulas for contact in self.scene.contacts}
@@ -207,12 +208,13 @@ class Environments(ABC):
             part.prepare(EVALUATED)
 
     def find_reading(self, name: str) -> Reading:
-        """Returns what is known of reading ``name``; its array is that of the first part.
+        """Returns the sensor with this name or alias; its array is that of the first part.
 
         Raises:
             KeyError: If there is none; the message suggests the closest name.
         """
-        return look_up("reading", name, self.parts[0].readings)
+        readings = self.parts[0].readings
+        return readings.get(stored_name(name)) or look_up("reading", name, readings)
 
     @property
     def reading_names(self) -> tuple[str, ...]:
@@ -265,8 +267,9 @@ class Environments(ABC):
         if "piles" in self.find_reading(name).needs:
             self.check_piles()
         # On the CPU what is read is a view of memory that the next step overwrites; this copies it.
-        values = [part.readings[name].array(part.arrays).numpy() for part in self.parts]
-        return self.find_reading(name).finish(np.concatenate(values))
+        reading = self.find_reading(name)
+        values = [part.readings[reading.name].array(part.arrays).numpy() for part in self.parts]
+        return reading.finish(np.concatenate(values))
 
     def line_shape(self, name: str, count: int = 50) -> NDArray[np.float64]:
         """Returns where a catenary is at the current state, to be drawn.

@@ -51,8 +51,10 @@ _SLIDER = {
     "displacement": ("coordinates", "displacement", "m", "way from the initial position along the axis"),
     "displacement_rate": ("coordinates", "displacement_rate", "m/s", "velocity along the axis"),
 }
+# At each status a sensor has the value of the table "Status and sensors" in docs/contact.md: ``gap`` is the signed
+# distance, also at WRONG_SIDE, where it is negative without contact.
 CONTACT_READINGS = {
-    "gap": ("gap", "m", "signed distance, negative in overlap"),
+    "gap": ("gap", "m", "signed distance, negative in overlap, with or without contact"),
     "penetration": ("penetration", "m", "depth, 0 without contact"),
     "normal_force": ("normal_force", "N", "normal force"),
     "friction_force": ("friction_force", "N", "friction force on the point's body, world"),

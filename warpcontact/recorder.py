@@ -146,14 +146,15 @@ class Recorder:
                 for name in model
                 if model.varies(name) or name.endswith(needed) or name in moved
             ]
-        wanted = list(dict.fromkeys(names))
+        wanted = list(names)
         if poses and series:
             both = ("position", "orientation")
             wanted += [f"{body.name}.{key}" for body in model.scene.bodies for key in both]
-        readings = [model.find_reading(name) for name in dict.fromkeys(wanted)]
-        self.needs = {need for reading in readings for need in reading.needs}
+        # By the names under which they are stored: two names of one sensor are one channel.
+        readings = {reading.name: reading for reading in map(model.find_reading, wanted)}
+        self.needs = {need for reading in readings.values() for need in reading.needs}
         model.make_measures(self.needs)
-        self.channels = [Channel(model, reading.name) for reading in readings]
+        self.channels = [Channel(model, name) for name in readings]
         self.most, self._blocks = frames, blocks
         # Of each block, once started: what takes its frames of parts on the CPU, and their times.
         self._copies: list[dict[Model, Copies]] = [{}]

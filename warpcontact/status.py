@@ -15,6 +15,9 @@ class Status(IntEnum):
     of a patch. FAR: nothing within the search radius. WRONG_SIDE: deeper than ``max_depth``, or come from the
     inner side with ``entry="latched"``. DISABLED: not enabled. NOT_CONVERGED: of a smooth contact, where its
     surfaces meet was not found; no force acts.
+
+    ``<contact>.gap`` is the signed distance at OPEN, CONTACT and WRONG_SIDE, where it is negative without contact;
+    not less than 0 at HIDDEN; the search radius less the radius at FAR; NaN at DISABLED.
     """
 
     OPEN = types.OPEN

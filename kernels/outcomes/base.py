@@ -7,6 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import warp as wp
 from warpcontact.kernels.keywords import explain_keywords_of
+from warpcontact.kernels.names import stored_name
 from warpcontact.kernels.outcomes.source import EACH, FOLDS, MOST
 
 #: What may be taken of a reading that is a vector, and which of its numbers that is.
@@ -46,7 +47,7 @@ def source_of(owner: str, of: object, component: object, items: object, folds: S
     for key, value, known in (("component", component, tuple(COMPONENTS)), ("items", items, tuple(folds))):
         if value not in known and not (key == "component" and value is None):
             raise ValueError(f"{owner}.{key} must be one of {', '.join(map(repr, known))}, got {value!r}")
-    return Source(of, component, items)
+    return Source(stored_name(of), component, items)
 
 
 def condition_of(owner: str, above: object, below: object) -> Condition:

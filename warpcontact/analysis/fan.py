@@ -20,6 +20,7 @@ from warpcontact.analysis.results import (
     variable,
 )
 from warpcontact.checks import Array
+from warpcontact.kernels.keywords import explain_keywords
 
 # Times are taken together up to this size of what they are computed from [bytes].
 BLOCK = 256 * 2**20
@@ -27,6 +28,7 @@ BLOCK = 256 * 2**20
 ROUNDING = 1.0e-9
 
 
+@explain_keywords
 def quantile_fan(
     run: Figures,
     reading: str,
@@ -78,7 +80,7 @@ def quantile_fan(
         values = array.isel(time=times).values.astype(np.float64)
         finite = np.isfinite(values)
         always = np.asarray(finite.all(axis=(0, *range(2, values.ndim))))
-        refuse(envs, halted, always, reading, missing)
+        refuse(envs, halted, always, str(array.name), missing)
         if stopped == "drop":
             # The record of the very moment at which it was stopped counts, however the clocks were rounded.
             late = array["time"].values[times, None] > ends * (1.0 + ROUNDING)
@@ -89,7 +91,7 @@ def quantile_fan(
         found,
         dims=("quantile", *dims),
         coords={"quantile": levels, **coords},
-        name=reading,
+        name=array.name,
         attrs=array.attrs | {"stopped": stopped, "stopped_environments": int(np.isfinite(ends).sum())},
     )
 

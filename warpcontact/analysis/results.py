@@ -11,7 +11,7 @@ from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.experiment.schema import Settings
 from warpcontact.flags import words_of
-from warpcontact.kernels.names import suggestion
+from warpcontact.kernels.names import stored_name, suggestion
 
 MISSING = ("refuse", "drop")
 STOPPED = ("hold", "drop")
@@ -56,9 +56,10 @@ def variable(data: xr.Dataset, name: str, what: str, *dims: str) -> xr.DataArray
         ValueError: If there is none, naming ``what`` it should be, or no environment has a value yet.
     """
     known = [str(key) for key, array in data.data_vars.items() if set(dims) <= set(array.dims)]
+    wanted, name = name, stored_name(name)
     if name not in known:
-        hint = suggestion(name, known) or f"; there are: {', '.join(known) or 'none'}"
-        raise ValueError(f"{what} must be one of the run, got {name!r}{hint}")
+        hint = suggestion(wanted, known) or f"; there are: {', '.join(known) or 'none'}"
+        raise ValueError(f"{what} must be one of the run, got {wanted!r}{hint}")
     array = data[name]
     if array.dtype.kind not in "biuf":
         raise ValueError(f"{what} must be one of numbers, got {name!r} with {array.dtype}")

@@ -29,7 +29,7 @@ from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.footprint import environments
 from warpcontact.integrators.base import formulas_of
 from warpcontact.kernels.keywords import explain_keywords_of
-from warpcontact.kernels.names import suggestion
+from warpcontact.kernels.names import stored_name, suggestion
 from warpcontact.model import Model
 from warpcontact.scene import Scene
 from warpcontact.simulation import Simulation
@@ -388,13 +388,13 @@ class Experiment:
         for i, name in enumerate(settings.record.readings or ()):
             if not steps and is_of_hard_contact(name):
                 continue
-            if name not in model.reading_names and not unsound(name):
+            if stored_name(name) not in model.reading_names and not unsound(name):
                 hint = suggestion(name, model.reading_names) or f"; {there_are(name, model.reading_names)}"
                 problems.add(f"record.readings[{i}]", f"must be the name of a reading, got {name!r}{hint}")
         every = self._interval(model, settings, problems)
         self._given = settings
-        readings = settings.record.readings or default_readings(model)
-        record = settings.record.model_copy(update={"every": every, "readings": tuple(readings)})
+        readings = tuple(dict.fromkeys(map(stored_name, settings.record.readings or default_readings(model))))
+        record = settings.record.model_copy(update={"every": every, "readings": readings})
         self.settings: Settings = settings.model_copy(update={"record": record})
         if not problems:
             self._size = recording_size(model, readings, self.design.names, settings)

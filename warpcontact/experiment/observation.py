@@ -5,7 +5,15 @@ from collections.abc import Callable, Iterable
 from functools import cache, partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
-from pydantic import Field, PlainValidator, SerializeAsAny, ValidationInfo, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PlainValidator,
+    SerializeAsAny,
+    ValidationInfo,
+    create_model,
+    model_validator,
+)
 
 from warpcontact import checks, outcomes
 from warpcontact.arrays import Layout
@@ -16,7 +24,7 @@ from warpcontact.experiment.catalogue import Section, own_class
 from warpcontact.experiment.errors import Problems, key_path, shown
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.integrators import Integrator
-from warpcontact.kernels.names import suggestion
+from warpcontact.kernels.names import stored_name, suggestion
 from warpcontact.kernels.outcomes.base import COMPONENTS, OfContact, Outcome
 from warpcontact.kernels.outcomes.source import EACH, FOLDS
 from warpcontact.outcomes.observer import sources_of
@@ -28,6 +36,7 @@ if TYPE_CHECKING:
     from warpcontact.experiment.schema import Settings
 
 _NUMBER = limits("-")
+_Sensor = Annotated[str, AfterValidator(stored_name)]
 _COMPONENT = Annotated[str | None, q.one_of(tuple(COMPONENTS))]
 _ITEMS = Annotated[str, q.one_of(FOLDS)]
 _LIMIT = Annotated[float | None, q.numbers((), allowed=_NUMBER)]
@@ -38,7 +47,7 @@ class OutcomeSettings(Section):
 
     outcome: ClassVar[type[Outcome]]
     type: str
-    of: str = Field(min_length=1, description="the name of a reading, or of a contact")
+    of: _Sensor = Field(min_length=1, description="the name of a reading, or of a contact")
 
     def make(self) -> Outcome:
         """Returns the outcome."""
@@ -56,7 +65,7 @@ class OutcomeSettings(Section):
 class StopSettings(Section):
     """An entry of ``[stop]``."""
 
-    of: str = Field(min_length=1, description="the name of a reading")
+    of: _Sensor = Field(min_length=1, description="the name of a reading")
     component: _COMPONENT = None
     items: _ITEMS = EACH
     above: _LIMIT = None

@@ -113,7 +113,10 @@ class Run:
         Raises:
             ValueError: If nothing was recorded over time.
         """
-        return self._group("series").isel(env=self._begun())
+        from warpcontact.recording import Series
+
+        data = self._group("series").isel(env=self._begun())
+        return Series(data.data_vars, coords=data.coords, attrs=data.attrs)
 
     @functools.cached_property
     def events(self) -> "xr.Dataset":

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from warpcontact.checks import Array
-from warpcontact.kernels.names import suggestion
+from warpcontact.kernels.names import stored_name, suggestion
 from warpcontact.replay.colors import COLORMAP, Scale, number_of_each
 from warpcontact.usd.author import attribute_name
 
@@ -17,8 +17,8 @@ def named_number(recording: xr.Dataset, name: str, outcome: xr.Dataset | None = 
     Raises:
         ValueError: If there is none; says what there is with a number for each environment, also of ``outcome``.
     """
-    if name in recording:
-        return recording[name]
+    if stored_name(name) in recording:
+        return recording[stored_name(name)]
     tables = [recording] if outcome is None else [recording, outcome]
     variables = [(str(key), one) for table in tables for key, one in table.data_vars.items()]
     there = sorted({key for key, one in variables if _could_color(one)})
