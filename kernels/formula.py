@@ -12,7 +12,7 @@ import dataclasses
 import functools
 import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, dataclass_transform
 
 import numpy as np
@@ -290,6 +290,9 @@ class Formula:
         if not any(isinstance(node, ast.Return) and node.value for node in ast.walk(function.adj.tree)):
             what = "the memory: end it with return m" if name == "advance" else cls.functions[name]
             raise TypeError(f"{cls.__name__}.{name} returns nothing; it must return {what}")
+        if not _always_returns(function.adj.tree.body[0].body):
+            # Warp would return zeros there.
+            raise TypeError(f"{cls.__name__}.{name} must return on every path; it can end without a return")
 
     def __post_init__(self) -> None:
         cls = type(self)
@@ -374,6 +377,14 @@ class Formula:
     def coefficients(cls, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Computes the device coefficients from the parameters, each of one broadcastable shape."""
         return values
+
+
+def _always_returns(body: Sequence[ast.stmt]) -> bool:
+    """Whether a function, or a branch of it, ends with a return on every path."""
+    last = body[-1]
+    if isinstance(last, ast.If):
+        return bool(last.orelse) and _always_returns(last.body) and _always_returns(last.orelse)
+    return isinstance(last, ast.Return)
 
 
 def coefficient_struct(formula: type[Formula], real: type) -> Any:

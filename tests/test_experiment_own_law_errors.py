@@ -199,7 +199,12 @@ HELP = (
     "c has delta, delta_dot, entry_speed, mass, inverse_mass, curvature_1, curvature_2, dt."
 )
 UNSOUND_LINES = [
-    ("law", "Misspelt", "`stifness` is not an attribute of 'p'", "p.stifness * c.delta"),
+    (
+        "law",
+        "Misspelt",
+        "`stifness` is not an attribute of 'p'; did you mean 'stiffness'?",
+        "p.stifness * c.delta",
+    ),
     ("law", "Helped", "`y` is not an attribute of 'x' (float32)", "x.y * x"),
     ("law", "Unfounded", "Referencing undefined symbol: gain", "first * gain"),
 ]
@@ -218,7 +223,10 @@ def test_a_mistake_in_a_function_is_told_with_file_and_line_and_no_kernels(part,
 def test_results_of_the_wrong_type_are_told_without_kernels(folder):
     (folder / "my_laws.py").write_text(LAWS + UNSOUND, encoding="utf-8")
     (problem,) = problems_of(study(law=own("Twofold", stiffness=1)), folder)
-    results = "The force of a law is a number, that of a friction a vector."
+    results = (
+        "The force of a law is a number of the precision of the simulation, such as type(c.delta)(0.0), that of a "
+        "friction a vector."
+    )
     told = f"law Twofold does not compile in float32: Twofold.force returns vec2f\n    {HELP}\n    {results}"
     assert problem == f"template[0].law: {told}"
     (problem,) = problems_of(study(friction=own("Straight")), folder)

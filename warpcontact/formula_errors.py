@@ -1,6 +1,8 @@
 """What to say where a user's formula does not compile."""
 
 import contextlib
+import dataclasses
+import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -9,11 +11,12 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from warpcontact import kernels
+from warpcontact.formula_advice import advice, mixes_types
 from warpcontact.kernels.formula import Formula
 
 # Where Warp has been on its way to a mistake, and how it names types.
 _STEP = re.compile(r'Error while parsing function "([^"]*)" at ([^\n]*):(\d+):\n([^\n]*)\n;?')
-_TYPE = re.compile(r"<class '(?:\w+\.)*(\w+)'>|wp::| \((?:\w+\.)+\w+\)")
+_TYPE = re.compile(r"<class '(?:\w+\.)*(\w+)'>|wp::| \((?:[\w<>]+\.)+\w+\)")
 # Functions in these are no user's.
 _NOT_THEIRS = tuple(Path(str(package.__file__)).parent for package in (kernels, wp))
 
@@ -43,8 +46,10 @@ def explained(
     try:
         yield
     except Exception as error:
-        text = told_by_warp(error, formulas.values())
-        hint = about_constants if "types must be the same" in text else ""
+        text = told_by_warp(
+            error, formulas.values(), {formula: state(part)[1] for part, formula in formulas.items()}
+        )
+        hint = about_constants if mixes_types(text) else ""
         if _read(error)[1] is None:
             # Each function compiles: what it returns is not what its caller takes.
             text = _returned(formulas.values()) or text
@@ -57,15 +62,49 @@ def explained(
         ) from error
 
 
-def told_by_warp(error: BaseException, formulas: Iterable[type]) -> str:
-    """Returns what Warp says of a mistake in functions of a user, with its file and line, and what stands there.
+def told_by_warp(error: BaseException, formulas: Iterable[type], states: Mapping[type, Any] | None = None) -> str:
+    """Returns the message of Warp about a user's function with file, line, source, and what to write instead.
 
     Args:
-        error: What it raised.
-        formulas: The classes of which the functions are.
+        error: What Warp raised.
+        formulas: The classes of the functions.
+        states: Struct of the state that the functions of a class are given; ``None``: they have none.
     """
+    formulas = list(formulas)
     text, step = _read(error)
-    return text if step is None else f"{_place(step, formulas)}: {text}\n    {step.source.strip()}"
+    if step is None:
+        return text
+    theirs = [one for one in formulas if issubclass(one, Formula) and of_users([one])]
+    names, vectors, numbers = _members(theirs, states or {})
+    source = step.source.strip()
+    advised = advice(text, source, names, vectors, next(iter(numbers), ""))
+    return f"{_place(step, formulas)}: {text.removesuffix('.') if advised else text}{advised}\n    {source}"
+
+
+def _members(
+    formulas: Iterable[type[Formula]], states: Mapping[type, Any]
+) -> tuple[dict[str, list[str]], set[str], list[str]]:
+    """Returns the members of the arguments of functions, and which are vectors, or numbers of the state.
+
+    The arguments are called as the user called them, such as ``{"p": ["stiffness"]}``.
+    """
+    names: dict[str, list[str]] = {}
+    vectors, numbers = set(), []
+    for formula in formulas:
+        state = states.get(formula)
+        given = list(_arguments(formula, "state", state).values())
+        shapes = {field.name: field.metadata["shape"] for field in dataclasses.fields(formula)}
+        for function in (*formula.functions, *(["advance"] if formula.memories else [])):
+            called = inspect.signature(getattr(formula, function).func).parameters
+            for number, (name, members) in enumerate(zip(called, given, strict=False)):
+                names.setdefault(name, []).extend(members)
+                if number == 0:
+                    vectors |= {f"{name}.{one}" for one in members if shapes.get(one, ())}
+                elif number == 1 and state is not None:
+                    scalar = {one: wp.types.type_is_float(state.vars[one].type) for one in members}
+                    vectors |= {f"{name}.{one}" for one in members if not scalar[one]}
+                    numbers += [f"{name}.{one}" for one in members if scalar[one]]
+    return names, vectors, numbers
 
 
 class _Step(NamedTuple):
@@ -142,10 +181,16 @@ def _returned(formulas: Iterable[type[Formula]]) -> str:
 
 def _what_is_there(part: str, formula: type[Formula], letter: str, seen: Any) -> str:
     """Returns in words what the functions of ``formula`` are given."""
-    given = {"p": formula.device_names() or ("nothing",), letter: tuple(seen.vars)}
+    given = _arguments(formula, letter, seen)
+    parts = [f"{name} has {', '.join(names) or 'nothing'}" for name, names in given.items()]
+    return f"In the {part}, {'; '.join(parts)}."
+
+
+def _arguments(formula: type[Formula], letter: str, seen: Any) -> dict[str, tuple[str, ...]]:
+    """Returns what the arguments of the functions of ``formula`` have."""
+    given = {"p": formula.device_names(), letter: () if seen is None else tuple(seen.vars)}
     if formula.memories:
         given["m"] = (*formula.memories, "elapsed")
     if formula.table_field() is not None:
         given["row"] = ("start", "value", "slope", "integral")
-    parts = [f"{name} has {', '.join(names)}" for name, names in given.items()]
-    return f"In the {part}, {'; '.join(parts)}."
+    return given

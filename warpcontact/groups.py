@@ -164,9 +164,10 @@ def compile_forces(parts: Parts, kernel: Callable[[], wp.Kernel], device: wp.Dev
         present,
         real,
         lambda part: ("c", t.Touch) if part == "law" else ("s", t.Slip),
-        "\nConstants take the precision of the simulation when written as type(c.delta)(1.5) in a law, "
-        "type(s.speed)(1.5) in a friction.",
-        "\nThe force of a law is a number, that of a friction a vector.",
+        "\nConstants, also those that a variable starts with, take the precision of the simulation when written "
+        "as type(c.delta)(1.5) in a law, type(s.speed)(1.5) in a friction.",
+        "\nThe force of a law is a number of the precision of the simulation, such as type(c.delta)(0.0), that of "
+        "a friction a vector.",
     ):
         load(kernel(), device)
 

@@ -152,6 +152,10 @@ class SpringSet(CouplingSet):
             return
         stretch = spring.spring_structs(self.types.real).Stretch
         present = {part: formula for part, formula in self.parts._asdict().items() if formula is not Undamped}
-        said = "\nConstants take the precision of the simulation when written as type(s.length)(1.5)."
-        with explained(present, self.types.real, lambda _: ("s", stretch), said, "\nThe force is a number."):
+        said = (
+            "\nConstants, also those that a variable starts with, take the precision of the simulation when "
+            "written as type(s.length)(1.5)."
+        )
+        results = "\nThe force is a number of the precision of the simulation."
+        with explained(present, self.types.real, lambda _: ("s", stretch), said, results):
             load(self.kernel, device)
