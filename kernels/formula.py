@@ -115,6 +115,47 @@ def memory(unit: str, meaning: str, *, tangent: bool = False) -> Any:
     return Memory(unit, meaning, tangent)
 
 
+def as_numbers(value: Any) -> np.ndarray | None:
+    """Returns ``value`` as an array of real numbers, or ``None`` if it contains anything else.
+
+    Text that reads like a number, booleans, objects and rows of different length are no numbers.
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        return None
+    return array if array.dtype.kind in "iuf" and not _has_boolean(value) else None
+
+
+def _has_boolean(value: Any) -> bool:
+    """Whether a list has booleans, which NumPy converts to numbers if there are numbers in the list."""
+    if isinstance(value, list | tuple):
+        return any(map(_has_boolean, value))
+    return isinstance(value, bool | np.bool_) or (isinstance(value, np.ndarray) and value.dtype == bool)
+
+
+def number(
+    name: str,
+    value: Any,
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+    may_be_infinite: bool = False,
+) -> float:
+    """Returns ``value`` as a float.
+
+    Raises:
+        ValueError: If it is not one number within the limits.
+    """
+    array = as_numbers(value)
+    if array is None or array.shape != ():
+        raise ValueError(f"{name} must be a number, got {value!r}")
+    limits = {"unit": "-", "above": above, "at_least": at_least, "at_most": at_most}
+    check_values(name, array, {**limits, "may_be_infinite": may_be_infinite})
+    return float(array)
+
+
 def check_values(name: str, values: np.ndarray, limits: Mapping[str, Any]) -> None:
     """Raises ``ValueError`` naming the first of ``values`` that is not finite or outside ``limits``.
 
@@ -299,7 +340,8 @@ class Formula:
         if name := cls.missing_function():
             raise TypeError(f"{cls.__name__}.{name} must be a wp.func of ({', '.join(cls.arguments())})")
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        given = {name: value for name, value in values.items() if value is not None}
+        may_be_none = {field.name for field in dataclasses.fields(self) if field.default is None}
+        given = {name: value for name, value in values.items() if value is not None or name not in may_be_none}
         if self.exactly_one_of:
             chosen = [name for name in self.exactly_one_of if name in given]
             if len(chosen) != 1:
@@ -311,11 +353,8 @@ class Formula:
             limits = self.limits(name)
             shape = limits["shape"]
             what = "a number" if shape == () else shape_in_words(shape)
-            try:
-                values = np.asarray(value)
-            except ValueError:  # rows of different length
-                values = np.empty(0, object)
-            if values.dtype.kind not in "iuf":  # not text that reads like a number, nor True for 1
+            values = as_numbers(value)
+            if values is None:
                 raise ValueError(f"{cls.__name__}.{name} must be {what}, got {value!r}")
             if not has_shape(values, shape):
                 path = ".".join(filter(None, (f"<{self.whole}>", self.part, name)))

@@ -67,12 +67,11 @@ class Bodies:
             [0.0, 1.0, 0.0]
         """
         name = checks.new_name("body", name, self._elements)
-        tensor = np.array(inertia, dtype=np.float64) if np.ndim(inertia) else np.zeros(())
-        if tensor.shape == (3,):
-            tensor = np.diag(tensor)
-        elif tensor.shape != (3, 3):
+        shape = checks.shape_of(f"{name}.inertia", inertia)
+        if shape not in ((3,), (3, 3)):
             raise ValueError(f"{name}.inertia must be 3 numbers or a 3×3 tensor [kg·m²], got {inertia!r}")
-        tensor = checks.numbers(f"{name}.inertia", tensor, (3, 3), limits("kg·m²"))
+        tensor = checks.numbers(f"{name}.inertia", inertia, shape, limits("kg·m²"))
+        tensor = np.diag(tensor) if shape == (3,) else tensor
         body = Body(
             name=name,
             index=self._body_count(),

@@ -44,7 +44,7 @@ def body_set(
     Raises:
         ValueError: If a value is out of range; the message names it.
     """
-    shape = np.shape(positions)
+    shape = checks.shape_of(f"{name}.positions", positions)
     if len(shape) != 2 or shape[0] < 1 or shape[1] != 3:
         raise ValueError(f"{name}.positions must have shape (n, 3) with n ≥ 1, got {shape}")
     count = shape[0]
@@ -84,7 +84,7 @@ def _each(
     name: str, value: ArrayLike, count: int, tail: tuple[int, ...], allowed: Mapping[str, Any] = checks.FINITE
 ) -> Array:
     """Returns ``value``, one for all or one for each of ``count`` bodies, as (count, *tail)."""
-    shape = np.shape(value)
+    shape = checks.shape_of(name, value, checks.describe_shape(tail))
     if shape not in (tail, (count, *tail)):
         raise ValueError(f"{name} must have shape {tail} or {(count, *tail)}, one per body, got {shape}")
     return np.array(np.broadcast_to(checks.numbers(name, value, shape, allowed), (count, *tail)))
@@ -92,7 +92,7 @@ def _each(
 
 def _tensors(name: str, value: ArrayLike, count: int) -> Array:
     """Returns principal moments or tensors, for all or for each, as checked tensors (count, 3, 3)."""
-    shape = np.shape(value)
+    shape = checks.shape_of(name, value)
     if count == 3 and shape == (3, 3):
         raise ValueError(
             f"{name} of shape (3, 3) may be one tensor or the moments of each of 3 bodies; give it in full, "

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from warpcontact.kernels.formula import check_values
+from warpcontact.kernels.formula import as_numbers, check_values
 from warpcontact.kernels.names import suggestion
 
 Array = NDArray[np.float64]
@@ -44,17 +44,37 @@ UNIT_ROUNDING = 1.0e-15
 
 def numbers(name: str, value: ArrayLike, shape: tuple[int, ...], allowed: Mapping[str, Any] = FINITE) -> Array:
     """Returns ``value`` as float64 of exactly ``shape``, or raises ``ValueError``."""
-    try:
-        given = np.asarray(value)
-        if given.dtype.kind not in "iuf":  # not text that reads like a number, nor True for 1
-            raise TypeError
-        values = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be {describe_shape(shape)}, got {value!r}") from None
+    given = as_numbers(value)
+    if given is None:
+        raise ValueError(f"{name} must be {describe_shape(shape)}, got {value!r}")
+    values = np.array(given, dtype=np.float64)
     if values.shape != shape:
         raise ValueError(f"{name} must be {describe_shape(shape)}, got {_brief(value, values)}")
     check_values(name, values, allowed)
     return values
+
+
+def shape_of(name: str, value: ArrayLike, kind: str = "numbers") -> tuple[int, ...]:
+    """Returns the shape of numbers, or raises ``ValueError``, which calls them ``kind``."""
+    given = as_numbers(value)
+    if given is None:
+        raise ValueError(f"{name} must be {kind}, got {value!r}")
+    return given.shape
+
+
+def row(name: str, value: ArrayLike, allowed: Mapping[str, Any] = FINITE) -> Array:
+    """Returns one number or a list of numbers as float64 (n,), or raises ``ValueError``."""
+    given = as_numbers(value)
+    if given is None or given.ndim > 1 or not given.size:
+        raise ValueError(f"{name} must be a number or a list of numbers, got {value!r}")
+    return np.atleast_1d(numbers(name, given, given.shape, allowed))
+
+
+def entries(value: Any) -> list[Any]:
+    """Returns the entries of ``value``, or itself as the only one if it has none, such as a number."""
+    if isinstance(value, np.ndarray) and not value.ndim:
+        return [value[()]]
+    return list(value) if isinstance(value, Iterable) and not isinstance(value, str) else [value]
 
 
 def describe_shape(shape: tuple[int, ...]) -> str:
@@ -148,7 +168,7 @@ def _refuse(name: str, value: Array, bad: NDArray[np.bool_], allowed: str) -> No
 
 def choice(name: str, value: Any, allowed: Sequence[str]) -> str:
     """Returns ``value`` if it is one of ``allowed``, or raises ``ValueError``."""
-    if value not in allowed:
+    if not isinstance(value, str) or value not in allowed:
         options = ", ".join(repr(option) for option in allowed)
         raise ValueError(f"{name} must be one of {options}, got {value!r}{suggestion(value, allowed)}")
     return str(value)
@@ -184,8 +204,11 @@ def look_up(kind: str, name: str, table: Mapping[str, Any]) -> Any:
     """Returns the entry ``name``.
 
     Raises:
+        TypeError: If ``name`` is no string.
         KeyError: If there is none; the message says what may have been meant.
     """
+    if not isinstance(name, str):
+        raise TypeError(f"name of a {kind} must be a string, got {name!r}")
     try:
         return table[name]
     except KeyError:

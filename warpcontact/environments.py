@@ -22,6 +22,7 @@ from warpcontact.parameters import Parameter
 from warpcontact.readings import Reading
 from warpcontact.scene import Scene
 from warpcontact.stepping import stepping_footprint
+from warpcontact.uncopied import Uncopied
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,7 +32,9 @@ if TYPE_CHECKING:
 
 
 @explain_keywords_of
-class Environments(ABC):
+class Environments(
+    Uncopied, ABC, instead="pickle or copy its scene, and build that: model.scene.build(envs=model.envs)"
+):
     """Many environments of one scene, in parts side by side: the interface of ``Model`` and of ``SplitModel``.
 
     Attributes:
@@ -153,8 +156,14 @@ class Environments(ABC):
         """Returns what is known of parameter ``name``; the values are those of the first part.
 
         Raises:
+            TypeError: If ``name`` is no string.
             KeyError: If there is none; the message says what may have been meant.
         """
+        if not isinstance(name, str):
+            raise TypeError(
+                f"name of a parameter must be a string, as in model['ball.mass'], got {name!r}; values have the "
+                "environment as first axis: model['ball.mass'][3]"
+            )
         parameters = self.parts[0].parameters
         if name in parameters:
             return parameters[name]

@@ -20,7 +20,7 @@ from warpcontact.arrays import broadcast, row_bytes
 from warpcontact.available import HOST
 from warpcontact.checks import Array
 from warpcontact.footprint import Need
-from warpcontact.kernels.formula import check_values
+from warpcontact.kernels.formula import as_numbers, check_values
 
 
 class Field:
@@ -99,13 +99,12 @@ class Parameter:
         Raises:
             ValueError: If the shape fits neither one value nor one per environment, or a value is out of range.
         """
-        try:
-            given = np.asarray(value)
-            if given.dtype.kind not in "biuf":
-                raise TypeError
-            values = given.astype(np.float64)
-        except (TypeError, ValueError, OverflowError):
-            raise ValueError(f"{self.name} must be numeric, got {value!r}") from None
+        given = as_numbers(value)
+        if given is None and self.convert is checks.switches:
+            given = _as_switches(value)
+        if given is None:
+            raise ValueError(f"{self.name} must be numeric, got {value!r}")
+        values = given.astype(np.float64)
         found = []
         for tail in self.given or (self.tail,):
             lead = values.shape[: values.ndim - len(tail)]
@@ -156,6 +155,15 @@ class Parameter:
             if not upload.wide:
                 needs.append(Need("parameters", str(upload.device), *upload.size(envs, varied=True)))
         return needs
+
+
+def _as_switches(value: ArrayLike) -> NDArray[Any] | None:
+    """Returns ``value`` as an array of booleans, or ``None`` if it contains anything else."""
+    try:
+        given = np.asarray(value)
+    except ValueError:  # rows of different length
+        return None
+    return given if given.dtype == bool else None
 
 
 class Upload:

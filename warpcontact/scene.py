@@ -269,7 +269,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
             if areas is not None:
                 raise ValueError(f"{name}.areas must be left out: the points of wc.sample_surface have theirs")
             areas, normals, positions = positions.areas, positions.normals, positions.positions
-        shape = np.shape(positions)
+        shape = checks.shape_of(f"{name}.position", positions)
         if isinstance(body, Body) and not body.single and shape != (body.count, 3):
             raise ValueError(
                 f"{name}.position must have shape {(body.count, 3)}, one for each body of {body.name!r}, "
@@ -372,7 +372,7 @@ class Scene(Bodies, Couplings, SmoothContacts, MutualContacts):
             raise ValueError(f"{name}: points and surface are both fixed to {where}; one must move")
         if not isinstance(template, Template):
             raise TypeError(f"template of {name!r} must be a wc.Template, got {template!r}")
-        each = () if points.single or np.ndim(radius) == 0 else (points.count,)
+        each = () if points.single or not checks.shape_of(f"{name}.radius", radius) else (points.count,)
         size = checks.numbers(f"{name}.radius", radius, each, RADIUS)
         check_arms(name, template, size, torsion_radius)
         check_areas(name, template, points)

@@ -34,6 +34,7 @@ from warpcontact.schedule import Span
 from warpcontact.slices import Buffers, Frames, Stepper, Times
 from warpcontact.stepping import Tally, cut, kernels_of_steps, slice_sizes, stepping_footprint
 from warpcontact.taking import take_after, take_first
+from warpcontact.uncopied import Uncopied
 from warpcontact.whole_steps import frame_count, recorded_steps
 
 # Labelled data, and what reads and writes it, takes as long to import as all the rest; who only steps has no need.
@@ -49,7 +50,7 @@ LONGEST_PIECE_QUEUED = 64
 
 
 @explain_keywords_of
-class Simulation:
+class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(path) keep its state"):
     """Steps a model through time.
 
     Args:

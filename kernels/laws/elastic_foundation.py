@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.formula import number, parameter
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
 
@@ -32,6 +32,7 @@ class ElasticFoundation(Law):
         cls, *, E: float, nu: float, thickness: float, area: float | None = None, damping: float = 0.0
     ) -> "ElasticFoundation":
         """Returns the law of an elastic layer: Young's modulus [Pa], Poisson's ratio < 0.5, thickness [m]."""
+        E, nu, thickness = number("E", E), number("nu", nu), number("thickness", thickness)
         if not (E > 0.0 and -1.0 < nu < 0.5 and thickness > 0.0):
             raise ValueError(
                 f"E and thickness must be positive and nu between -1 and 0.5, got {E:g}, {thickness:g} and {nu:g}"

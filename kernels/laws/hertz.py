@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.formula import check_values, parameter
+from warpcontact.kernels.formula import number, parameter
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
 from warpcontact.kernels.laws.roots import root_between
@@ -30,17 +30,14 @@ def hertz_stiffness(
     Raises:
         ValueError: If a value is out of range, or the hollow is smaller than the sphere.
     """
-    positive = {"unit": "-", "above": 0.0, "at_least": -math.inf, "at_most": math.inf}
-    poisson = {"unit": "-", "above": -1.0, "at_least": -math.inf, "at_most": 0.5}
-    check_values("E", np.asarray(E, dtype=np.float64), positive)
-    check_values("R", np.asarray(R, dtype=np.float64), positive)
-    check_values("nu", np.asarray(nu, dtype=np.float64), poisson)
-    check_values("nu2", np.asarray(nu2, dtype=np.float64), poisson)
+    E, R = number("E", E, above=0.0), number("R", R, above=0.0)
+    nu, nu2 = number("nu", nu, above=-1.0, at_most=0.5), number("nu2", nu2, above=-1.0, at_most=0.5)
     compliance = (1.0 - nu**2) / E
     if E2 is not None:
-        check_values("E2", np.asarray(E2, dtype=np.float64), positive)
+        E2 = number("E2", E2, above=0.0)
         compliance += (1.0 - nu2**2) / E2
-    if math.isnan(R2) or R2 == 0.0 or -R <= R2 < 0.0:
+    R2 = number("R2", R2, may_be_infinite=True)
+    if R2 == 0.0 or -R <= R2 < 0.0:
         raise ValueError(f"R2 must be positive, infinite or less than -R = {-R:g} m (a hollow), got {R2:g} m")
     curvature = 1.0 / R + 1.0 / R2
     return 4.0 / 3.0 / compliance / math.sqrt(curvature)
@@ -65,7 +62,7 @@ def elliptic_stiffness(
     Raises:
         ValueError: If a value is out of range, or one radius is more than 1e6 times the other.
     """
-    short, long = sorted((Rx, Ry))
+    short, long = sorted((number("Rx", Rx, above=0.0), number("Ry", Ry, above=0.0)))
     # Of a sphere on a plane, for the material and its checks: K = (4/3) E* √R.
     effective = 0.75 * hertz_stiffness(E, nu, short, E2, nu2) / math.sqrt(short)
     ratio = long / short

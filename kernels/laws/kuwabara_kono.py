@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warpcontact.kernels.formula import parameter
+from warpcontact.kernels.formula import number, parameter
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
 from warpcontact.kernels.laws.roots import root_between
@@ -46,8 +46,9 @@ class KuwabaraKono(Law):
         cls, *, stiffness: float, restitution: float, speed: float, mass: float
     ) -> "KuwabaraKono":
         """Returns the law that has ``restitution`` at ``speed`` [m/s] for the effective ``mass`` [kg]."""
-        if not 0.05 <= restitution <= 1.0:
-            raise ValueError(f"restitution must be at least 0.05 and at most 1, got {restitution:g}")
+        restitution = number("restitution", restitution, at_least=0.05, at_most=1.0)
+        speed, mass = number("speed", speed, above=0.0), number("mass", mass, above=0.0)
+        stiffness = number("stiffness", stiffness, above=0.0)
         reduced = root_between(
             "viscosity", lambda reduced: restitution_of_viscosity(reduced) - restitution, 0.0, 10.0
         )

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from warpcontact.kernels.formula import as_numbers, number
 from warpcontact.kernels.keywords import explain_keywords
 
 
@@ -18,7 +19,14 @@ def greatest_penetration(
         exponent: n [-].
         mass: Effective mass m, m₁m₂/(m₁+m₂) of two bodies [kg].
         speed: Approach speed v [m/s].
+
+    Raises:
+        ValueError: If one of them is no number.
     """
+    given = {"stiffness": stiffness, "exponent": exponent, "mass": mass, "speed": speed}
+    for name, value in given.items():
+        if as_numbers(value) is None:
+            raise ValueError(f"{name} must be numbers, got {value!r}")
     n = np.asarray(exponent, dtype=np.float64)
     return np.asarray(
         ((n + 1) * np.asarray(mass) * np.square(speed) / (2 * np.asarray(stiffness))) ** (1 / (n + 1))
@@ -30,12 +38,13 @@ def contact_time(
     stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike
 ) -> NDArray[np.float64]:
     """Duration [s] of an impact, arguments as for ``greatest_penetration``: π √(m/K) for n = 1."""
+    depth = greatest_penetration(stiffness, exponent, mass, speed)
     # Each different one once: what has Γ of arrays takes longer to import than a model to build.
     exponents, which = np.unique(np.asarray(exponent, dtype=np.float64), return_inverse=True)
     parts = [1.0 / (n + 1.0) if n > -1.0 else math.nan for n in exponents.tolist()]
     factors = [2.0 * math.sqrt(math.pi) * math.gamma(1.0 + part) / math.gamma(0.5 + part) for part in parts]
     factor = np.array(factors)[which].reshape(np.shape(exponent))
-    return np.asarray(factor * greatest_penetration(stiffness, exponent, mass, speed) / np.asarray(speed))
+    return np.asarray(factor * depth / np.asarray(speed))
 
 
 @explain_keywords
@@ -59,4 +68,4 @@ def recommended_dt(
         >>> float(wc.laws.recommended_dt(stiffness=1e5, exponent=1.0, mass=0.1, speed=1.0).round(6))
         0.000157
     """
-    return np.asarray(contact_time(stiffness, exponent, mass, speed) / steps)
+    return np.asarray(contact_time(stiffness, exponent, mass, speed) / number("steps", steps, above=0.0))

@@ -20,6 +20,7 @@ from warpcontact.analysis.results import (
     variable,
 )
 from warpcontact.checks import Array
+from warpcontact.kernels.formula import as_numbers
 from warpcontact.kernels.keywords import explain_keywords
 
 # Times are taken together up to this size of what they are computed from [bytes].
@@ -59,7 +60,8 @@ def quantile_fan(
     """
     checks.choice("missing", missing, MISSING)
     checks.choice("stopped", stopped, STOPPED)
-    levels = np.asarray(quantiles, dtype=np.float64)
+    given = as_numbers(quantiles)
+    levels = np.empty(0) if given is None else given.astype(np.float64)
     if levels.ndim != 1 or not levels.size or not (levels >= 0.0).all() or not (levels <= 1.0).all():
         raise ValueError(f"quantiles must be numbers from 0 to 1, got {quantiles!r}")
     if (np.diff(levels) <= 0.0).any():

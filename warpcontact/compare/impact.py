@@ -101,8 +101,8 @@ def rebounds(
     """
     impact = Impact(mass, speed, depth, device)
     asked = asked_restitutions(restitution)
-    every = np.atleast_1d(impact.speed * np.geomspace(0.1, 10.0, 13) if speeds is None else np.asarray(speeds))
-    every = checks.numbers("speeds", every, (every.size,), checks.limits("m/s", above=0.0))
+    every = impact.speed * np.geomspace(0.1, 10.0, 13) if speeds is None else speeds
+    every = checks.row("speeds", every, checks.limits("m/s", above=0.0))
     chosen = cases(laws, impact)
     shape = len(asked), len(every)
     values = {label: np.repeat(value, len(every)) for label, value in loss_values(chosen, asked, impact).items()}
@@ -130,8 +130,7 @@ def rebounds(
 
 def asked_restitutions(given: Any) -> Array:
     """Returns coefficients of restitution as an array, checked."""
-    values = np.asarray(given)
-    return np.atleast_1d(checks.numbers("restitution", values, (values.size,) if values.ndim else (), ALLOWED))
+    return checks.row("restitution", given, ALLOWED)
 
 
 def _alike(chosen: Mapping[str, Case]) -> list[dict[str, Case]]:

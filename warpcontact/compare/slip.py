@@ -81,8 +81,7 @@ def slips(
         slow, fast = own_speeds(chosen, load)
         every = np.geomspace(slow / 50.0, 10.0 * fast, 181)
     else:
-        every = np.atleast_1d(np.asarray(speeds))
-        every = checks.numbers("speeds", every, (every.size,), checks.limits("m/s", above=0.0))
+        every = checks.row("speeds", speeds, checks.limits("m/s", above=0.0))
     turn = float(checks.numbers("direction", direction, (), checks.limits("rad")))
     forward = np.array([np.cos(turn), np.sin(turn), 0.0])
     model = _model(chosen, load, every[:, None] * forward, device)
@@ -132,8 +131,7 @@ def swings(
         largest = YIELDS * max(_yield_distances(chosen, load, device).values()) or USUAL_AMPLITUDE
         sizes = np.array(SWINGS) * float(f"{largest:.0e}")  # a round number
     else:
-        sizes = np.atleast_1d(np.asarray(amplitude))
-        sizes = checks.numbers("amplitude", sizes, (sizes.size,), checks.limits("m", above=0.0))
+        sizes = checks.row("amplitude", amplitude, checks.limits("m", above=0.0))
     omega = fast / sizes.max()
     dt = 2.0 * np.pi / omega / SWING_STEPS
     place = -np.cos(2.0 * np.pi * np.arange(round(PERIODS * SWING_STEPS) + 1) / SWING_STEPS)

@@ -167,7 +167,8 @@ def _lengths(size: tuple[float, ...], count: int) -> list[float]:
 
 def _sequence(label: str, values: object, count: int) -> list[object]:
     """``values`` as a list of ``count`` entries."""
-    entries = list(values) if isinstance(values, (tuple, list, np.ndarray)) else []
+    rows = values.tolist() if isinstance(values, np.ndarray) else values  # of a 0-d array one value
+    entries = list(rows) if isinstance(rows, (tuple, list)) else []
     if len(entries) != count:
         raise ValueError(f"{label} must have {count} entries, got {values!r}")
     return entries

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypedDict
 
@@ -137,6 +137,4 @@ class Look:
 
 def environment_numbers(env: Any) -> list[int] | None:
     """Returns environments to show as a list; ``None``: the first of the recording."""
-    if env is None:
-        return None
-    return list(env) if isinstance(env, Iterable) else [env]
+    return None if env is None else checks.entries(env)

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from warpcontact import checks
 from warpcontact.checks import Array
 from warpcontact.frames import placed
 from warpcontact.recorder import UNCHANGED
@@ -185,12 +186,7 @@ def _chosen(envs: int | Iterable[int] | None, labels: NDArray[Any]) -> list[int]
     """Returns where the chosen environments are among ``labels``."""
     if not np.issubdtype(labels.dtype, np.integer):
         raise ValueError(f"the env coordinate of the recording must be environment numbers, got {labels.dtype}")
-    if envs is None:
-        wanted: list[Any] = labels[:DEFAULT_ENVIRONMENTS].tolist()
-    elif isinstance(envs, Iterable):
-        wanted = list(envs)
-    else:
-        wanted = [envs]
+    wanted = labels[:DEFAULT_ENVIRONMENTS].tolist() if envs is None else checks.entries(envs)
     row_of = {int(label): row for row, label in enumerate(labels)}
     rows: dict[int, None] = {}
     for env in wanted:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from warpcontact.checks import entries
 from warpcontact.contact_coupling_report import CouplingReport
 from warpcontact.durable import check_place, replacing
 from warpcontact.experiment.errors import ExperimentError
@@ -58,7 +59,7 @@ def report(
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"path must end in {' or '.join(SUFFIXES)}, got {str(path)!r}")
     check_place(path)
-    asked = [envs] if isinstance(envs, int) else envs
+    asked = None if envs is None else entries(envs)
     text = _page(run, asked).html()
     with replacing(path) as file:
         file.write(text.encode())

@@ -215,7 +215,7 @@ def _sizes_of(
 
 def _each(name: str, value: ArrayLike, count: int, single: bool, width: int) -> Array:
     """Returns ``value``, one for all or one for each of a set, as (count, width)."""
-    shape = np.shape(value)
+    shape = checks.shape_of(name, value)
     full = (width,) if single or shape != (count, width) else (count, width)
     values = checks.numbers(name, value, full, limits("m") if width == 3 else checks.FINITE)
     return np.array(np.broadcast_to(values, (count, width)))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpcontact.checks import Array
+from warpcontact.kernels.formula import as_numbers
 
 #: How unsymmetric a matrix may be, over its largest entry: more than any rounding.
 _SKEW = 1e-8
@@ -14,13 +15,10 @@ _SKEW = 1e-8
 
 def values(name: str, given: ArrayLike, at_least: float = -np.inf) -> Array:
     """Returns finite numbers in float64."""
-    try:
-        array = np.asarray(given)
-        if array.dtype.kind not in "iuf":
-            raise TypeError
-        array = array.astype(np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be numbers, got {_brief(given)}") from None
+    array = as_numbers(given)
+    if array is None:
+        raise ValueError(f"{name} must be numbers, got {_brief(given)}")
+    array = array.astype(np.float64)
     bad = np.argwhere(~np.isfinite(array) | (array < at_least))
     if len(bad):
         where = tuple(int(i) for i in bad[0])
