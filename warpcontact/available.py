@@ -81,7 +81,7 @@ def used() -> int | None:
 def _told(path: Path, name: str) -> int | None:
     """Returns a number of kB in a file of Linux [bytes]."""
     try:
-        for line in path.read_text().splitlines():
+        for line in path.read_text(encoding="utf-8").splitlines():
             key, _, value = line.partition(":")
             if key == name:
                 return 1024 * int(value.split()[0])
@@ -93,7 +93,7 @@ def _told(path: Path, name: str) -> int | None:
 def _left_of_groups() -> Iterator[int]:
     """Iterates over what is left of the limits of the control groups of this process, of either version."""
     try:
-        lines = _CGROUP.read_text().splitlines()
+        lines = _CGROUP.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     except OSError:
         return
     for line in lines:
@@ -117,9 +117,9 @@ def _left_of_groups() -> Iterator[int]:
 def _left(folder: Path, limit: str, usage: str, reclaimable: str) -> int | None:
     """Returns what is left of the limit of one group, ``None`` if it has none."""
     try:
-        allowed = int((folder / limit).read_text())  # "max": no limit
-        used = int((folder / usage).read_text())
-        stat = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+        allowed = int((folder / limit).read_text(encoding="utf-8"))  # "max": no limit
+        used = int((folder / usage).read_text(encoding="utf-8"))
+        stat = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="utf-8").splitlines())
         return allowed - used + int(stat.get(reclaimable, 0))
     except (OSError, ValueError):
         return None

@@ -99,5 +99,9 @@ def _processor() -> list[str]:
     info = Path("/proc/cpuinfo")
     if not info.is_file():
         return [platform.processor()]
-    found = re.findall(r"^(?:model name|flags|Features)\s*:\s*(.*)$", info.read_text(), re.MULTILINE)
+    found = re.findall(
+        r"^(?:model name|flags|Features)\s*:\s*(.*)$",
+        info.read_text(encoding="utf-8", errors="replace"),
+        re.MULTILINE,
+    )
     return sorted(set(found))

@@ -1,6 +1,7 @@
 """The command line. Nothing slow is imported before it is needed: ``--help`` answers at once."""
 
 import argparse
+import io
 import os
 import re
 import shlex
@@ -42,6 +43,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0, or 1 for an unusable mesh or a plan that does not fit, 2 for an error, 3 if shards of a
         run failed, 130 if interrupted.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # Characters that the encoding of a terminal does not have end no command.
+            stream.reconfigure(errors="backslashreplace")
     arguments = _parser().parse_args(argv)
     try:
         code = arguments.command(arguments)

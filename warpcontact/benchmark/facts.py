@@ -43,7 +43,11 @@ def versions() -> dict[str, str]:
 def processor() -> str:
     """Returns the name of the processor."""
     info = Path("/proc/cpuinfo")
-    match = re.search(r"^model name\s*:\s*(.+)$", info.read_text(), re.MULTILINE) if info.is_file() else None
+    match = (
+        re.search(r"^model name\s*:\s*(.+)$", info.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
+        if info.is_file()
+        else None
+    )
     return match[1] if match else platform.processor() or platform.machine()
 
 
@@ -54,7 +58,9 @@ def _gpu(device: str) -> dict[str, str]:
     gpu = wp.get_device(device)
     query = "nvidia-smi --query-gpu=driver_version --format=csv,noheader"
     try:
-        answer = subprocess.run(query.split(), capture_output=True, text=True, check=True, timeout=30).stdout
+        answer = subprocess.run(
+            query.split(), capture_output=True, encoding="utf-8", check=True, timeout=30
+        ).stdout
     except (OSError, subprocess.SubprocessError):  # no such tool, as on some boards
         return {"device": gpu.name}
     # One line for each GPU, and one driver for all.

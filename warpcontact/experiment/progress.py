@@ -101,7 +101,8 @@ class Beacon:
         # It is nobody's loss if it cannot be told.
         with contextlib.suppress(OSError):
             partial = self._path.with_suffix(".partial")
-            partial.write_text(json.dumps({"steps": steps, "time": time.time(), "process": os.getpid()}))
+            content = {"steps": steps, "time": time.time(), "process": os.getpid()}
+            partial.write_text(json.dumps(content), encoding="utf-8")
             partial.replace(self._path)
         return True
 
