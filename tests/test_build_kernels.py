@@ -191,6 +191,6 @@ def test_unwritable_cache_is_an_error_with_the_folder_and_the_remedy(words, tmp_
     out, err = capsys.readouterr()
     assert out == ""
     assert err == (
-        f"warpcontact: the kernel cache {folder} must be writable, got: Not a directory; "
-        "set WARP_CACHE_PATH to a folder that is\n"
+        f"warpcontact: the kernel cache {folder} must be a folder with free space that can be written, got: "
+        "Not a directory; set the environment variable WARP_CACHE_PATH to such a folder\n"
     )

@@ -47,8 +47,8 @@ def run(arguments: argparse.Namespace) -> None:
     """Compiles the kernels and prints the folder of the cache and its key, or prints only the key.
 
     Raises:
-        ValueError: If an option or an experiment is not valid, or the cache cannot be written.
-        OSError: If a file cannot be read.
+        ValueError: If an option or an experiment is not valid.
+        OSError: If a file cannot be read, or the cache cannot be written.
     """
     for option in ("envs", "threads"):
         value = getattr(arguments, option)
@@ -88,21 +88,17 @@ def writable_cache() -> Path:
     """Returns the folder of Warp's kernel cache, after a test that files can be created in it.
 
     Raises:
-        ValueError: If this is not the case; names the folder and the remedy.
+        OSError: If this is not the case; names the folder and the remedy.
     """
     import warp as wp
 
-    folder = None
-    try:
-        wp.init()
-        folder = Path(wp.config.kernel_cache_dir)
+    from warpcontact.initialization import explaining, initialize
+
+    initialize()
+    folder = Path(wp.config.kernel_cache_dir)
+    with explaining():
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
-    except OSError as error:
-        raise ValueError(
-            f"the kernel cache {folder or error.filename} must be writable, got: {error.strerror}; "
-            "set WARP_CACHE_PATH to a folder that is"
-        ) from None
     return folder
 
 

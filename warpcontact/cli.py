@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except MemoryError as error:
         return _fail(str(error) or "out of memory")
     except OSError as error:
-        return _fail(str(error))
+        return _fail(_sentence(error))
     except RuntimeError as error:
         if "allocate" not in str(error):  # as Warp says that there is no memory left
             raise
@@ -206,6 +206,12 @@ def _fail(message: str) -> int:
     return WRONG_USE
 
 
+def _sentence(error: OSError) -> str:
+    from warpcontact.initialization import explained
+
+    return str(explained(error))
+
+
 @dataclass
 class _Begun:
     """What there is of a run, for who asks to stop it.
@@ -288,7 +294,7 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
     except (ExperimentError, StoreError, QuarantineError) as error:
         return _fail(str(error))
     except OSError as error:
-        code = _fail(str(error))
+        code = _fail(_sentence(error))
         for note in getattr(error, "__notes__", ()):
             _fail(note)
         if begun.folder is not None and (begun.folder / DATA).is_dir():

@@ -7,6 +7,8 @@ from contextlib import suppress
 
 import warp as wp
 
+from warpcontact.initialization import explaining, require_room
+
 # Threads that compile, at most: each compiles a header as well, and few kernels take long.
 COMPILERS = 4
 
@@ -31,7 +33,10 @@ def load(kernel: wp.Kernel, device: wp.Device) -> None:
 
 def load_as_launched(kernel: wp.Kernel, device: wp.Device) -> None:
     """Compiles ``kernel``, if it has to be, for the blocks that launches have: of one thread on a CPU."""
-    kernel.module.load(device, block_dim=None if device.is_cuda else 1)
+    block_dim = None if device.is_cuda else 1
+    with explaining():
+        require_room(lambda: kernel.module.get_module_identifier(block_dim))
+        kernel.module.load(device, block_dim=block_dim)
 
 
 def load_all(

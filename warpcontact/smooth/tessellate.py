@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from warpcontact.captures import beside_captures
 from warpcontact.checks import Array
+from warpcontact.devices import find_device
 from warpcontact.kernels.formula import coefficient_struct
 from warpcontact.kernels.smooth import tessellation
 from warpcontact.kernels.smooth.base import Shape as Form
@@ -57,9 +58,10 @@ def _computed(
     names = kind.device_names()
     computed = kind.coefficients(columns) if names else {"unused": np.zeros((1, 1))}
     packed = pack(struct, {name: computed[name] for name in names or ("unused",)})
-    points = wp.zeros(len(given), dtype=wp.vec3d, device="cpu")
-    inputs = [wp.array(packed, dtype=struct, device="cpu"), wp.array(given, dtype=dtype, device="cpu")]
-    wp.launch(kernel, dim=len(given), inputs=inputs, outputs=[points], device="cpu")
+    device = find_device("cpu")
+    points = wp.zeros(len(given), dtype=wp.vec3d, device=device)
+    inputs = [wp.array(packed, dtype=struct, device=device), wp.array(given, dtype=dtype, device=device)]
+    wp.launch(kernel, dim=len(given), inputs=inputs, outputs=[points], device=device)
     return points.numpy()
 
 
