@@ -96,12 +96,12 @@ def carry_out(task: Task, *, confined: bool) -> Examined:
         report = MeshReport(task.title, errors=(str(error),))
         return Examined(vertices, content.faces, content.groups, report)
     report = examine(vertices, faces, task.title, overlaps=True)
-    said = [content.unit_warning] if task.unit is None and content.unit_warning else []
+    unit_warnings, unit_notes = _about_unit(task, content)
     report = replace(
         report,
         repairs=repairs,
-        warnings=(*content.warnings, *said, *report.warnings),
-        notes=(*content.notes, *report.notes),
+        warnings=(*content.warnings, *unit_warnings, *report.warnings),
+        notes=(*unit_notes, *content.notes, *report.notes),
     )
     return Examined(vertices, faces, groups, report)
 
@@ -127,6 +127,18 @@ def unreadable(title: str, error: Unreadable) -> Examined:
     """Returns what there is of a file that cannot be read."""
     report = MeshReport(title, errors=(str(error),))
     return Examined(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), {}, report)
+
+
+def _about_unit(task: Task, content: Content) -> tuple[list[str], list[str]]:
+    """Returns warnings and notes about the unit that lengths were read in."""
+    if task.unit is None and content.unit_warning:
+        return [content.unit_warning], []
+    scaled = "" if task.scale == 1.0 else f", times {task.scale:g}"
+    if task.unit is not None:
+        return [], [f"read in {task.unit}, the given unit{scaled}"]
+    if content.unit is None:
+        return [], [f"no unit in this file; read as metres{scaled}"]
+    return [], [f"read in the unit of the file, {content.unit:g} m{scaled}"]
 
 
 def _factor(task: Task, content: Content) -> float:

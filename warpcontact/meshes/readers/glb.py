@@ -84,6 +84,7 @@ class _Scene:
                 label = str(mesh.get("name") or f"mesh {number}")
                 parts.add(label, *read[number, i], matrix, names=names)
         content = parts.content()
+        content.unit = 1.0  # of all glTF
         if left_out:
             content.warnings.append(f"{left_out} of {total} parts are points or lines and were left out")
         if bent:
