@@ -189,8 +189,8 @@ def test_warnings_are_printed_once_and_kept(tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["run", str(path), "--out", str(out), "--device", "cpu"]) == 0
     err = capsys.readouterr().err
-    assert err.count("warning: mesh file 'ground.obj': the largest dimension is 1e+03 m") == 1
-    warned = [line.removeprefix("warning: ") for line in err.splitlines() if line.startswith("warning: ")]
+    assert err.count("caution: mesh file 'ground.obj': the largest dimension is 1e+03 m") == 1
+    warned = [line for line in err.splitlines() if line.startswith(("note: ", "caution: "))]
     assert json.loads((out / "run.json").read_text())["warnings"] == warned
 
 

@@ -61,14 +61,14 @@ def test_a_run_warns_of_a_disk_that_its_results_may_fill(tmp_path, free):
 
     assert warnings(104 * KIB, tmp_path / "enough") == []
     ((text, stage),) = warnings(102 * KIB, tmp_path / "little")
-    assert text.startswith("the results take up to 103 KiB before compression, and 102 KiB is free on ")
+    assert text.startswith("caution: the results take up to 103 KiB before compression, and 102 KiB is free on ")
     assert stage.startswith("building")  # before the first step
     # One of two shards is done.
     for name in ("enough", "little"):
         (tmp_path / name / "commit" / "shard_000001.json").unlink()
     assert warnings(52 * KIB, tmp_path / "enough", resume=True) == []
     ((text, _),) = warnings(51 * KIB, tmp_path / "little", resume=True)
-    assert text.startswith("the results that are left take up to 51.6 KiB before compression")
+    assert text.startswith("caution: the results that are left take up to 51.6 KiB before compression")
 
 
 @pytest.mark.filterwarnings("always:the results")

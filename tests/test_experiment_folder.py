@@ -103,12 +103,12 @@ def test_warnings_of_python_are_kept_and_take_their_way(tmp_path):
 
     with pytest.warns(UserWarning, match="a bad omen"):
         run = wc.Experiment(content()).run(tmp_path, device="cpu", on_stage=warn)
-    assert run.summary["warnings"].count("a bad omen") == 1
+    assert run.summary["warnings"].count("caution: a bad omen") == 1
     told = []
     with warnings.catch_warnings(record=True) as shown:
         warnings.simplefilter("always")
         wc.Experiment(content()).run(tmp_path, device="cpu", overwrite=True, on_stage=warn, on_warning=told.append)
-    assert "a bad omen" in told
+    assert "caution: a bad omen" in told
     assert not shown
 
 

@@ -109,7 +109,7 @@ def test_results_carry_meshes_and_choice(folder):
     experiment = wc.Experiment(content(choice={"uniform": [0, 2]}, active_faces=ACTIVE, seed=3), folder)
     heard = []
     run = experiment.run(folder / "deep" / "out", device="cpu", on_warning=heard.append)
-    assert any(text.startswith("mesh file 'meshes/halves.obj': duplicate: 1 face") for text in heard)
+    assert any(text.startswith("note: mesh file 'meshes/halves.obj': duplicate: 1 face") for text in heard)
     assert json.loads(run.files["summary"].read_text())["warnings"] == heard
     stored = run.recording
     chosen = stored["ground.mesh"].values

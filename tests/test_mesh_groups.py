@@ -151,7 +151,7 @@ def test_a_run_says_what_was_repaired_and_its_copy_does_it_again(tmp_path):
     content = {"duration": 0.1, "dt": 0.1, "surface": [entry], "body": [body]}
     heard = []
     run = wc.Experiment.from_dict(content, tmp_path).run(tmp_path / "out", device="cpu", on_warning=heard.append)
-    assert "mesh file 'wheel.obj': duplicate: 1 face with the corners of an earlier one dropped" in heard
+    assert "note: mesh file 'wheel.obj': duplicate: 1 face with the corners of an earlier one dropped" in heard
     assert not any("are taken as one with it" in text or "no face turned" in text for text in heard)
     assert json.loads((tmp_path / "out" / "run.json").read_text())["warnings"] == heard
     again = wc.Experiment.from_toml(run.files["experiment"]).scene().surfaces[0]

@@ -363,7 +363,7 @@ def test_a_shard_that_fails_three_times_is_reported_and_the_others_finish(tmp_pa
         assert code == 3, err
         assert "shard_000001 failed: RuntimeError: pile: a shape had" in printed
         assert "failed: 4 of 6 environments are finished in 3 shards" in printed
-        assert err.count("warning: shard_000001 is tried again: pile: a shape had") == 1
+        assert err.count("note: shard_000001 is tried again: pile: a shape had") == 1
         assert "Traceback" not in err
         run = wc.open_run(out, verify=True)
         assert run.summary["state"] == "failed"

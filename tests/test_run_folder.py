@@ -219,7 +219,7 @@ def test_an_animation_of_an_unfinished_run_goes_to_the_last_record(part_run, tmp
     assert printed == f"{out}\n"
     end = f"{(frames - 1) * 1e-3:g}"
     assert (
-        f"warning: {part_run} is not finished: the animation goes to {end} s, and has 8 of 10 environments\n"
+        f"caution: {part_run} is not finished: the animation goes to {end} s, and has 8 of 10 environments\n"
         in told
     )
     assert f"endTimeCode = {frames - 1}\n" in out.read_text()

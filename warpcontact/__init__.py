@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from warpcontact.checkpoint import CheckpointError
     from warpcontact.contact_coupling import ContactCoupling
     from warpcontact.contact_range import ContactRange
-    from warpcontact.contact_warning import ContactWarning
+    from warpcontact.contact_warning import ContactWarning, RunWarning, WarningLevel
     from warpcontact.couplings.elements import Bushing, Catenary, SpringDamper
     from warpcontact.elements import Body, Contact, Points, Surface, Template
     from warpcontact.experiment import Experiment, ExperimentError, Run, StoreError, open_run
@@ -83,6 +83,7 @@ _HOME = {
     "QuarantineError": "warpcontact.quarantine",
     "Recording": "warpcontact.recording",
     "Run": "warpcontact.experiment",
+    "RunWarning": "warpcontact.contact_warning",
     "Scene": "warpcontact.scene",
     "Shape": "warpcontact.smooth.elements",
     "Simulation": "warpcontact.simulation",
@@ -97,6 +98,7 @@ _HOME = {
     "Surface": "warpcontact.elements",
     "SurfaceSamples": "warpcontact.meshes",
     "Template": "warpcontact.elements",
+    "WarningLevel": "warpcontact.contact_warning",
     "bench": "warpcontact.benchmark",
     "compare": "warpcontact.compare",
     "convergence": "warpcontact.analysis",
@@ -159,6 +161,7 @@ __all__ = [
     "QuarantineError",
     "Recording",
     "Run",
+    "RunWarning",
     "Scene",
     "Shape",
     "Simulation",
@@ -173,6 +176,7 @@ __all__ = [
     "Surface",
     "SurfaceSamples",
     "Template",
+    "WarningLevel",
     "__version__",
     "bench",
     "check_usd",

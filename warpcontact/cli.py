@@ -264,7 +264,7 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
     from warpcontact.quarantine import QuarantineError
 
     def warn(text: str) -> None:
-        print(f"warning: {text}", file=sys.stderr, flush=True)
+        print(text, file=sys.stderr, flush=True)
 
     try:
         if arguments.file is None:

@@ -364,6 +364,17 @@ class Environments(
             ]
         )
 
+    def largest_residuals(self) -> NDArray[np.float64]:
+        """Returns the largest residual of unsolved contact problems since reset, (envs,)."""
+        return np.concatenate(
+            [
+                np.zeros(part.envs)
+                if part.hard is None
+                else part.hard.account.largest_residual.numpy().astype(np.float64)
+                for part in self.parts
+            ]
+        )
+
     def touching(self, name: str) -> "xr.Dataset":
         """Returns which pairs of a mutual contact touch at the current state.
 

@@ -90,7 +90,7 @@ def export(arguments: argparse.Namespace) -> None:
     run = open_run(arguments.folder)
     if not arguments.usd and not run.outcome.sizes["env"]:
         print(
-            f"warning: no environment of {run.folder} is finished yet: the table has no rows; "
+            f"caution: no environment of {run.folder} is finished yet: the table has no rows; "
             f"warpcontact run --resume --out {run.folder} goes on with the run",
             file=sys.stderr,
         )
@@ -116,7 +116,7 @@ def export(arguments: argparse.Namespace) -> None:
             recording = recording.isel(time=slice(0, last), env=frames >= last)
             end = recording["time"].values[-1]
             print(
-                f"warning: {run.folder} is not finished: the animation goes to {end:g} s, and has "
+                f"caution: {run.folder} is not finished: the animation goes to {end:g} s, and has "
                 f"{recording.sizes['env']} of {run.summary['envs']} environments",
                 file=sys.stderr,
             )

@@ -1,10 +1,16 @@
-"""What is to be said after a run: environments that were frozen, and problems that were not solved on the way."""
+"""Warnings after a run: environments that were frozen, and problems that were not solved in some steps."""
 
+from warpcontact.contact_warning import RunWarning, WarningLevel
 from warpcontact.environments import Environments
+
+# Residual of the contact problem, relative to impulses and impact velocities. Up to HARMLESS the error is below
+# that of the time step. Above MISSED the contact law is not satisfied.
+HARMLESS = 1.0e-3
+MISSED = 1.0e-1
 
 
 class Remarks:
-    """Compares a model with what it was when this was made.
+    """Compares a model with its state when this object was made.
 
     Args:
         model: The model.
@@ -17,48 +23,66 @@ class Remarks:
         self._unsolved = model.unsolved_contacts()
         self._unfinished = model.unfinished_solves()
 
-    def new(self) -> list[str]:
-        """Returns what there is to say about the time since then, but for frozen environments."""
+    def new(self) -> list[RunWarning]:
+        """Returns the warnings since then, without that of frozen environments."""
         return [*self._about_lines(), *self._about_unsolved(), *self._about_unfinished()]
 
-    def about_frozen(self) -> list[str]:
-        """Returns what there is to say if more environments are frozen than then."""
+    def about_frozen(self) -> list[RunWarning]:
+        """Returns a warning if more environments are frozen than then."""
         health = self.model.health()
-        return [str(health)] if len(health.frozen) > self._frozen else []
+        more = len(health.frozen) > self._frozen
+        return [RunWarning(str(health), WarningLevel.ERROR)] if more else []
 
-    def _about_lines(self) -> list[str]:
+    def _about_lines(self) -> list[RunWarning]:
         return [
-            f"catenary {line!r} was without a solution in some steps of {count} of {self.model.envs} "
-            f"environments; {line}.failures has their number"
+            RunWarning(
+                f"catenary {line!r} was without a solution in some steps of {count} of {self.model.envs} "
+                f"environments, and its forces were those of the last iterate; {line}.failures has their number"
+            )
             for line, count in self.model.failed_lines().items()
             if count > self._failed.get(line, 0)
         ]
 
-    def _about_unsolved(self) -> list[str]:
-        """Of smooth contacts for which more steps failed."""
+    def _about_unsolved(self) -> list[RunWarning]:
+        """Returns a warning for each contact of two shapes that was not found in more steps."""
         now = self.model.unsolved_contacts()
-        told = []
+        warned = []
         for contact in self.model.scene.smooth_contacts:
             failed = (now[contact.name] > self._unsolved[contact.name]).nonzero()[0]
             if len(failed):
-                told.append(
+                text = (
                     f"{contact.name}: where {contact.shape.name!r} and {contact.other_shape.name!r} meet was not "
                     f"found in some steps of {len(failed)} of {self.model.envs} environments, the first of them "
                     f"{self.model.first_env + failed[0]}, and no force acted then; {contact.name}.failures has "
                     "their number"
                 )
-        return told
+                warned.append(RunWarning(text, WarningLevel.ERROR))
+        return warned
 
-    def _about_unfinished(self) -> list[str]:
-        """Of contact problems that were not solved."""
+    def _about_unfinished(self) -> list[RunWarning]:
+        """Returns a warning about contact problems that were not solved."""
         more = self.model.unfinished_solves() - self._unfinished
         count = int((more > 0).sum())
         if not count:
             return []
-        worst = int(more.argmax())
-        return [
+        most, residuals = int(more.argmax()), self.model.largest_residuals()
+        residuals[more == 0] = 0.0
+        worst = int(residuals.argmax())
+        residual = float(residuals[worst])
+        text = (
             f"the contact problem was not solved to the tolerance in some steps of {count} of "
-            f"{self.model.envs} environments, most in {self.model.first_env + worst}, in {more[worst]} steps; "
-            "scene.solve_failures has their number, scene.solve_residual what was left: give the integrator more "
-            "iterations, solver='accelerated', or a larger tolerance"
+            f"{self.model.envs} environments, most in {self.model.first_env + most}, in {more[most]} steps. The "
+            f"largest residual was {residual:.1e}, in {self.model.first_env + worst}: contact impulses and "
+            f"velocities are wrong by about {100.0 * residual:.2g} % of their size"
+        )
+        if residual <= HARMLESS:
+            return [
+                RunWarning(f"{text}, which is harmless; a larger tolerance takes less time", WarningLevel.NOTE)
+            ]
+        return [
+            RunWarning(
+                f"{text}. Give the integrator more iterations, solver='accelerated', or a shorter step; "
+                "scene.solve_failures has the number of such steps",
+                WarningLevel.CAUTION if residual <= MISSED else WarningLevel.ERROR,
+            )
         ]

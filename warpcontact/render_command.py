@@ -149,7 +149,7 @@ def _draw(arguments: argparse.Namespace, file: Path, found: Any) -> None:
         shown += f",{' the last record' * (file.suffix.lower() in STILLS)} of a run that is not finished"
     if arguments.forces and not forces:
         print(
-            "warning: no forces are shown: the run recorded no force, normal and point of a contact "
+            "note: no forces are shown: the run recorded no force, normal and point of a contact "
             '([record] readings = ["<contact>.normal_force", "<contact>.normal", "<contact>.point"])',
             file=sys.stderr,
         )

@@ -16,7 +16,7 @@ from warpcontact.arrays import Layout
 from warpcontact.available import HOST, available_threads
 from warpcontact.captures import beside_captures
 from warpcontact.compiling import load_all
-from warpcontact.contact_warning import ContactWarning
+from warpcontact.contact_warning import ContactWarning, WarningLevel
 from warpcontact.crew import Crew, Share
 from warpcontact.environments import Environments
 from warpcontact.footprint import Footprint, Need, environments, require
@@ -108,7 +108,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         self.crossing_steps = checks.whole("crossing_steps", crossing_steps)
         if self.crossing_steps > 1 and not model.parts[0].sweeps:
             unused = f"crossing_steps = {self.crossing_steps} divides no step: no contact has swept=True"
-            warnings.warn(unused, ContactWarning, stacklevel=level_outside())
+            warnings.warn(ContactWarning(unused, WarningLevel.NOTE), stacklevel=level_outside())
         self.threads = available_threads() if threads is None else checks.whole("threads", threads)
         self.deterministic = bool(deterministic)
         self.distance_cache = bool(distance_cache)
@@ -314,7 +314,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         if model.at_start and not self.advised:
             self.advised = True
             for sentence in self.advice():
-                warnings.warn(sentence, ContactWarning, stacklevel=level_outside())
+                warnings.warn(ContactWarning(sentence), stacklevel=level_outside())
         for part, buffers in zip(model.parts, self._buffers, strict=True):
             part.untouched = False
             if buffers.hard is not None:
@@ -437,8 +437,8 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
             for done in self.advance(recorder, steps, stride, start=start, alone=alone):
                 bar.update(done - before)
                 before = done
-        for sentence in (*remarks.about_frozen(), *remarks.new()):
-            warnings.warn(sentence, RuntimeWarning, stacklevel=level_outside())
+        for warning in (*remarks.about_frozen(), *remarks.new()):
+            warnings.warn(warning, stacklevel=level_outside())
         attributes = {
             "dt": self.dt,
             "integrator": type(self.integrator).__name__,

@@ -40,6 +40,7 @@ def record_structs(real: type) -> SimpleNamespace:
 
         step: wp.array(dtype=wp.int32)  # [env] number of the last step, from 1; what has another stamp is open
         failures: wp.array(dtype=wp.int32)  # [env] steps without convergence
+        largest_residual: wp.array(dtype=real)  # [env] of these steps
         calm: wp.array(dtype=wp.int32)  # [env] last steps in which nothing moved or changed, at most 2
         restrained: wp.array(dtype=wp.int32)  # [env] steps in which restitution was lowered
         friction_loss: wp.array(dtype=wp.float64)  # [env] energy that friction took [J]

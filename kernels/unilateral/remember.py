@@ -82,6 +82,8 @@ def kernel(real: type, moves: bool, rolls: bool) -> wp.Kernel:
             if restraint.part[env] < real(1.0):
                 account.restrained[env] = account.restrained[env] + 1
             account.failures[env] = account.failures[env] + 1 - outcome.converged[env]
+            if outcome.converged[env] == 0:
+                account.largest_residual[env] = wp.max(account.largest_residual[env], outcome.residual[env])
             calm = wp.min(account.calm[env] + 1, 2)
             if outcome.converged[env] == 0 or outcome.iterations[env] > 0 or restraint.part[env] < real(1.0):
                 calm = wp.int32(0)
@@ -286,6 +288,7 @@ def forget(real: type) -> wp.Kernel:
         account.calm[env] = 0
         if everything == 1:
             account.failures[env] = 0
+            account.largest_residual[env] = real(0.0)
             account.restrained[env] = 0
             account.friction_loss[env] = wp.float64(0.0)
             account.impact_loss[env] = wp.float64(0.0)

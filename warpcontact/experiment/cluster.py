@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from warpcontact.contact_warning import RunWarning, WarningLevel, labeled, split_label
 from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, Bar, told
@@ -206,7 +207,8 @@ class _Tasks:
                     if message is None:
                         continue
                     if self.tries[shard.number] < ATTEMPTS:
-                        warnings.warn(f"{shard.name} is tried again: {message}", RuntimeWarning, stacklevel=2)
+                        text = f"{shard.name} is tried again: {message}"
+                        warnings.warn(RunWarning(text, WarningLevel.NOTE), stacklevel=2)
                         self._submit(shard)
                     else:
                         failed[shard.name] = message
@@ -228,7 +230,7 @@ class _Tasks:
             QuarantineError: If an environment failed, and the policy is to raise.
         """
         try:
-            frozen, sentences = self.ray.get(reference)
+            frozen, labels = self.ray.get(reference)
         except self.ray.exceptions.RayTaskError as error:
             cause = error.cause
             if isinstance(cause, OSError | StoreError | QuarantineError):
@@ -236,8 +238,9 @@ class _Tasks:
             return f"{type(cause).__name__}: {cause}"
         except self.ray.exceptions.RayError as error:
             return f"its worker was lost: {str(error).splitlines()[0]}"
-        for sentence in sentences:
-            warnings.warn(sentence, RuntimeWarning, stacklevel=4)
+        for label in labels:
+            level, text = split_label(label)
+            warnings.warn(RunWarning(text, level), stacklevel=4)
         self.bar.finish(shard, frozen)
         return None
 
@@ -266,7 +269,7 @@ def run_shard(number: int, folder: str, device: str, threads: int, every: float)
     """Runs a shard of the run in a folder, in a worker.
 
     Returns:
-        How many of its environments are frozen, and what was warned of.
+        Number of its frozen environments, and its warnings behind their levels.
     """
     import warp as wp
 
@@ -287,7 +290,7 @@ def run_shard(number: int, folder: str, device: str, threads: int, every: float)
         runner.ledger.recover(shard, commit or Commit(number))
         ended = runner.run(shard, commit)
     kinds = UserWarning | RuntimeWarning
-    return ended.frozen, [str(one.message) for one in heard if issubclass(one.category, kinds)]
+    return ended.frozen, [labeled(one.message) for one in heard if issubclass(one.category, kinds)]
 
 
 def _runner(folder: Path, summary: Mapping[str, Any], device: str, threads: int, every: float) -> "ShardRunner":

@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from warpcontact._version import __version__
+from warpcontact.contact_warning import RunWarning, WarningLevel
 from warpcontact.durable import replacing
 from warpcontact.environments import Environments
 from warpcontact.experiment import folder as files_of
@@ -241,12 +242,11 @@ def _tell_of_disk(job: Job, left: Iterable[Shard], commits: Mapping[int, Commit]
     done = {shard.number: commits[shard.number].steps for shard in left if shard.number in commits}
     size = sum(job.plan.on_disk(shard.envs) * (1 - done.get(shard.number, 0) / steps) for shard in left)
     if disk is not None and disk.free < size:
-        warnings.warn(
+        text = (
             f"the results{' that are left' if commits else ''} take up to {readable(size)} before compression, "
-            f"and {disk}: it may be full before the run ends",
-            RuntimeWarning,
-            stacklevel=4,
+            f"and {disk}: it may be full before the run ends"
         )
+        warnings.warn(RunWarning(text), stacklevel=4)
 
 
 def here(runner: ShardRunner, job: Job) -> Runs:
@@ -291,7 +291,7 @@ def attempt(runner: ShardRunner, shard: Shard, commit: Commit | None, bar: Bar, 
                 raise
             if number == ATTEMPTS - 1:
                 return f"{type(error).__name__}: {error}"
-            warnings.warn(f"{shard.name} is tried again: {error}", RuntimeWarning, stacklevel=2)
+            warnings.warn(RunWarning(f"{shard.name} is tried again: {error}", WarningLevel.NOTE), stacklevel=2)
             commit = runner.ledger.commits().get(shard.number)
             runner.ledger.recover(shard, commit or Commit(shard.number))
     return None
@@ -340,7 +340,7 @@ def _end(job: Job, summary: dict[str, Any], warned: Callable[[], list[str]]) -> 
     run = Run(folder, summary, job.scene)
     health = run.health
     if not health.good:
-        warnings.warn(str(health), RuntimeWarning, stacklevel=4)
+        warnings.warn(RunWarning(str(health), WarningLevel.ERROR), stacklevel=4)
     summary = summary | {
         "state": files_of.FINISHED,
         "wall_time": wall_time,
@@ -357,7 +357,7 @@ def _end(job: Job, summary: dict[str, Any], warned: Callable[[], list[str]]) -> 
         _show(run, job)
     except Exception as error:
         # The results are whole without it.
-        warnings.warn(f"no picture or animation of the results: {error}", RuntimeWarning, stacklevel=4)
+        warnings.warn(RunWarning(f"no picture or animation of the results: {error}"), stacklevel=4)
     if warned() != summary["warnings"]:
         summary["warnings"] = warned()
         files_of.write_summary(folder, summary)

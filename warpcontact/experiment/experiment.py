@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from warpcontact import collecting
 from warpcontact.build import draw_up
 from warpcontact.checks import there_are
+from warpcontact.contact_warning import RunWarning
 from warpcontact.draft import Draft
 from warpcontact.environments import Environments
 from warpcontact.experiment.assemble import Assembler, Loaded
@@ -206,8 +207,8 @@ class Experiment:
             threads: Threads that step environments on the CPU; ``None``: one per core.
             checkpoint: Time between checkpoints of a shard [s]; 0: as often as there is something to commit.
             on_stage: Called with a few words when a stage that may take long begins.
-            on_warning: Called with the text of each warning of a mesh file or of the simulation, in place of
-                Python's way; they are in ``run.json`` in any case.
+            on_warning: Called with each warning of a mesh file or of the simulation behind its level,
+                ``caution: …``, instead of Python's ``warnings``; ``run.json`` has them in any case.
 
         Returns:
             The run. Shards may have failed in it, see ``run.summary["failed"]``.
@@ -304,10 +305,11 @@ class Experiment:
     def _tell_of_sampling(self, notices: "Notices") -> None:
         if isinstance(self.design.sampler, Sobol) and (envs := self.settings.envs) & (envs - 1):
             below = 1 << envs.bit_length() - 1
-            notices.add(
+            text = (
                 f"sampling.method = 'sobol' with {envs} environments: Sobol' points fill their space evenly if "
                 f"there is a power of two of them; next to it: {below} and {2 * below}"
             )
+            notices.add(RunWarning(text))
 
     def plan(
         self,

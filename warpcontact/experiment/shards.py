@@ -16,7 +16,7 @@ from warpcontact import checkpoint
 from warpcontact.captures import beside_captures
 from warpcontact.compiling import load_all
 from warpcontact.contact_coupling_report import OUTCOMES
-from warpcontact.contact_warning import ContactWarning
+from warpcontact.contact_warning import ContactWarning, RunWarning, WarningLevel
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.observation import watching
@@ -272,7 +272,7 @@ class ShardRunner:
             self._check_pending(commit, frames, times, recorder)
             checkpoint.restore(self.simulation, arrays)
         except (checkpoint.CheckpointError, FileNotFoundError) as error:
-            warnings.warn(f"{shard.name} begins anew: {error}", RuntimeWarning, stacklevel=3)
+            warnings.warn(RunWarning(f"{shard.name} begins anew: {error}", WarningLevel.NOTE), stacklevel=3)
             self.simulation.reset()
             return Commit(shard.number, wall_time=commit.wall_time)
         recorder.go_on_from(frames, times)
@@ -308,7 +308,7 @@ class ShardRunner:
         for sentence in self.simulation.advice():
             kind = re.sub(r"[\d.,+-]+(e[+-]?\d+)?", "", sentence)
             if kind not in self._said:
-                warnings.warn(sentence, ContactWarning, stacklevel=3)
+                warnings.warn(ContactWarning(sentence), stacklevel=3)
             self._said.add(kind)
 
 
@@ -391,8 +391,8 @@ class _Attempt:
         events = runner.events()
         if events is not None:
             self.staging.write("events", _values(events))
-        for sentence in self.remarks.new():
-            warnings.warn(sentence, RuntimeWarning, stacklevel=4)
+        for warning in self.remarks.new():
+            warnings.warn(warning, stacklevel=4)
         self.commit.frozen = runner.frozen(self.shard)
         self.commit.steps, self.commit.finished = runner.frames.steps, True
         self.commit.checkpoint = self.commit.checkpoint_sha256 = None

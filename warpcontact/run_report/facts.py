@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from warpcontact.contact_warning import WarningLevel, split_label
 from warpcontact.experiment.folder import EXPERIMENT
 from warpcontact.experiment.probe import spoken
 from warpcontact.experiment.status import RunStatus
@@ -57,13 +58,19 @@ def notices(summary: Mapping[str, Any], status: RunStatus) -> Markup:
         parts.append(element("p", name(shard), " failed: ", short(message, NOTICE), class_="notice bad"))
     listed = summary.get("warnings", [])
     warnings = listed if isinstance(listed, list) else []
-    lines = [element("li", short(text, NOTICE)) for text in warnings[:NOTICES]]
+    lines = [_notice(text) for text in warnings[:NOTICES]]
     if len(warnings) > NOTICES:
         lines.append(element("li", f"… and {count(len(warnings) - NOTICES)} more, in run.json"))
     if lines:
         head = element("summary", several(len(warnings), "notice"))
         parts.append(element("details", head, element("ul", joined(lines)), class_="notice", open=len(lines) <= 3))
     return joined(parts)
+
+
+def _notice(entry: Any) -> Markup:
+    """Returns a warning with its level as label; runs of earlier versions have warnings without one."""
+    level, text = split_label(entry) if isinstance(entry, str) else (WarningLevel.CAUTION, entry)
+    return element("li", element("b", f"{level.capitalize()}: "), short(text, NOTICE))
 
 
 def section(folder: Path, summary: Mapping[str, Any], status: RunStatus) -> Markup:

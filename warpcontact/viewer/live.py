@@ -97,7 +97,7 @@ class Live(Show):
         self.say("compiling …")
         self._recorder.start()
         if simulation.model.at_start:
-            self.write(self._notes, "\n".join(f"Note: {sentence}" for sentence in simulation.advice()))
+            self.write(self._notes, "\n".join(f"Caution: {sentence}" for sentence in simulation.advice()))
             simulation.advised = True
             # Compiles; whoever made the simulation may have put it into another state than that at the start.
             with tempfile.TemporaryDirectory() as folder:
