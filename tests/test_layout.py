@@ -69,6 +69,22 @@ def test_every_folder_is_packaged():
         assert (folder / "__init__.py").is_file(), package
 
 
+@pytest.mark.skipif(CHECKOUT is None, reason="reads pyproject.toml of a checkout")
+def test_every_dependency_declares_its_lowest_version():
+    result = subprocess.run(
+        [sys.executable, CHECKOUT / ".ci" / "lowest_versions.py"], capture_output=True, text=True, check=False
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    declared = {
+        *project["dependencies"],
+        *(one for extra in project["optional-dependencies"].values() for one in extra),
+    }
+    listed = [line.partition(";")[0].strip().replace("==", ">=") for line in result.stdout.splitlines()]
+    assert len(listed) == len([one for one in declared if not one.startswith("warpcontact[")])
+    assert all(any(one.startswith(line) for one in declared) for line in listed)
+
+
 def test_every_public_name_loads_and_is_listed_once():
     assert sorted(warpcontact.__all__) == warpcontact.__all__
     assert len(set(warpcontact.__all__)) == len(warpcontact.__all__)
