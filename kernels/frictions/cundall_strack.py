@@ -1,10 +1,39 @@
 """Coulomb friction with a tangential spring that holds a load at rest."""
 
-from typing import Any
+import math
+from typing import Any, Self
 
 import warp as wp
 from warpcontact.kernels.formula import memory, parameter
 from warpcontact.kernels.frictions.base import Friction
+
+
+def stick_damping(stiffness: float, mass: float, overshoot: float) -> float:
+    """Returns the tangential damping c_t [N·s/m] at which a step load overshoots by a given share.
+
+    A load F that acts suddenly on a stuck mass m is held by the force k_t ξ + c_t dξ/dt, which reaches F (1 + o)
+    before it settles at F. With the damping ratio ζ = c_t/(2 √(k_t m)) and φ = arccos ζ,
+
+        o = exp(−2 φ cot φ):   1 for ζ = 0, e⁻² for ζ = 1, about 1/(4 ζ²) for large ζ.
+
+    This is the restitution of a spring and dashpot that cannot pull; ``KelvinVoigt`` uses the same function.
+
+    Args:
+        stiffness: k_t [N/m].
+        mass: Mass m that the slip of the contact moves [kg].
+        overshoot: o, above 0 and at most 1 [-].
+
+    Raises:
+        ValueError: If a value is out of range.
+    """
+    from warpcontact.kernels.laws.kelvin_voigt import damping_ratio_of_restitution
+
+    for name, value in (("stiffness", stiffness), ("mass", mass)):
+        if not 0.0 < value < math.inf:
+            raise ValueError(f"{name} must be greater than 0, got {value:g}")
+    if not 0.0 < overshoot <= 1.0:
+        raise ValueError(f"overshoot must be greater than 0 and at most 1, got {overshoot:g}")
+    return 2.0 * float(damping_ratio_of_restitution(overshoot)) * math.sqrt(stiffness * mass)
 
 
 @wp.func
@@ -51,6 +80,11 @@ class CundallStrack(Friction):
     The spring's stretch ξ begins at zero with the contact, follows the slip, and turns with the surface and its
     normal. Half a period of a solid sphere in the tangent equals that along the normal if k_t = (2/7) k_n. A μ_d
     above μ_s is allowed: it then sticks below μ_d N, as with μ_s = μ_d.
+
+    The spring oscillates under a load F that acts suddenly, such as the weight of a block that is placed on a
+    slope. Its force reaches F (1 + o) and must stay below μ_s N, or the block slides; with μ_d N < F it then never
+    sticks again. Without damping o is 1, with critical damping c_t = 2 √(k_t m) it is e⁻² = 0.135.
+    ``from_overshoot`` chooses the damping: a load up to μ_s N/(1 + o) is held.
     """
 
     formula = (
@@ -68,6 +102,35 @@ class CundallStrack(Friction):
 
     spring = memory("m", "stretch ξ of the spring", tangent=True)
     sliding = memory("-", "1 while it slides")
+
+    @classmethod
+    def from_overshoot(
+        cls, *, mu_static: float, mu_dynamic: float, stiffness: float, mass: float, overshoot: float = 0.05
+    ) -> Self:
+        """Returns the model with the damping at which a step load overshoots by ``overshoot``.
+
+        Explicit steps need dt < 2 m/c_t; c_t grows as 1/√o.
+
+        Args:
+            mu_static: Coefficient of static friction μ_s.
+            mu_dynamic: Coefficient of dynamic friction μ_d.
+            stiffness: Tangential stiffness k_t of the contact [N/m].
+            mass: Mass m that the slip of this contact moves [kg]: that of the body over the number of contacts
+                that hold it, (2/7) of that for a solid sphere that can roll.
+            overshoot: o, the largest force over a step load, less 1 [-]; above 0 and at most 1.
+
+        Raises:
+            ValueError: If a value is out of range.
+
+        Example:
+            >>> block = wc.frictions.CundallStrack.from_overshoot(
+            ...     mu_static=0.5, mu_dynamic=0.4, stiffness=1e6, mass=1.0, overshoot=0.01
+            ... )
+            >>> round(block.damping / 2e3, 2)  # the damping ratio
+            4.81
+        """
+        damping = stick_damping(stiffness, mass, overshoot)
+        return cls(mu_static=mu_static, mu_dynamic=mu_dynamic, stiffness=stiffness, damping=damping)
 
     @wp.func
     def advance(p: Any, s: Any, m: Any):

@@ -1,11 +1,11 @@
 """Coulomb friction with the tangential spring of two elastic spheres, which stiffens with the patch of contact."""
 
-from typing import Any
+from typing import Any, Self
 
 import warp as wp
 from warpcontact.kernels.formula import memory, parameter
 from warpcontact.kernels.frictions.base import Friction
-from warpcontact.kernels.frictions.cundall_strack import spring_and_dashpot, spring_and_slider
+from warpcontact.kernels.frictions.cundall_strack import spring_and_dashpot, spring_and_slider, stick_damping
 
 
 class Mindlin(Friction):
@@ -13,7 +13,8 @@ class Mindlin(Friction):
 
     While the patch grows the force stays, as new area comes into touch unstretched, dF = 8 G* a dξ; while it
     shrinks the stretch stays, and the force falls with a. Either way the spring gains nothing from the load alone.
-    For contacts with a radius. A μ_d above μ_s is allowed, as in ``CundallStrack``.
+    For contacts with a radius. A μ_d above μ_s is allowed, as in ``CundallStrack``. A load that acts suddenly
+    overshoots as there; ``from_overshoot`` chooses the damping.
     """
 
     formula = "F = −8 G* a ξ − c_t v, a = √(R δ), 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂; slides like CundallStrack"
@@ -32,6 +33,33 @@ class Mindlin(Friction):
     spring = memory("m", "stretch ξ of the spring", tangent=True)
     sliding = memory("-", "1 while it slides")
     patch_radius = memory("m", "radius a of the patch")
+
+    @classmethod
+    def from_overshoot(
+        cls,
+        *,
+        mu_static: float,
+        mu_dynamic: float,
+        shear_modulus: float,
+        patch_radius: float,
+        mass: float,
+        overshoot: float = 0.05,
+    ) -> Self:
+        """Returns the model with the damping at which a step load overshoots by ``overshoot``.
+
+        Args:
+            mu_static: Coefficient of static friction μ_s.
+            mu_dynamic: Coefficient of dynamic friction μ_d.
+            shear_modulus: Effective shear modulus G* [Pa].
+            patch_radius: Radius a = √(R δ) of the patch at rest [m].
+            mass: Mass that the slip of this contact moves [kg], as for ``CundallStrack``.
+            overshoot: The largest force over a step load, less 1 [-]; above 0 and at most 1.
+
+        Raises:
+            ValueError: If a value is out of range.
+        """
+        damping = stick_damping(8.0 * shear_modulus * patch_radius, mass, overshoot)
+        return cls(mu_static=mu_static, mu_dynamic=mu_dynamic, shear_modulus=shear_modulus, damping=damping)
 
     @wp.func
     def advance(p: Any, s: Any, m: Any):
