@@ -320,16 +320,21 @@ class Formula:
         return next((name for name in needed if not isinstance(getattr(cls, name, None), wp.Function)), "")
 
     @classmethod
-    def _check_function(cls, name: str) -> None:
-        """Raises ``TypeError`` for what Warp would only say in its own words, much later."""
+    def _check_function(cls, name: str, wanted: tuple[str, ...] | None = None) -> None:
+        """Raises ``TypeError`` for what Warp would only say in its own words, much later.
+
+        Args:
+            name: Name of the device function.
+            wanted: Its arguments, as text; ``None``: those of ``arguments``.
+        """
         function = getattr(cls, name)
         if name == "advance" and not cls.memories:
             raise TypeError(f"{cls.__name__}.advance has nothing to advance; declare what it remembers: wc.memory")
-        wanted = cls.arguments()
+        wanted = cls.arguments() if wanted is None else wanted
         if len(inspect.signature(function.func).parameters) != len(wanted):
             raise TypeError(f"{cls.__name__}.{name} must take {len(wanted)} arguments, ({', '.join(wanted)})")
         if not any(isinstance(node, ast.Return) and node.value for node in ast.walk(function.adj.tree)):
-            what = "the memory: end it with return m" if name == "advance" else cls.functions[name]
+            what = "the memory: end it with return m" if name == "advance" else cls.functions.get(name, "a number")
             raise TypeError(f"{cls.__name__}.{name} returns nothing; it must return {what}")
         if not _always_returns(function.adj.tree.body[0].body):
             # Warp would return zeros there.

@@ -123,6 +123,7 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
     rolling_force, _, rolling_forget = memory.functions(parts.rolling, real)
     torsion_force, _, torsion_forget = memory.functions(parts.torsion, real, along_normal=True)
     needs_mass, needs_curvature = parts.law.needs_mass, parts.law.needs_curvature
+    pulls, pull_off = parts.law.pulls, parts.law.pull_off
     rolls, twists, directional = parts.rolls, parts.twists, parts.directional
     lowest = wp.constant(real(-math.inf if parts.law.pulls else 0.0))
     # Mean arm of friction under the pressure of Hertz: (3π/16) a.
@@ -159,6 +160,15 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
         if force < lowest:
             return lowest
         return force
+
+    if pulls and pull_off is None:
+
+        @wp.func
+        def pull_off(p: Any, c: Touch):
+            """Tension at first touch and at rest."""
+            c.delta = c.delta * real(1.0e-6)
+            c.delta_dot = real(0.0)
+            return -law_begins(p, c)
 
     @wp.func
     def surface_axis(q_WS: quat, n_W: vec3):
@@ -221,6 +231,12 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
             lasted = touch.delta / approach
         p = coefficients.law[env, member]
         normal_force = cut(law_force(remembered.law, kept.law, env, member, p, touch, lasted, dt, q_WS, n_W))
+        tension = real(0.0)
+        if wp.static(pulls):
+            # Not below 0, and not by max, which hides a NaN.
+            tension = pull_off(p, touch)
+            if tension < real(0.0):
+                tension = real(0.0)
 
         # The force of a step stands for the time from half a step before this state to half a step after: the
         # contact's share of it, when it began since the last state, is δ/(δ̇ dt) + 1/2 steps. A law continuous
@@ -233,8 +249,11 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
 
         slip = Slip()
         slip.normal = n_W
+        # The load of friction: N, and with a law that pulls the pull-off force as well.
         slip.normal_force = normal_force
-        if normal_force < real(0.0):
+        if wp.static(pulls):
+            slip.normal_force = normal_force + tension
+        if slip.normal_force < real(0.0):
             slip.normal_force = real(0.0)
         slip.patch_radius = wp.sqrt(place.radius * place.penetration)
         if wp.static(directional):

@@ -29,6 +29,11 @@ class Law(Formula):
     written as ``type(c.delta)(1.5)``. The force must depend on nothing else. A parameter ``area`` in m² with the
     default ``None`` is the area that each point stands for, where it is left out.
 
+    A law that pulls (``pulls = True``: suction, adhesion) has friction under the load N + F_p, with the pull-off
+    force F_p: Coulomb's friction with the adhesive force added. By default F_p is the tension at first touch and
+    at rest, max(0, −N(δ → 0, δ̇ = 0)). A law with a larger tension elsewhere defines ``pull_off(p, c)``, a
+    ``wp.func`` with the arguments of ``force``, which returns F_p [N].
+
     A law that remembers (the deepest penetration so far, a creep) declares what, with ``wc.memory``, and has two
     functions of ``(p, c, m)``: ``advance`` returns the memory ``m`` after the time ``m.elapsed`` [s] since it last
     did, and ``force`` the force from that.
@@ -40,6 +45,8 @@ class Law(Formula):
     needs_curvature: ClassVar[bool] = False
     #: Whether the law may pull; the force of all others is cut at zero.
     pulls: ClassVar[bool] = False
+    #: Device function of the pull-off force of a law that pulls; ``None``: its tension at first touch.
+    pull_off: ClassVar[wp.Function | None] = None
     #: Exponent of the elastic part if it is fixed; laws with a parameter ``exponent`` leave it out.
     power: ClassVar[float | None] = None
 
@@ -48,6 +55,12 @@ class Law(Formula):
         for name, field in cls.memories.items():
             if field.tangent:
                 raise TypeError(f"{cls.__name__}.{name}: a law acts along the normal and has no tangent vectors")
+        if "pull_off" in vars(cls) and cls.pull_off is not None:
+            if not cls.pulls:
+                raise TypeError(f"{cls.__name__}.pull_off is for a law that pulls; set pulls = True")
+            if not isinstance(cls.pull_off, wp.Function):
+                raise TypeError(f"{cls.__name__}.pull_off must be a wp.func of (coefficients, state)")
+            cls._check_function("pull_off", ("coefficients", "state"))
 
     @classmethod
     def elastic(cls, values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
