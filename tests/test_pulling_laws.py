@@ -1,4 +1,4 @@
-"""Laws that pull: friction under N and the pull-off force."""
+"""Laws that pull: friction under N and the pull-off force, and refusal by integrators of rigid contact."""
 
 from typing import Any
 
@@ -6,6 +6,7 @@ import numpy as np
 import own_law
 import pytest
 import warp as wp
+from hard_scenes import HARD
 from scenes import dropped_sphere
 
 import warpcontact as wc
@@ -28,6 +29,14 @@ class Jump(wc.Law):
     @wp.func
     def pull_off(p: Any, c: Any):
         return p.adhesion + p.adhesion
+
+
+class Drag(wc.Friction):
+    """F = −N v, without a parameter."""
+
+    @wp.func
+    def force(p: Any, s: Any):
+        return (-s.normal_force) * s.velocity
 
 
 def sphere_in_overlap(law, friction, depth, device, **options):
@@ -105,3 +114,33 @@ def test_pull_off_with_other_arguments_is_refused():
             @wp.func
             def pull_off(p: Any):
                 return p.stiffness * p.depth
+
+
+def test_integrators_of_rigid_contact_refuse_a_law_that_pulls(device):
+    model = dropped_sphere(own_law.Adhesive(stiffness=1e4, depth=2e-3), device=device, precision="float64")
+    sentence = r"touch\.law must be a law that does not pull, got Adhesive with pulls = True: rigid contact has no"
+    with pytest.raises(ValueError, match=sentence + r" tension\. Or use SemiImplicitEuler, or compliant="):
+        wc.Simulation(model, 1e-3, HARD)
+    wc.Simulation(model, 1e-3, wc.integrators.MoreauJean(compliant=["touch"]))
+    for method in (wc.unilateral.EventDriven, wc.unilateral.equilibrium, wc.unilateral.assemble):
+        with pytest.raises(ValueError, match=sentence):
+            method(model)
+
+
+def test_event_driven_refuses_a_friction_without_a_coefficient(device):
+    model = dropped_sphere(wc.laws.Rigid(restitution=0.0), friction=Drag(), device=device, precision="float64")
+    with pytest.raises(ValueError, match=r"touch.friction is Drag, which has no coefficient of friction"):
+        wc.unilateral.EventDriven(model)
+
+
+def test_share_does_not_scale_an_impulse_and_is_refused_at_zero(device):
+    sentence = r"touch\.share must be greater than 0, got 0: rigid contact has no force to scale"
+    model = dropped_sphere(wc.laws.Rigid(restitution=0.0), share=0.0, device=device, precision="float64")
+    with pytest.raises(ValueError, match=sentence):
+        wc.Simulation(model, 1e-3, HARD)
+    model["touch.share"] = 0.5
+    wc.Simulation(model, 1e-3, HARD).step()
+    np.testing.assert_allclose(model.reading("touch.impulse")[0], (0, 0, 1), atol=1e-12)
+    with pytest.raises(ValueError, match=sentence):
+        model["touch.share"] = 0.0
+    np.testing.assert_array_equal(model["touch.share"], 0.5)

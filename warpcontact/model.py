@@ -176,6 +176,8 @@ class Model(Environments, OfScene):
         return External(force=model.body_external_force, torque=model.body_external_torque)
 
     def _look_for_bounces(self) -> None:
+        if self.hard is not None:
+            self.hard.check_shares(self.parameters)
         bounces = self.hard is not None and self.hard.bounces(self.parameters)
         if self.bounces != bounces:
             self.bounces = bounces

@@ -10,11 +10,11 @@ from warpcontact import checks
 from warpcontact.arrays import Layout
 from warpcontact.checks import limits
 from warpcontact.integrators.base import Integrator, formulas_of
-from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.motions import driven
 from warpcontact.kernels.unilateral import accelerated, gauss_seidel, restrain, step
 from warpcontact.schedule import Span, StepLength, force_stages
+from warpcontact.unilateral.materials import check_rigid
 
 if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
@@ -51,7 +51,8 @@ class MoreauJean(Integrator):
 
     Every contact is hard, with the ``restitution`` of its law, 0 if that has none, and the coefficient of its
     friction, the dynamic one where it slipped in the step before; so the same scene may be stepped either way.
-    ``wc.laws.Rigid`` and ``wc.frictions.Coulomb`` have nothing but these.
+    ``wc.laws.Rigid`` and ``wc.frictions.Coulomb`` have only these. A law that pulls and a friction without a
+    coefficient are refused; a ``share`` does not matter, since there is no force to scale.
 
     Args:
         theta: θ, from ½, which keeps the energy, to 1.
@@ -91,7 +92,7 @@ class MoreauJean(Integrator):
         object.__setattr__(self, "compliant", tuple(self.compliant))
 
     def check(self, scene: "Scene") -> None:
-        """Checks that what is hard has a cone of Coulomb, and what is not a force.
+        """Checks that contacts without a force do not pull and have Coulomb's cone, and that others have a force.
 
         Raises:
             ValueError: If not, or if there is no contact of a name in ``compliant``.
@@ -103,18 +104,14 @@ class MoreauJean(Integrator):
                 known = ", ".join(repr(own) for own in contacts if own not in forces) or "none"
                 raise ValueError(f"compliant: there is no contact {name!r}; there is {known}")
         for name, formulas in contacts.items():
+            if name not in self.compliant and name not in forces:
+                check_rigid(name, formulas, f"Or use SemiImplicitEuler, or compliant=[{name!r}]")
+                continue
             for part, formula in formulas.items():
-                if name in self.compliant or name in forces:
-                    if formula.rigid:
-                        why = "compliant: " if name in self.compliant else "contact couplings are forces: "
-                        raise ValueError(
-                            f"{why}{name}.{part} is {type(formula).__name__}, which has no force of its own"
-                        )
-                elif part != "law" and not isinstance(formula, Frictionless) and formula.of_cone() is None:
+                if formula.rigid:
+                    why = "compliant: " if name in self.compliant else "contact couplings are forces: "
                     raise ValueError(
-                        f"{name}.{part} is {type(formula).__name__}, which has no coefficient of friction for "
-                        "hard contact; take a model with mu, such as wc.frictions.Coulomb, or name the contact in "
-                        "compliant="
+                        f"{why}{name}.{part} is {type(formula).__name__}, which has no force of its own"
                     )
         for contact in scene.contacts:
             if contact.swept:

@@ -183,6 +183,7 @@ class HardContacts:
 
     def begin(self, model: "Model", step: wp.array) -> None:
         """Takes what is allocated: the model, and the length of a step [env, 0] [s]."""
+        self.check_shares(model.parameters)
         self._bodies, self._step = model.body_count, step
         self._upload = material_upload(self, self._materials, model.parameters, model.device, self._real)
 
@@ -242,6 +243,20 @@ class HardContacts:
         """Whether any hard contact has a restitution now: impacts may then bring energy."""
         names = [f"{one.name}.law.restitution" for one in self._hard]
         return any(bool(parameters[name].field.values.any()) for name in names if name in parameters)
+
+    def check_shares(self, parameters: Mapping[str, Parameter]) -> None:
+        """Checks that no nonsmooth contact has the share 0: it would act in spite of that.
+
+        Raises:
+            ValueError: If one has; names the contact.
+        """
+        for one in self._hard:
+            own = parameters.get(f"{one.name}.share")
+            if own is not None and not own.values.all():
+                raise ValueError(
+                    f"{one.name}.share must be greater than 0, got 0: rigid contact has no force to scale. Set "
+                    f"{one.name}.enabled to 0 to switch it off"
+                )
 
     def compliant_blocks(self, group: Group) -> list[tuple[int, int]]:
         """Returns the blocks of the contacts of ``group`` that are not hard: the first and their number."""

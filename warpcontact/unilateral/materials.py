@@ -9,7 +9,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact.kernels.formula import Formula
-from warpcontact.kernels.frictions import Frictionless
+from warpcontact.kernels.frictions import Friction, Frictionless
+from warpcontact.kernels.laws import Law
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.parameters import Parameter, Upload, pack
 
@@ -25,6 +26,31 @@ class Touching(Protocol):
 def of_cone(friction: Any) -> tuple[str, str] | None:
     """Returns the names of the coefficients at rest and in motion; ``None``: there is no friction."""
     return None if isinstance(friction, Frictionless) else friction.of_cone()
+
+
+def check_rigid(name: str, formulas: Mapping[str, Formula], remedy: str) -> None:
+    """Checks that law and friction of a contact have a meaning between rigid bodies.
+
+    Args:
+        name: Name of the contact.
+        formulas: Its law and friction models by the name of their part.
+        remedy: Ends the message: what to use instead.
+
+    Raises:
+        ValueError: If the law pulls, or a friction model has no coefficient of friction; names the contact.
+    """
+    for part, formula in formulas.items():
+        kind = type(formula).__name__
+        if isinstance(formula, Law) and formula.pulls:
+            raise ValueError(
+                f"{name}.law must be a law that does not pull, got {kind} with pulls = True: rigid contact has no "
+                f"tension. {remedy}"
+            )
+        if isinstance(formula, Friction) and not isinstance(formula, Frictionless) and formula.of_cone() is None:
+            raise ValueError(
+                f"{name}.{part} is {kind}, which has no coefficient of friction for hard contact. Take a model "
+                f"with mu, such as wc.frictions.Coulomb. {remedy}"
+            )
 
 
 @dataclass(frozen=True)

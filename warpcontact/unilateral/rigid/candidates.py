@@ -13,7 +13,7 @@ from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.pile import Pile
 from warpcontact.smooth.elements import SmoothContact
 from warpcontact.status import Status
-from warpcontact.unilateral.materials import Hard
+from warpcontact.unilateral.materials import Hard, check_rigid
 from warpcontact.unilateral.rigid.bodies import rotation_matrices
 from warpcontact.unilateral.rigid.events import Event, EventKind
 from warpcontact.unilateral.rigid.segments import closest_on_segments
@@ -157,12 +157,7 @@ class Candidates:
                     f"this method, got {type(contact.template.formulas[part]).__name__}"
                 )
         sources = Hard(contact, contact.template.formulas, count).sources()
-        friction = contact.template.friction
-        if friction.parameters() and sources["mu_static"] is None:
-            raise ValueError(
-                f"{contact.name}.friction is {type(friction).__name__}, which has no coefficient of friction for "
-                "hard contact; take a model with mu, such as wc.frictions.Coulomb"
-            )
+        check_rigid(contact.name, contact.template.formulas, "Or use SemiImplicitEuler")
         if (self._values(f"{contact.name}.share", count, 1.0) != 1.0).any():
             raise ValueError(f"{contact.name}.share must be 1: a hard contact cannot be a part of one")
         columns = [
