@@ -226,9 +226,11 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
             return lost(real(wp.inf), real(wp.nan), DISABLED, armed, arm_W)
         out_of_sight = wp.max(geometry.search_radius - radius, real(0.0))
 
+        # Distance below which there is contact.
+        touch_at = radius + geometry.closed
         # Into the mesh's own frame and unit, where float32 is as good as the mesh.
         patch, scale = view.patch, view.scale
-        reach = radius * view.per_scale
+        reach = touch_at * view.per_scale
         p_S = view.per_scale * (wp.transpose(view.R_WS) * (view.apart_W + arm_W))
 
         option = model.contact_options[contact]
@@ -398,23 +400,23 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
         touching = OPEN
         if hidden:
             touching = HIDDEN
-        elif not missed and s < radius:
+        elif not missed and s < touch_at:
             touching = CONTACT
             if radius - s > geometry.max_depth or ((option & LATCHED) != 0 and armed == 0):
                 touching = WRONG_SIDE
         penetration = real(0.0)
         if touching == CONTACT:
-            penetration = radius - s
+            penetration = wp.max(radius - s, real(0.0))
 
         # How far the point is from touching. On the side that it is on it stays, where that is known; one that is
         # deeper than counts as contact, or farther than that outside, does not touch whatever its side.
         free = real(-1.0)
         if not held and touching != CONTACT:
             nearest = distance - scale * unsure
-            if s >= radius:
-                free = wp.min(nearest - radius, scale * room_on_side(model, patch, p_S))
+            if s >= touch_at:
+                free = wp.min(nearest - touch_at, scale * room_on_side(model, patch, p_S))
             if (option & LATCHED) == 0:
-                free = wp.max(free, nearest - wp.max(radius, geometry.max_depth - radius))
+                free = wp.max(free, nearest - wp.max(touch_at, geometry.max_depth - radius))
             if wp.static(part in (AWAY, WHOLE)):  # noqa: SIM102  Warp would evaluate both sides
                 if cached and touching == OPEN and armed != 0 and free > real(0.0):
                     keep_away(cache, env, contact, p_S, view.per_scale * free)

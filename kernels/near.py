@@ -85,7 +85,8 @@ def functions(real: type, follows: bool, part: str) -> SimpleNamespace:
     def left_of(model: Model, env: int, block: int, contact: int, around: real):
         """What is left of ``around``, which is for the middle of a block, for one of its contacts [m]."""
         arm_B = model.point_position[env, natural(model.contact_point[contact])] - model.block_center[env, block]
-        return around - rounded_up * wp.length(arm_B) - model.contact_geometry[env, contact].radius
+        geometry = model.contact_geometry[env, contact]
+        return around - rounded_up * wp.length(arm_B) - (geometry.radius + geometry.closed)
 
     @wp.func
     def way_to_use(model: Model, env: int, start: int, stop: int, block: int, around: real):

@@ -206,6 +206,7 @@ def structs(real: type) -> SimpleNamespace:
         search_radius: real  # surfaces farther from the point are not seen [m]
         torsion_radius: real  # arm at which torsion acts [m]; unused with HERTZ_PATCH
         share: real  # factor on forces and couples [-]
+        closed: real  # gap below which there is contact [m]: 0, or the tolerance of nonsmooth contact
         enabled: wp.int32  # 0 or 1
 
     @wp.struct

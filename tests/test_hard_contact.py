@@ -190,10 +190,11 @@ def test_rolling_and_spinning_friction_stop_a_ball_evenly(device):
     assert (v0 - v1) / 0.1 == pytest.approx(0.02 * G / 1.4, rel=1e-6)
     assert (w0 - w1) / 0.1 == pytest.approx(0.3 * 0.01 * G / 0.004, rel=1e-6)
     simulation.step(8000)
-    # To the tolerance of the solve, of the speed g h that it takes off in a step.
+    # To the tolerance of the solve, of the speed g h that it takes off in a step. The centre has that of K and R ω
+    # on top.
     for name in ("rolling", "spinning"):
         assert np.abs(model.reading(f"{name}.angular_velocity")).max() < 1e-8 * G * 1e-3 / 0.1
-        assert np.abs(model.reading(f"{name}.linear_velocity")).max() < 1e-8 * G * 1e-3
+        assert np.abs(model.reading(f"{name}.linear_velocity")).max() < 2e-8 * G * 1e-3
 
 
 def test_losses_and_energy_of_round_bodies_add_up(device):

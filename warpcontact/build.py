@@ -26,7 +26,7 @@ from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
 from warpcontact.of_scene import MEASURES
-from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack, split
+from warpcontact.parameters import ClosedGap, Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Known, Patches, make_patches, upload_patches
 from warpcontact.piles.pile import make_piles
 from warpcontact.quarantine import add_guard
@@ -375,7 +375,6 @@ def _add_contacts(
     t: SimpleNamespace,
 ) -> None:
     model = arrays.model
-
     counts = np.array([contact.count for contact in contacts], dtype=np.intp)
 
     def send(name: str, of_contact: list[int], values: Any = 0) -> None:
@@ -415,12 +414,12 @@ def _add_contacts(
         key: Field(np.concatenate([np.zeros(0), *(values_of(contact, key) for contact in contacts)]))
         for key in ranges
     }
+    fields["closed"] = Field(np.zeros(counts.sum()))
+    struct = t.ContactGeometry
     upload = parameters.upload(
-        model,
-        "contact_geometry",
-        t.ContactGeometry,
-        lambda: pack(t.ContactGeometry, {key: field.values for key, field in fields.items()}),
+        model, "contact_geometry", struct, lambda: pack(struct, {key: one.values for key, one in fields.items()})
     )
+    arrays.closed = ClosedGap(fields["closed"], upload)
     for contact in contacts:
         items = slice(start_of[contact], start_of[contact] + contact.count)
         own = dict(ranges)

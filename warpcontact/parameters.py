@@ -234,6 +234,23 @@ class Upload:
         return True
 
 
+@dataclass(frozen=True)
+class ClosedGap:
+    """Gaps below which contacts are closed: 0, or the tolerance of nonsmooth contact. Not a parameter of users.
+
+    Attributes:
+        field: Where they are [m].
+        upload: What sends them to the device.
+    """
+
+    field: Field
+    upload: Upload
+
+    def assign(self, items: NDArray[np.int_], gap: float) -> None:
+        """Sets ``items`` to ``gap`` [m]; ``upload`` has to be sent afterwards."""
+        self.field.values[:, items] = gap
+
+
 class Parameters:
     """The parameters and uploads of a model in the making.
 

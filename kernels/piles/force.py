@@ -230,6 +230,9 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
                     partner = natural(lists.partner[env, natural(entry)])
                     radius_2 = shapes.radius[env, partner]
                     reach = radius + radius_2
+                    touch_at = reach
+                    if wp.static(hard):
+                        touch_at = reach + settings.closed
                     spot_2 = spot(shapes, state, env, partner)
                     near = wp.bool(True)
                     if wp.static(long):
@@ -240,10 +243,10 @@ def kernel(parts: Parts, form: Form, real: type, moves: bool, alone: bool, hard:
                     if near:
                         pair = nearest(own, spot_2)
                         squared = wp.length_sq(pair.apart)
-                        if squared < reach * reach:
+                        if squared < touch_at * touch_at:
                             distance = wp.sqrt(squared)
                             touching = reach - distance <= settings.max_depth and settings.enabled != 0
-                            touching = touching and distance < reach
+                            touching = touching and distance < touch_at
                     if busy != 0:
                         bits = touches.bits[env, natural(slot)] & TOUCHED
                         now = now | bits

@@ -245,12 +245,12 @@ def kernel(kind_a: type[Shape], kind_b: type[Shape], real: type, curved: bool, o
                 touching = UNSOLVED
             elif meeting.status == OUTSIDE:
                 touching = HIDDEN
-            elif meeting.gap < zero:
+            elif meeting.gap < own.closed:
                 touching = CONTACT
                 if -meeting.gap > own.max_depth:
                     touching = WRONG_SIDE
             if touching == CONTACT:
-                smooth.penetration[env, contact] = real(-meeting.gap)
+                smooth.penetration[env, contact] = real(wp.max(-meeting.gap, zero))
             to_contact = meeting.point_b + own.kappa * (meeting.point_a - meeting.point_b)
             arm_b = pose.offset + wp.quat_rotate(pose.q_W, to_contact)
             smooth.gap[env, contact] = real(meeting.gap)

@@ -19,7 +19,7 @@ from warpcontact.kernels.piles import force, history, lists, measures, sums
 from warpcontact.kernels.piles.base import NONE, Form, pile_structs
 from warpcontact.kernels.touch import group_structs
 from warpcontact.kernels.types import FREE
-from warpcontact.parameters import Field, Parameter, Parameters, Upload, pack
+from warpcontact.parameters import ClosedGap, Field, Parameter, Parameters, Upload, pack
 from warpcontact.piles.elements import MutualContact
 from warpcontact.piles.room import FEW, all_pairs, owned_of, partners_around
 from warpcontact.readings import Reading, shape_in
@@ -273,6 +273,7 @@ class Pile:
         # A torsion radius that is not given follows from the overlap.
         values = {key: getattr(contact, key) for key in _RANGES}
         fields = {key: Field(np.array([-1.0 if value is None else value])) for key, value in values.items()}
+        fields["closed"] = Field(np.zeros(1))
 
         def content() -> NDArray[Any]:
             radius, half = self._sizes()
@@ -282,6 +283,7 @@ class Pile:
             return pack(struct, columns)
 
         upload = parameters.upload(self.shapes, "settings", struct, content)
+        self.closed = ClosedGap(fields["closed"], upload)
         for key in ("radius", "half_length"):
             for one in self._pose[key]:
                 if one is not None:

@@ -28,7 +28,7 @@ from warpcontact.kernels.smooth.records import (
     contact_structs,
 )
 from warpcontact.kernels.touch import Parts, group_structs
-from warpcontact.parameters import Field, pack
+from warpcontact.parameters import ClosedGap, Field, pack
 from warpcontact.readings import CONTACT_READINGS, Reading, shape_in
 from warpcontact.smooth.elements import SmoothContact
 from warpcontact.smooth.measures import has_curvatures
@@ -185,10 +185,13 @@ class SmoothSet:
             for key in _RANGES
         }
 
+        fields["closed"] = Field(np.zeros(self.count))
+
         def content() -> NDArray[Any]:
             return pack(Settings, {key: field.values for key, field in fields.items()})
 
         upload = parameters.upload(self, "settings", Settings, content)
+        self.closed = ClosedGap(fields["closed"], upload)
         for contact, items in self.items.items():
             for key, allowed in _RANGES.items():
                 if getattr(contact, key) is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, per_env
 from warpcontact.captures import beside_captures
@@ -23,7 +24,7 @@ from warpcontact.readings import Reading
 from warpcontact.scene import Contact, Scene
 from warpcontact.smooth.elements import SmoothContact
 from warpcontact.status import ContactMode
-from warpcontact.unilateral.materials import Hard, material_upload, parameters_of
+from warpcontact.unilateral.materials import CLOSED, Hard, material_upload, parameters_of
 
 if TYPE_CHECKING:
     from warpcontact.draft import PartDraft
@@ -41,13 +42,18 @@ class _List:
 
     Attributes:
         first: Number of the contact of the first item.
-        count: How many are hard.
+        numbers: The items that are hard.
         items: These, on the device.
     """
 
     first: int
-    count: int
+    numbers: NDArray[np.int_]
     items: Any = None
+
+    @property
+    def count(self) -> int:
+        """Number of items that are hard."""
+        return len(self.numbers)
 
 
 class HardContacts:
@@ -166,7 +172,7 @@ class HardContacts:
         """Declares the list of those of ``items``, by contact, that are hard."""
         hard = [np.arange(own.start, own.stop) for contact, own in items.items() if not self.acts(contact.name)]
         numbers = np.concatenate([np.zeros(0, np.int64), *hard])
-        made = _List(first, len(numbers))
+        made = _List(first, numbers)
         # No array is empty.
         layout.content(PURPOSE, made, "items", numbers if len(numbers) else [0], wp.int32)
         return made
@@ -196,15 +202,26 @@ class HardContacts:
             if self._upload not in parameter.uploads:
                 parameter.uploads.append(self._upload)
         model.send([self._upload], [self._upload.content()])
+        self._close_at(model, CLOSED[self._real])
         self._forget(wp.full(model.envs, True, dtype=wp.bool, device=model.device), everything=False)
         self._leave_laws(model)
 
     def let_go(self, model: "Model") -> None:
         """Follows the parameters no longer."""
         self._leave_laws(model)
+        self._close_at(model, 0.0)
         for parameter in parameters_of(self._materials, model.parameters):
             if self._upload in parameter.uploads:
                 parameter.uploads.remove(self._upload)
+
+    def _close_at(self, model: "Model", gap: float) -> None:
+        """Sets the gap below which the nonsmooth contacts are closed [m]."""
+        closed = [(model.arrays.closed, self._mesh.numbers)] if self._mesh.count else []
+        closed += [(one.closed, own.numbers) for one, own in self._smooth if own.count]
+        closed += [(pile.closed, np.arange(1)) for pile, _ in self._piles]
+        for one, items in closed:
+            one.assign(items, gap)
+        model.send([one.upload for one, _ in closed], [one.upload.content() for one, _ in closed])
 
     def _leave_laws(self, model: "Model") -> None:
         """Lets laws and frictions of hard contacts begin anew should they act again: none has been going on."""

@@ -14,6 +14,9 @@ from warpcontact.kernels.laws import Law
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.parameters import Parameter, Upload, pack
 
+#: Gaps below this are closed [m], by precision: more than rounding leaves of bodies of a few meters.
+CLOSED = {wp.float32: 1.0e-6, wp.float64: 1.0e-9}
+
 
 class Touching(Protocol):
     """A contact of a scene, of whatever kind."""

@@ -3,11 +3,13 @@
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.types import MODE_OPEN, MODE_STICK
+from warpcontact.unilateral.materials import CLOSED
 from warpcontact.unilateral.rigid.acceleration import METHODS, ParadoxError, find_modes
 from warpcontact.unilateral.rigid.assembly import Assembler
 from warpcontact.unilateral.rigid.crossings import STILL, Step
@@ -66,7 +68,7 @@ class EventDriven:
         model: Any,
         env: int = 0,
         *,
-        closed: float = 1.0e-9,
+        closed: float = CLOSED[wp.float64],
         step: float = 0.02,
         zeno: float = 1.0e-5,
         method: str = "gauss_seidel",
