@@ -73,6 +73,7 @@ def add_row(real: type) -> wp.Function:
             added.couple = memory[env, contact].couple
             if memory[env, contact].mode == MODE_SLIP:
                 added.mu = material.mu_dynamic
+        added.restitution = material.restitution
         if material.restitution > real(0.0):
             approach = velocity_at(state, env, body_2, arm_2) - velocity_at(state, env, body_1, arm_1)
             added.bounce = material.restitution * wp.max(wp.dot(approach, normal), real(0.0))

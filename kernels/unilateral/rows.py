@@ -32,7 +32,8 @@ def row_structs(real: type) -> SimpleNamespace:
         mu: real  # coefficient of friction
         rolling: real  # couple against rolling over the normal impulse [m]
         spinning: real  # likewise against spinning about the normal [m]
-        bounce: real  # speed at which it is to part, e × that of approach, ≥ 0 [m/s]
+        restitution: real  # Newton's coefficient e
+        bounce: real  # speed at which it is to part, ≥ 0 [m/s]: e × that of approach, or by ``sequence``
         recovery: real  # speed at which overlap is taken back, ≥ 0 [m/s]
         impulse: vec3  # on the first; before a solve the guess, W [N·s]
         couple: vec3  # of rolling and spinning, on the first, likewise [N·m·s]

@@ -8,6 +8,7 @@ from warpcontact.experiment import quantities as q
 from warpcontact.experiment.catalogue import Section
 from warpcontact.integrators import INTEGRATORS, Integrator
 from warpcontact.integrators.moreau_jean import RECOVERY_TIME, SOLVERS, THETA, TOLERANCE
+from warpcontact.unilateral.materials import IMPACTS
 
 
 class IntegratorSettings(Section):
@@ -19,6 +20,7 @@ class IntegratorSettings(Section):
     iterations: int | None = Field(default=None, ge=1)
     tolerance: Annotated[float | None, q.numbers((), allowed=TOLERANCE)] = None
     recovery_time: Annotated[float | None, q.numbers((), allowed=RECOVERY_TIME)] = None
+    impacts: Annotated[str | None, q.one_of(IMPACTS)] = None
     compliant: Annotated[tuple[str, ...] | None, Field(strict=False)] = None
 
     def make(self) -> Integrator:

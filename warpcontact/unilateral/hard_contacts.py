@@ -14,7 +14,7 @@ from warpcontact.captures import beside_captures
 from warpcontact.footprint import Need
 from warpcontact.groups import Group, by_code
 from warpcontact.kernels.smooth.records import contact_structs
-from warpcontact.kernels.unilateral import collect, impulses, remember, rest
+from warpcontact.kernels.unilateral import collect, impulses, remember, rest, sequence
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
 from warpcontact.parameters import Parameter
@@ -70,6 +70,7 @@ class HardContacts:
         tolerance: Of a solve.
         recovery: Share of an overlap that is taken back in a second [1/s].
         layout: Where to declare arrays.
+        sequential: Whether impacts come one after the other.
 
     Attributes:
         compliant: Names of the contacts that are not hard.
@@ -82,6 +83,7 @@ class HardContacts:
         moving: The bodies under impulses.
         outcome: How the last solve went.
         change: What impulses have changed of these.
+        hits: What impacts one after the other work in; ``None``: they are simultaneous.
         restraint: How far restitution was lowered in the last step.
         memory: Of each contact, from the last step in which it was closed.
         account: Of each environment, since reset.
@@ -98,6 +100,7 @@ class HardContacts:
         tolerance: float,
         recovery: float,
         layout: Layout,
+        sequential: bool = False,
     ) -> None:
         t = model.types
         scene: Scene = model.scene
@@ -155,6 +158,9 @@ class HardContacts:
         for name, make in scratch.items():
             setattr(self._scratch, name, None)
             layout.array(PURPOSE, self._scratch, name, make(t.real, self.rolls), each_row)
+        self.hits: Any = None
+        if sequential:
+            layout.array(PURPOSE, self, "hits", sequence.scratch(t.real), each_row)
         self.outcome = layout.struct(PURPOSE, rows.Outcome, per_env())
         self.restraint = layout.struct(PURPOSE, records.Restraint, per_env())
         self.account = layout.struct(PURPOSE, records.Account, per_env())

@@ -16,6 +16,8 @@ from warpcontact.parameters import Parameter, Upload, pack
 
 #: Gaps below this are closed [m], by precision: more than rounding leaves of bodies of a few meters.
 CLOSED = {wp.float32: 1.0e-6, wp.float64: 1.0e-9}
+#: Laws of multiple impacts: how contacts that are hit together bounce.
+IMPACTS = ("simultaneous", "sequential")
 
 
 class Touching(Protocol):

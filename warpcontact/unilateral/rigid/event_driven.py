@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from warpcontact import checks
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.kernels.types import MODE_OPEN, MODE_STICK
-from warpcontact.unilateral.materials import CLOSED
+from warpcontact.unilateral.materials import CLOSED, IMPACTS
 from warpcontact.unilateral.rigid.acceleration import METHODS, ParadoxError, find_modes
 from warpcontact.unilateral.rigid.assembly import Assembler
 from warpcontact.unilateral.rigid.crossings import STILL, Step
@@ -54,6 +54,8 @@ class EventDriven:
         zeno: Impacts of a contact that follow one another within this time, ever closer, are summed up [s].
         method: Of ``wc.unilateral.solve_delassus``, one that takes friction in space.
         most_events: After so many events a run is given up.
+        impacts: Law of multiple impacts, as that of ``wc.integrators.MoreauJean``: ``"simultaneous"`` or
+            ``"sequential"``.
 
     Attributes:
         state: The state that the run has come to, at first that of the model.
@@ -73,6 +75,7 @@ class EventDriven:
         zeno: float = 1.0e-5,
         method: str = "gauss_seidel",
         most_events: int = 10_000,
+        impacts: str = "simultaneous",
     ) -> None:
         seconds = checks.limits("s", above=0.0)
         self.closed = float(checks.numbers("closed", closed, (), checks.limits("m", above=0.0)))
@@ -83,11 +86,12 @@ class EventDriven:
         if not whole or most_events < 1:
             raise ValueError(f"most_events must be a whole number, at least 1, got {most_events!r}")
         self.most_events = most_events
+        self.impacts = checks.choice("impacts", impacts, IMPACTS)
         self.assembler = Assembler(model, env)
         self.trajectory = Trajectory(self.assembler)
         self.state = self.assembler.bodies.settled(self.assembler.place.read())
         self._hold: Hold | None = None
-        self._impacts = Impacts(self.assembler, self.zeno, method)
+        self._impacts = Impacts(self.assembler, self.zeno, method, impacts == "sequential")
         self._events: list[Event] = []
 
     def run(self, duration: float, every: float | None = None) -> EventRun:

@@ -8,6 +8,7 @@ from warpcontact.unilateral.rigid.acceleration import find_modes
 from warpcontact.unilateral.rigid.assembly import Assembler, Assembly
 from warpcontact.unilateral.rigid.crossings import NO_FORCE, STILL
 from warpcontact.unilateral.rigid.events import Event, EventKind
+from warpcontact.unilateral.rigid.sequence import parting_speeds
 from warpcontact.unilateral.rigid.snapshot import Snapshot
 
 # Work of impulses over that of all single ones that is rounding, and halvings of the restitution that brings more.
@@ -24,10 +25,12 @@ class Impacts:
         assembler: Of the environment.
         zeno: Impacts of a contact that follow one another within this time, ever closer, are summed up [s].
         method: Of ``wc.unilateral.solve_delassus``.
+        sequential: Whether pairs of bodies collide one after the other.
     """
 
-    def __init__(self, assembler: Assembler, zeno: float, method: str) -> None:
+    def __init__(self, assembler: Assembler, zeno: float, method: str, sequential: bool) -> None:
         self._assembler, self._zeno, self._method = assembler, zeno, method
+        self._sequential = sequential
         self._last: dict[int, tuple[float, float]] = {}  # of a pair: when it was last, and how long before that
 
     def meet(self, state: Snapshot, pairs: NDArray[np.int_]) -> tuple[Snapshot, NDArray[np.bool_], list[Event]]:
@@ -56,14 +59,21 @@ class Impacts:
     def _impulses(self, own: Assembly, speed: Array, restitution: Array) -> Array:
         """Returns the impulses of an impact by local axes (contacts, 3) [N·s].
 
-        Newton's law alone may bring energy where friction turns a slip round, or contacts of different restitution
-        are hit together: restitution is then lowered, of all contacts alike, until it brings none.
+        Simultaneous impacts keep Newton's law with the velocities before; sequential ones part as they do one
+        after the other. Friction acts in one problem either way. Newton's law alone may bring energy where
+        friction turns a slip round, or contacts of different restitution are hit together: restitution is then
+        lowered, of all contacts alike, until it brings none.
         """
         none = np.zeros(own.count, dtype=bool)
+        parting = -restitution * np.minimum(speed[:, 0], 0.0)
+        if self._sequential and restitution.any():
+            normals = 3 * np.arange(own.count)
+            W = own.delassus[np.ix_(normals, normals)]
+            parting = parting_speeds(W, speed[:, 0], restitution, own.bodies, self._method)
 
         def solved(part: float) -> tuple[Array, float]:
             asked = speed.copy()
-            asked[:, 0] += part * restitution * np.minimum(speed[:, 0], 0.0)
+            asked[:, 0] -= part * parting
             slip = np.zeros((own.count, 2))
             found = find_modes(own.delassus, asked, own.mu, own.mu, slip, none, own.labels, self._method)
             after = speed + (own.delassus @ found.force.reshape(-1)).reshape(-1, 3)
