@@ -109,7 +109,7 @@ def test_the_command_prints_the_table_and_writes_the_figures(device, tmp_path, c
         (["--device", "cuda:99"], "--device must be 'auto' or one of "),
         (["--precision", "float16"], "--precision must be one of 'float32', 'float64', got 'float16'"),
         (["--json", "missing/figures.json"], "missing/figures.json"),
-        (["--json", "."], "Is a directory"),
+        (["--json", "."], "is a folder"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )

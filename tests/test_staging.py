@@ -16,6 +16,7 @@ import zarr
 from warpcontact.experiment import store
 from warpcontact.experiment.chunks import Chunk, Chunks, compressors
 from warpcontact.experiment.records import StoreError
+from warpcontact.run_folder import RunPath
 
 ENVS, FRAMES = 96, 5
 
@@ -28,7 +29,7 @@ def made(tmp_path, monkeypatch):
     env = xr.DataArray(np.arange(32), dims="env")
     template = xr.Dataset({"gap": (("time", "env"), values[:, :32])}, coords={"env": env})
     (tmp_path / store.COMMITS).mkdir()
-    store.create(tmp_path / store.DATA, {"series": template}, ENVS, np.arange(FRAMES) * 0.1, FRAMES, {})
+    store.create(tmp_path, {"series": template}, ENVS, np.arange(FRAMES) * 0.1, FRAMES, {})
     return tmp_path, values
 
 
@@ -115,7 +116,7 @@ def test_chunks_are_to_the_byte_those_that_zarr_writes(dims, dtype, tmp_path):
         dimension_names=dims,
         compressors=compressors(template),
     )
-    chunks = Chunks(tmp_path / "x")
+    chunks = Chunks(array)
     frames = range(0, 10, 4) if "time" in dims else [0]
     own = [
         chunk
@@ -126,7 +127,7 @@ def test_chunks_are_to_the_byte_those_that_zarr_writes(dims, dtype, tmp_path):
     files = {path.relative_to(tmp_path / "x").as_posix(): path for path in (tmp_path / "x" / "c").rglob("*")}
     assert [chunk.name for chunk in own] == sorted(name for name, path in files.items() if path.is_file())
     for chunk in own:
-        size, sha = chunk.write(tmp_path / "own")
+        size, sha = chunk.write(RunPath(tmp_path) / "own")
         content = (tmp_path / "own").read_bytes()
         assert content == files[chunk.name].read_bytes()
         assert (size, sha) == (len(content), hashlib.sha256(content).hexdigest())
@@ -134,9 +135,9 @@ def test_chunks_are_to_the_byte_those_that_zarr_writes(dims, dtype, tmp_path):
 
 def test_arrays_that_are_compressed_otherwise_are_refused(tmp_path):
     group = zarr.open_group(tmp_path, mode="w", zarr_format=3)
-    group.create_array("x", shape=(4,), chunks=(4,), dtype="f4", compressors=zarr.codecs.GzipCodec())
+    array = group.create_array("x", shape=(4,), chunks=(4,), dtype="f4", compressors=zarr.codecs.GzipCodec())
     with pytest.raises(StoreError, match="gzip"):
-        Chunks(tmp_path / "x")
+        Chunks(array)
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="this system does not tell what is waited for")

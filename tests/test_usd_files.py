@@ -84,10 +84,10 @@ def test_no_partial_file_is_seen_meanwhile(recording, tmp_path, monkeypatch):
     seen = []
     replace = os.replace
 
-    def look(source, target):
+    def look(source, target, **folders):
         stage = Usd.Stage.Open(str(path))
         seen.append(stage.GetPrimAtPath("/World/env_0").IsValid())
-        replace(source, target)
+        replace(source, target, **folders)
 
     monkeypatch.setattr("pathlib.os.replace", look)
     wc.export_usd(recording, path, envs=2)

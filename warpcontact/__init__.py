@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from warpcontact.outcomes.watch import Events, Stop
     from warpcontact.quarantine import QuarantineError
     from warpcontact.recording import Recording
+    from warpcontact.regular_files import UnsafeFileError
     from warpcontact.rendering import film, render
     from warpcontact.run_report import report
     from warpcontact.scene import Scene
@@ -99,6 +100,7 @@ _HOME = {
     "SurfaceSamples": "warpcontact.meshes",
     "Template": "warpcontact.elements",
     "WarningLevel": "warpcontact.contact_warning",
+    "UnsafeFileError": "warpcontact.regular_files",
     "bench": "warpcontact.benchmark",
     "compare": "warpcontact.compare",
     "convergence": "warpcontact.analysis",
@@ -176,6 +178,7 @@ __all__ = [
     "Surface",
     "SurfaceSamples",
     "Template",
+    "UnsafeFileError",
     "WarningLevel",
     "__version__",
     "bench",

@@ -6,6 +6,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from warpcontact.durable import check_place, writing
+
 
 def add_to(commands: Any) -> None:
     """Adds the command and its options to the parsers of all commands."""
@@ -32,11 +34,11 @@ def run(arguments: argparse.Namespace) -> None:
     """Prints the table.
 
     Raises:
-        ValueError: If an option is not allowed.
-        OSError: If the file cannot be written, which is tried first.
+        ValueError: If an option is not allowed, or the file cannot be written, which is tried first.
+        OSError: If writing fails.
     """
     if arguments.json:
-        _check_writable(Path(arguments.json))
+        check_place(Path(arguments.json))
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
@@ -49,12 +51,6 @@ def run(arguments: argparse.Namespace) -> None:
     print(report)
     if arguments.json:
         text = json.dumps(report.to_dict(), indent=1, ensure_ascii=False)
-        Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+        with writing(Path(arguments.json)) as file:
+            file.write(f"{text}\n".encode())
         print(f"figures: {arguments.json}")
-
-
-def _check_writable(file: Path) -> None:
-    there = file.exists()
-    file.open("ab").close()
-    if not there:
-        file.unlink()

@@ -57,7 +57,8 @@ def run(arguments: argparse.Namespace) -> None:
     files = [Path(file) for file in arguments.files]
     for file in files:
         if not file.is_file():
-            raise ValueError(f"{file}: there is no such file")
+            wrong = "is not a regular file" if file.exists() else "there is no such file"
+            raise ValueError(f"{file}: {wrong}")
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR

@@ -24,6 +24,8 @@ from warpcontact.captures import beside_captures
 from warpcontact.durable import replacing
 from warpcontact.integrators.base import formulas_of
 from warpcontact.parameters import Field
+from warpcontact.regular_files import UnsafeFileError
+from warpcontact.run_folder import RunPath, open_file
 
 if TYPE_CHECKING:
     from warpcontact.model import Model
@@ -47,7 +49,7 @@ class CheckpointError(ValueError):
     """A file that holds no checkpoint, a damaged one, or one of another simulation."""
 
 
-def write(path: Path, arrays: Mapping[str, NDArray[Any]], header: Mapping[str, Any]) -> None:
+def write(path: Path | RunPath, arrays: Mapping[str, NDArray[Any]], header: Mapping[str, Any]) -> None:
     """Writes arrays and a header into a file, which is there as a whole or not at all."""
     content = {"program": f"warpcontact {__version__}", "schema": SCHEMA, **header}
     named: dict[str, Any] = {_HEADER: np.frombuffer(json.dumps(content).encode(), dtype=np.uint8), **arrays}
@@ -55,7 +57,7 @@ def write(path: Path, arrays: Mapping[str, NDArray[Any]], header: Mapping[str, A
         np.savez(file, **named)
 
 
-def read(path: Path) -> tuple[Arrays, dict[str, Any]]:
+def read(path: Path | RunPath) -> tuple[Arrays, dict[str, Any]]:
     """Returns arrays and header of a file.
 
     Raises:
@@ -63,16 +65,18 @@ def read(path: Path) -> tuple[Arrays, dict[str, Any]]:
         FileNotFoundError: If there is none.
     """
     try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        with open_file(path) as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         header = json.loads(arrays.pop(_HEADER).tobytes())
         schema = header["schema"]
     except FileNotFoundError:
         raise
+    except UnsafeFileError as error:
+        raise CheckpointError(str(error)) from None
     except _UNREADABLE as error:
         # NumPy tells how to run the code in a file, also of one that is no archive.
         why = str(error).partition(" when allow_pickle")[0]
-        if not zipfile.is_zipfile(path):
+        if not isinstance(error, OSError) and not _is_archive(path):
             why = "it is no .npz file of arrays, or was cut off"
         raise CheckpointError(f"{path}: is no whole checkpoint: {why}") from None
     if schema != SCHEMA:
@@ -80,6 +84,11 @@ def read(path: Path) -> tuple[Arrays, dict[str, Any]]:
             f"{path}: is of schema {schema!r}, by {header.get('program')}; this version reads schema {SCHEMA}"
         )
     return arrays, header
+
+
+def _is_archive(path: Path | RunPath) -> bool:
+    with open_file(path) as file:
+        return zipfile.is_zipfile(file)
 
 
 def identity(simulation: "Simulation") -> dict[str, Any]:

@@ -231,11 +231,12 @@ class _Begun:
         if self.folder is None:
             return " before anything was " + (f"done{_resume(self.resumed)}" if self.resumed else "kept")
         from warpcontact.experiment.folder import DATA, FINISHED, read_summary
+        from warpcontact.run_folder import RunPath
 
         summary = read_summary(self.folder)
         if self.resumed is None and summary == self.before:
             return f" before anything was kept{f'; {self.folder} is as it was' if summary else ''}"
-        if summary is None or not (self.folder / DATA).is_dir():
+        if summary is None or not (RunPath(self.folder) / DATA).is_folder():
             return " before anything was kept"
         done = "the results are whole" if summary.get("state") == FINISHED else "what was done is kept"
         return f"; {done}{_resume(self.folder)}"
@@ -262,6 +263,7 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
     from warpcontact.experiment import ExperimentError, StoreError
     from warpcontact.experiment.folder import DATA, EXPERIMENT, check_usable, has_commits, read_summary
     from warpcontact.quarantine import QuarantineError
+    from warpcontact.run_folder import RunPath
 
     def warn(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -297,7 +299,7 @@ def _run_experiment(arguments: argparse.Namespace, begun: _Begun) -> int:
         code = _fail(_sentence(error))
         for note in getattr(error, "__notes__", ()):
             _fail(note)
-        if begun.folder is not None and (begun.folder / DATA).is_dir():
+        if begun.folder is not None and (RunPath(begun.folder) / DATA).is_real_folder():
             kept = "what was committed is kept" if has_commits(begun.folder) else "nothing is kept yet"
             _fail(f"{kept}{_resume(begun.folder)}")
         return code

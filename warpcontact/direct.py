@@ -9,8 +9,8 @@ import errno
 import mmap
 import os
 import threading
+from collections.abc import Callable
 from io import FileIO
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -38,21 +38,22 @@ class DirectFile:
     One thread writes one such file at a time.
 
     Args:
-        path: The file, which is replaced.
+        create: Creates the file with further flags of ``os.open``, and returns its descriptor.
 
     Raises:
         OSError: If it cannot be written, by any of the methods.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, create: Callable[[int], int]) -> None:
         self._piece = _piece()
         self._held = 0
         try:
-            self._file = FileIO(path, "w", opener=_open_directly)
+            descriptor = create(getattr(os, "O_DIRECT", 0))
         except OSError as error:
             if error.errno not in _UNABLE:
                 raise
-            self._file = FileIO(path, "w")
+            descriptor = create(0)
+        self._file = FileIO(descriptor, "w")
 
     def __enter__(self) -> "DirectFile":
         return self
@@ -99,10 +100,6 @@ class DirectFile:
             _go_indirectly(self._file.fileno())
         while len(content):
             content = content[self._file.write(content.data) :]
-
-
-def _open_directly(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_DIRECT", 0), 0o666)
 
 
 def _go_indirectly(descriptor: int) -> None:

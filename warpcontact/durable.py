@@ -1,109 +1,82 @@
-"""Files that are there as a whole or not at all, whatever ends the process or the machine."""
+"""Files of the user that are replaced as a whole, and checks of where they go."""
 
 import contextlib
+import errno
 import json
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-#: End of the name of a file that is not whole yet.
-PARTIAL = ".partial"
-
-# Files or folders that are waited for at once.
-WAITING = 16
+from warpcontact.run_folder import RunPath, below_run, place_of
 
 
-def check_place(path: Path) -> None:
+def check_place(path: Path | RunPath) -> None:
     """Raises an error unless a file can be written at ``path``, which is tried.
 
     Raises:
         ValueError: If it is a folder or in none that exists, or cannot be written; names it.
     """
-    if path.is_dir():
-        raise ValueError(f"{path}: is a folder; give the name of a file")
-    if not path.parent.is_dir():
-        wrong = "is not a folder" if path.parent.exists() else "does not exist"
-        raise ValueError(f"{path}: {path.parent} {wrong}")
-    place = Path(os.path.realpath(path))  # a link stays, whether or not there is what it leads to
-    there = place.exists()
+    inside = below_run(path)
+    place = path.path if isinstance(path, RunPath) else path
     try:
-        place.open("ab").close()
-        if not there:
-            place.unlink()
+        if place.is_dir() if inside is None else inside.is_real_folder():
+            raise ValueError(f"{path}: is a folder; give the name of a file")
+        if not place.parent.is_dir():
+            wrong = "is not a folder" if place.parent.exists() else "does not exist"
+            raise ValueError(f"{path}: {place.parent} {wrong}")
+        if inside is None:
+            _try(Path(os.path.realpath(place)))  # a link stays, also a dangling one
+        else:
+            inside.try_to_replace()
     except OSError as error:
         raise ValueError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-@contextlib.contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Opens a file beside ``path`` that takes its place, on the disk, when the block ends without an error."""
-    with replaced(path) as partial, partial.open("wb") as file:
-        yield file
+def _try(place: Path) -> None:
+    """Opens a file for writing, and changes nothing."""
+    there = place.exists()
+    if there and not place.is_file():  # to open a pipe would wait for its reader
+        if not os.access(place, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))
+        return
+    place.open("ab").close()
+    if not there:
+        place.unlink()
+
+
+def replacing(path: Path | RunPath) -> contextlib.AbstractContextManager[BinaryIO]:
+    """Opens a new file that replaces ``path``, on the disk, when the block ends without an error."""
+    return place_of(path).replacing()
 
 
 @contextlib.contextmanager
-def replaced(path: Path) -> Iterator[Path]:
-    """Yields the name of a file beside ``path``, to be written, that takes its place when the block ends well.
+def replaced(path: Path | RunPath) -> Iterator[Path]:
+    """Yields the name of a new file, to be written, that replaces ``path`` when the block ends without an error.
 
     Raises:
-        OSError: If it cannot be written; names ``path``, of which the user knows.
+        OSError: If it cannot be written; names ``path``.
     """
-    partial = path.with_name(f"{path.name}{PARTIAL}")
-    try:
-        yield partial
-        sync_file(partial)
-        partial.replace(path)
-    except BaseException as error:
-        with contextlib.suppress(OSError):
-            partial.unlink()
-        if isinstance(error, OSError) and error.filename == str(partial):
-            raise OSError(error.errno, error.strerror, str(path)) from error
-        raise
-    sync_folder(path.parent)
+    with place_of(path).replaced() as partial:
+        yield partial.path
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
+@contextlib.contextmanager
+def writing(path: Path | RunPath) -> Iterator[BinaryIO]:
+    """Opens a file of the user for writing: through a link, except below the folder of a run.
+
+    There, a new file replaces what is at ``path`` when the block ends without an error.
+    """
+    inside = below_run(path)
+    if inside is None:
+        with open(str(path), "wb") as file:
+            yield file
+    else:
+        with inside.replacing() as file:
+            yield file
+
+
+def write_json(path: Path | RunPath, content: Mapping[str, Any]) -> None:
     """Writes ``content`` as JSON."""
     with replacing(path) as file:
         file.write((json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode())
-
-
-def sync_file(path: Path) -> None:
-    """Waits until the content of a file is on the disk."""
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
-
-
-def sync_files(paths: Iterable[Path]) -> None:
-    """Waits until the contents of files are on the disk; their names may not be yet."""
-    _wait_for(sync_file, list(paths))
-
-
-def sync_names(folders: Iterable[Path], root: Path) -> None:
-    """Waits until the names in folders, and in all above them up to ``root``, are on the disk."""
-    _wait_for(sync_folder, {one for given in folders for one in _up_to(given, root)})
-
-
-def _wait_for(synced: Callable[[Path], None], paths: Collection[Path]) -> None:
-    """Waits until all paths are on the disk: it writes what it keeps in its memory for many that wait at once."""
-    if paths:
-        with ThreadPoolExecutor(min(len(paths), WAITING)) as pool:
-            for _ in pool.map(synced, paths):
-                pass
-
-
-def _up_to(folder: Path, root: Path) -> set[Path]:
-    return {folder, *folder.parents[: max(0, len(folder.parts) - len(root.parts))]}
-
-
-def sync_folder(folder: Path) -> None:
-    """Waits until the names in a folder are on the disk, where a system can say so."""
-    if os.name != "posix":
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

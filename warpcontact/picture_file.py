@@ -3,9 +3,10 @@
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
-from warpcontact.durable import check_place
+from warpcontact.durable import check_place, writing
+from warpcontact.run_folder import RunPath
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,19 +32,20 @@ def check_path(path: Any, suffixes: Sequence[str] = SUFFIXES) -> Path:
     return file
 
 
-def save(figure: "Figure", path: Path) -> None:
+def save(figure: "Figure", path: Path | RunPath) -> None:
     """Writes a figure; the same one gives the same file."""
     import matplotlib as mpl
 
     with warnings.catch_warnings():
         # Names may have signs that no font here has; they are boxes then, and nobody can do anything about it.
         warnings.filterwarnings("ignore", r"Glyph .* missing from font", UserWarning)
-        _save(mpl, figure, path)
+        with writing(path) as file:
+            _save(mpl, figure, file, path.name)
 
 
-def _save(mpl: Any, figure: "Figure", path: Path) -> None:
-    if path.suffix.lower() == ".svg":
+def _save(mpl: Any, figure: "Figure", file: BinaryIO, name: str) -> None:
+    if name.lower().endswith(".svg"):
         with mpl.rc_context({"svg.hashsalt": "warpcontact"}):
-            figure.savefig(path, format="svg", metadata={"Date": None})
+            figure.savefig(file, format="svg", metadata={"Date": None})
     else:
-        figure.savefig(path, format="png")
+        figure.savefig(file, format="png")

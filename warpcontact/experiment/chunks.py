@@ -8,7 +8,6 @@ write twice as long, as to call what Zarr compresses with, Numcodecs and google-
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,9 +15,11 @@ from numpy.typing import NDArray
 
 from warpcontact.direct import DirectFile
 from warpcontact.experiment.records import StoreError
+from warpcontact.run_folder import RunPath
 
 if TYPE_CHECKING:
     import xarray as xr
+    import zarr
     from zarr.abc.codec import BytesBytesCodec
 
 
@@ -47,10 +48,10 @@ class Chunk:
     name: str
     values: NDArray[Any]
 
-    def write(self, path: Path) -> tuple[int, str]:
+    def write(self, path: RunPath) -> tuple[int, str]:
         """Writes the file, in a folder that there is; returns its size [bytes] and SHA-256."""
         size, sha = 0, hashlib.sha256()
-        with DirectFile(path) as file:
+        with DirectFile(path.create) as file:
             for part in self.array.encoded(self.values):
                 file.write(part)
                 sha.update(part)
@@ -62,16 +63,13 @@ class Chunks:
     """The chunks of an array.
 
     Args:
-        folder: Folder of the array, which has been made.
+        array: The array, which has been made.
 
     Raises:
         StoreError: If it is compressed as no run compresses any.
     """
 
-    def __init__(self, folder: Path) -> None:
-        import zarr
-
-        array = zarr.open_array(folder, mode="r", zarr_format=3)
+    def __init__(self, array: "zarr.Array[Any]") -> None:
         self._sizes = array.chunks
         self._dtype, self._empty = array.dtype, array.fill_value
         # As it is stored.
@@ -80,7 +78,7 @@ class Chunks:
         self._checked = [codec["name"] for codec in codecs[1:]] == ["crc32c"]
         known = first["name"] == "bytes" and len(codecs) == 1 + self._checked
         if not known or codecs[0]["name"] not in ("blosc", "zstd"):
-            raise StoreError(f"{folder}: is compressed by {codecs}, which no run does")
+            raise StoreError(f"{array.store_path}: is compressed by {codecs}, which no run does")
         self._dims: tuple[str, ...] = tuple(described["dimension_names"])
         self._compressor = _compressor(**codecs[0])
 

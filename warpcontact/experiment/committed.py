@@ -3,33 +3,40 @@
 import asyncio
 import contextlib
 import hashlib
-from collections.abc import Mapping
-from pathlib import Path
+import os
+from collections.abc import AsyncIterator, Iterable, Mapping
 
-from zarr.abc.store import ByteRequest
+from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store
 from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
-from zarr.storage import LocalStore
 
-from warpcontact.experiment.records import COMMITS, Commit, StoreError, commits_in, made_in
+from warpcontact.experiment.records import COMMITS, DATA, Commit, StoreError, commits_in, made_in
 from warpcontact.experiment.store import STAGING
+from warpcontact.run_folder import RunPath
 
 
-class CommittedStore(LocalStore):
+class CommittedStore(Store):
     """Reads the store of a run, and compares what it reads with the records of commits.
 
+    A file that no record names is not there: it is neither read nor listed.
+
     Args:
-        root: The store, in the folder of a run.
+        folder: Folder of the run.
         read_only: Has to be; for those who make copies of a store.
         commits: The records of shards; ``None``: those that there are now.
     """
 
+    supports_writes = False
+    supports_deletes = False
+    supports_partial_writes = False  # with set_partial_values: Zarr 3.1.0 requires them
+    supports_listing = True
+
     def __init__(
-        self, root: Path | str, *, read_only: bool = True, commits: Mapping[int, Commit] | None = None
+        self, folder: RunPath, *, read_only: bool = True, commits: Mapping[int, Commit] | None = None
     ) -> None:
-        super().__init__(root, read_only=read_only)
-        folder = self.root.parent / COMMITS
-        self._commits = commits_in(folder) if commits is None else commits
-        self._files = made_in(folder)
+        super().__init__(read_only=True)
+        self.folder = folder
+        self._commits = commits_in(folder / COMMITS) if commits is None else commits
+        self._files = made_in(folder / COMMITS)
         self._shards: dict[str, str] = {}
         for commit in self._commits.values():
             self._files |= commit.files
@@ -37,49 +44,102 @@ class CommittedStore(LocalStore):
 
     def with_read_only(self, read_only: bool = False) -> "CommittedStore":
         """Returns the same, which nobody can write into."""
-        return type(self)(self.root, read_only=read_only, commits=self._commits)
+        return type(self)(self.folder, read_only=read_only, commits=self._commits)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, type(self)) and (self.folder, self._files) == (other.folder, other._files)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __str__(self) -> str:
+        return str(self.folder / DATA)
 
     async def get(
         self, key: str, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
-        """Returns a file, or a range of one; ``None``: nothing was written, all values are empty.
+        """Returns a file, or a range of one; ``None``: nothing was committed, all values are empty.
 
         Raises:
             StoreError: If it was committed, and is missing or was changed since.
         """
-        if key not in self._files or byte_range is not None:
-            return None if self._is_unknown(key) else await super().get(key, prototype, byte_range)
+        if key not in self._files:
+            return None
         content = await asyncio.to_thread(self._content, key)
-        return (prototype or default_buffer_prototype()).buffer.from_bytes(content)
+        return _buffer(content, prototype, byte_range)
 
     def get_sync(
         self, key: str, *, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
         """Returns what ``get`` does."""
-        if key not in self._files or byte_range is not None:
-            return (
-                None
-                if self._is_unknown(key)
-                else super().get_sync(key, prototype=prototype, byte_range=byte_range)
-            )
-        return (prototype or default_buffer_prototype()).buffer.from_bytes(self._content(key))
+        return _buffer(self._content(key), prototype, byte_range) if key in self._files else None
 
-    def _is_unknown(self, key: str) -> bool:
-        """Whether it is a chunk that nobody has committed, whatever is there: it counts for nothing."""
-        return key not in self._files and "/c/" in key
+    async def get_partial_values(
+        self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
+    ) -> list[Buffer | None]:
+        """Returns what ``get`` does, of several files."""
+        return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]
+
+    async def exists(self, key: str) -> bool:
+        """Whether a file was committed."""
+        return key in self._files
+
+    async def list(self) -> AsyncIterator[str]:
+        """Iterates over all files."""
+        for key in self._files:
+            yield key
+
+    async def list_prefix(self, prefix: str) -> AsyncIterator[str]:
+        """Iterates over the files whose names begin with ``prefix``."""
+        for key in self._files:
+            if key.startswith(prefix):
+                yield key
+
+    async def list_dir(self, prefix: str) -> AsyncIterator[str]:
+        """Iterates over the names in a folder."""
+        above = f"{prefix.rstrip('/')}/" if prefix else ""
+        for name in dict.fromkeys(
+            key.removeprefix(above).split("/")[0] for key in self._files if key.startswith(above)
+        ):
+            yield name
+
+    async def set(self, key: str, value: Buffer) -> None:
+        """Raises ``ValueError``: it is read only."""
+        self._check_writable()
+
+    async def set_partial_values(self, key_start_values: Iterable[tuple[str, int, bytes]]) -> None:
+        """Raises ``ValueError``: it is read only."""
+        self._check_writable()
+
+    async def delete(self, key: str) -> None:
+        """Raises ``ValueError``: it is read only."""
+        self._check_writable()
 
     def _content(self, key: str) -> bytes:
         size, sha = self._files[key]
-        places = [self.root / key]
+        own = self.folder / DATA / key
+        places = [own]
         if key in self._shards:
             # Committed, and not moved yet; or in this very moment.
-            places += [self.root.parent / STAGING / self._shards[key] / key, self.root / key]
+            places += [self.folder / STAGING / self._shards[key] / key, own]
         there = False
         for place in places:
-            with contextlib.suppress(FileNotFoundError):
-                content = place.read_bytes()
-                if len(content) == size and hashlib.sha256(content).hexdigest() == sha:
-                    return content
-                there = there or place == places[0]
+            with contextlib.suppress(FileNotFoundError), place.open() as file:
+                there = there or place == own
+                if os.fstat(file.fileno()).st_size == size:
+                    content = file.read(size)
+                    if hashlib.sha256(content).hexdigest() == sha:
+                        return content
         what = "was changed since it" if there else "is missing, and"
-        raise StoreError(f"{places[0]}: {what} was committed")
+        raise StoreError(f"{own}: {what} was committed")
+
+
+def _buffer(content: bytes, prototype: BufferPrototype | None, byte_range: ByteRequest | None) -> Buffer:
+    """Returns bytes, or a range of them, as Zarr asks for them."""
+    part = slice(None)
+    if isinstance(byte_range, RangeByteRequest):
+        part = slice(byte_range.start, byte_range.end)
+    elif isinstance(byte_range, OffsetByteRequest):
+        part = slice(byte_range.offset, None)
+    elif byte_range is not None:
+        part = slice(max(len(content) - byte_range.suffix, 0), None)
+    return (prototype or default_buffer_prototype()).buffer.from_bytes(content[part])

@@ -16,7 +16,6 @@ import warp as wp
 
 from warpcontact._version import __version__
 from warpcontact.contact_warning import RunWarning, WarningLevel
-from warpcontact.durable import replacing
 from warpcontact.environments import Environments
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment import store
@@ -35,6 +34,7 @@ from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError, shar
 from warpcontact.experiment.toml import to_toml
 from warpcontact.footprint import environments, readable
 from warpcontact.quarantine import QuarantineError
+from warpcontact.run_folder import RunPath
 from warpcontact.scene import Scene
 
 #: How often a shard is tried.
@@ -104,7 +104,7 @@ def start(runner: ShardRunner, job: Job, alone: contextlib.ExitStack) -> None:
     for shard in reversed(job.shards):
         runner.take(shard)
     with _blamed(job):
-        job.folder.mkdir(parents=True, exist_ok=True)
+        RunPath(job.folder).make()
         alone.enter_context(writing(job.folder))
         _make_folder(runner, job)
 
@@ -116,7 +116,7 @@ def _make_folder(runner: ShardRunner, job: Job) -> None:
     comment = f"The experiment as warpcontact {__version__} ran it, with all defaults."
     text = to_toml(job.copy.settings, comment).encode()
     for name, content in {files_of.EXPERIMENT: text, **job.copy.files}.items():
-        with replacing(folder / name) as file:
+        with (RunPath(folder) / name).replacing() as file:
             file.write(content)
     files_of.make_parts(folder)
     frames = job.frames
@@ -131,14 +131,14 @@ def _make_folder(runner: ShardRunner, job: Job) -> None:
     if settings.integrator.iterations is not None:
         attributes["iterations"] = settings.integrator.iterations
     times = frames.times(settings.dt)
-    store.create(folder / store.DATA, runner.templates(), settings.envs, times, frames.block, attributes)
+    store.create(folder, runner.templates(), settings.envs, times, frames.block, attributes)
 
 
 def check_resumable(summary: Mapping[str, Any], job: Job) -> None:
     """Raises ``ExperimentError`` unless ``job`` is the run of ``summary``."""
     if summary.get("fingerprint") == fingerprint(job.copy):
         return
-    told = differences(job.folder / files_of.EXPERIMENT, job.copy.settings)
+    told = differences(RunPath(job.folder) / files_of.EXPERIMENT, job.copy.settings)
     raise ExperimentError(
         str(job.folder),
         [
@@ -176,8 +176,9 @@ def _proceed(job: Job, run_shards: Runs) -> Run:
     ledger.check(checkpoints=False)
     commits = ledger.commits()
     # What a process tells of itself that is no more.
-    for path in (folder / files_of.PROGRESS).iterdir():
-        path.unlink()
+    progress = RunPath(folder) / files_of.PROGRESS
+    for name in progress.names():
+        (progress / name).remove()
     summary = (files_of.read_summary(folder) or {}) | {
         "state": files_of.UNFINISHED,
         "host": platform.node(),
@@ -372,9 +373,9 @@ def _show(run: Run, job: Job) -> None:
     from warpcontact.experiment.picture import write_picture
     from warpcontact.usd import export_usd
 
-    settings = job.settings
+    settings, files = job.settings, RunPath(run.folder)
     if not settings.record.series:
-        write_outcome_picture(run.folder / files_of.PICTURE, run.outcome, settings.name)
+        write_outcome_picture(files / files_of.PICTURE, run.outcome, settings.name)
         return
     recording = run.recording
     usd_envs = min(settings.output.usd_envs, settings.envs)
@@ -382,7 +383,6 @@ def _show(run: Run, job: Job) -> None:
     with zarr.config.set({"async.concurrency": DRAWN_AT_ONCE}):
         if usd_envs:
             # All environments would take more than the run: whoever wants them exports them.
-            export_usd(
-                recording, run.folder / files_of.ANIMATION, envs=range(usd_envs), ensemble=False, progress=False
-            )
-        write_picture(run.folder / files_of.PICTURE, recording, settings.name, list(job.design.names), run.health)
+            animation = (files / files_of.ANIMATION).path
+            export_usd(recording, animation, envs=range(usd_envs), ensemble=False, progress=False)
+        write_picture(files / files_of.PICTURE, recording, settings.name, list(job.design.names), run.health)

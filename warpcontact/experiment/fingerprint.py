@@ -3,13 +3,13 @@
 import hashlib
 import tomllib
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from warpcontact.experiment.errors import key_path, shown
 from warpcontact.experiment.folder import Copy
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.toml import to_toml
+from warpcontact.run_folder import RunPath, open_file
 
 # More differences than this are not told.
 TOLD = 5
@@ -21,14 +21,15 @@ def fingerprint(copy: Copy) -> str:
     for name, content in sorted(copy.files.items()):
         total.update(name.encode() + hashlib.sha256(content).digest())
     for path in copy.external:
-        total.update(hashlib.sha256(path.read_bytes()).digest())
+        with open_file(path) as file:
+            total.update(hashlib.file_digest(file, "sha256").digest())
     return total.hexdigest()
 
 
-def differences(path: Path, settings: Settings) -> list[str]:
+def differences(path: RunPath, settings: Settings) -> list[str]:
     """Returns in words where the experiment in a file that a run has written differs from ``settings``."""
     try:
-        theirs = dict(_leaves(tomllib.loads(path.read_text(encoding="utf-8"))))
+        theirs = dict(_leaves(tomllib.loads(path.read().decode())))
     except (OSError, ValueError) as error:
         return [f"{path.name} cannot be read: {error}"]
     own = dict(_leaves(tomllib.loads(_text(settings))))

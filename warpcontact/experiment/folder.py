@@ -1,16 +1,16 @@
 """The folder that a run fills: which folders it may use, and the files that tell what ran."""
 
+import contextlib
 import itertools
 import json
 import os
-import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from warpcontact._version import __version__
-from warpcontact.durable import PARTIAL, write_json
+from warpcontact.durable import write_json
 from warpcontact.experiment.catalogue import FileMesh, FormulaSettings, Section, ShapeMesh, own_class
 from warpcontact.experiment.errors import ExperimentError, shown
 from warpcontact.experiment.lock import busy, is_written
@@ -19,11 +19,11 @@ from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import FORMULA_SECTIONS, ROW_KEYS, Settings
 from warpcontact.experiment.store import CHECKPOINTS, COMMITS, DATA, STAGING
 from warpcontact.experiment.variation import relocated
+from warpcontact.regular_files import UnsafeFileError
+from warpcontact.run_folder import EXPERIMENT, PARTIAL, SUMMARY, RunPath
 
 ANIMATION = "animation.usdc"
 PICTURE = "picture.png"
-EXPERIMENT = "experiment.toml"
-SUMMARY = "run.json"
 PROGRESS = "progress"
 
 #: Goes up when the folders of earlier versions have to be read in another way.
@@ -83,7 +83,7 @@ def check_new(folder: Path, overwrite: bool) -> None:
     if not folder.is_dir():
         raise ExperimentError(str(folder), ["is not a folder"])
     # A run that was killed at its first file leaves no more than a part of that.
-    if {path.name for path in folder.iterdir()} <= {f"{SUMMARY}{PARTIAL}"}:
+    if set(RunPath(folder).names()) <= {f"{SUMMARY}{PARTIAL}"}:
         return
     summary = read_summary(folder)
     if summary is None:
@@ -103,7 +103,7 @@ def check_new(folder: Path, overwrite: bool) -> None:
 def check_replaced(folder: Path, files: Mapping[str, bytes]) -> None:
     """Raises ``ExperimentError`` if one of ``files``, to be written by name, would replace one of the user."""
     for name in files.keys() - law_files(read_summary(folder)):
-        if os.path.lexists(folder / name):
+        if (RunPath(folder) / name).is_there():
             raise ExperimentError(str(folder), [f"holds a file {name!r} of its own, which the run would replace"])
 
 
@@ -117,7 +117,7 @@ def check_started(folder: Path) -> dict[str, Any]:
     if summary is None:
         raise ExperimentError(str(folder), ["holds no run that could go on; start one without --resume"])
     check_schema(folder, summary)
-    if not (folder / DATA).is_dir():
+    if not (RunPath(folder) / DATA).is_folder():
         raise ExperimentError(
             str(folder), ["the run was ended before anything was kept; start it anew, without --resume"]
         )
@@ -159,22 +159,29 @@ def check_schema(folder: Path, summary: Mapping[str, Any]) -> None:
 
 
 def read_summary(folder: Path) -> dict[str, Any] | None:
-    """Returns the content of ``run.json``, or ``None`` if ``folder`` holds no run."""
+    """Returns the content of ``run.json``, or ``None`` if ``folder`` holds no run.
+
+    Raises:
+        UnsafeFileError: If it is a link, a pipe or a device, or far too large.
+    """
     try:
-        summary = json.loads((folder / SUMMARY).read_bytes())
+        summary = json.loads((RunPath(folder) / SUMMARY).read())
         return summary if str(summary["program"]).startswith("warpcontact ") else None
+    except UnsafeFileError:
+        raise
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
     """Writes ``run.json``, by which a folder is known to hold a run."""
-    write_json(folder / SUMMARY, {"program": f"warpcontact {__version__}", "schema": SCHEMA, **summary})
+    write_json(RunPath(folder) / SUMMARY, {"program": f"warpcontact {__version__}", "schema": SCHEMA, **summary})
 
 
 def has_commits(folder: Path) -> bool:
     """Whether anything is committed of the run in ``folder``."""
-    return any((folder / COMMITS).glob("shard_*.json"))
+    names = (RunPath(folder) / COMMITS).names()
+    return any(name.startswith("shard_") and name.endswith(".json") for name in names)
 
 
 def law_files(summary: Mapping[str, Any] | None) -> set[str]:
@@ -187,26 +194,24 @@ def law_files(summary: Mapping[str, Any] | None) -> set[str]:
 
 def clear(folder: Path) -> None:
     """Makes ``folder``, or removes the files of the earlier run in it; others stay."""
-    folder.mkdir(parents=True, exist_ok=True)
+    run = RunPath(folder)
+    run.make()
     own = (DATA, f"{DATA}{PARTIAL}", STAGING, CHECKPOINTS, COMMITS, PROGRESS, ANIMATION, PICTURE, EXPERIMENT)
     for name in (*own, *law_files(read_summary(folder)), SUMMARY):
-        path = folder / name
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
+        (run / name).remove()
 
 
 def make_parts(folder: Path) -> None:
     """Makes the folders that a run writes into."""
     for name in (STAGING, CHECKPOINTS, COMMITS, PROGRESS):
-        (folder / name).mkdir(exist_ok=True)
+        (RunPath(folder) / name).make()
 
 
 def remove_parts(folder: Path) -> None:
     """Removes those of them that a finished run needs no more."""
     for name in (STAGING, CHECKPOINTS, PROGRESS):
-        shutil.rmtree(folder / name, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            (RunPath(folder) / name).remove()
 
 
 def copied(settings: Settings, old: Path, new: Path, own: OwnFiles) -> Copy:

@@ -1,12 +1,12 @@
 """One process at a time writes into a folder; the system lets go of it however a process ends."""
 
 import contextlib
-import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from warpcontact.experiment.errors import ExperimentError
+from warpcontact.run_folder import RunPath
 
 try:
     import fcntl
@@ -53,14 +53,8 @@ def busy(folder: Path) -> ExperimentError:
 
 @contextlib.contextmanager
 def _opened(folder: Path) -> Iterator[int | None]:
-    if fcntl is None:
-        yield None
-        return
-    opened = os.open(folder, os.O_RDONLY)
-    try:
-        yield opened
-    finally:
-        os.close(opened)  # lets go of the lock
+    with RunPath(folder).opened() as (_, opened):  # its end lets go of the lock
+        yield None if fcntl is None else opened
 
 
 def _lock(opened: int | None, *, exclusive: bool) -> bool:

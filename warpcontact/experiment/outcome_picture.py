@@ -19,6 +19,7 @@ from warpcontact.footprint import environments
 from warpcontact.hostile import in_one_line, shortened
 from warpcontact.outcomes.watch import RESERVED
 from warpcontact.picture_file import save
+from warpcontact.run_folder import RunPath
 from warpcontact.status import EnvironmentStatus
 
 # More would be too small to read.
@@ -31,7 +32,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 _SIGNS = "+-\N{MINUS SIGN}"
 
 
-def write_outcome_picture(path: Path, outcome: xr.Dataset, title: str) -> bool:
+def write_outcome_picture(path: Path | RunPath, outcome: xr.Dataset, title: str) -> bool:
     """Draws histograms of the first outcomes that are one number; frozen environments are left out and counted.
 
     Args:

@@ -5,6 +5,7 @@ an experiment from elsewhere runs nothing but what came with it. What is wrong w
 said in one sentence with its line.
 """
 
+import contextlib
 import importlib.util
 import io
 import itertools
@@ -14,7 +15,6 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -29,6 +29,8 @@ from warpcontact.kernels.names import suggestion
 from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.kernels.smooth.base import Shape
 from warpcontact.kernels.springs import Damper, Spring
+from warpcontact.regular_files import UnsafeFileError
+from warpcontact.run_folder import read_file
 
 #: What a user's class may be.
 KINDS: tuple[type, ...] = (Law, Friction, Spring, Damper, Motion, Shape, Outcome)
@@ -110,7 +112,7 @@ class OwnFiles:
             raise ValueError(f": {name}.{lacking} in {file} must be a wp.func of ({arguments})")
         return given
 
-    @contextmanager
+    @contextlib.contextmanager
     def blamed(self) -> Iterator[None]:
         """Turns what goes wrong in one of the files into an ``ExperimentError`` of that file."""
         try:
@@ -128,20 +130,27 @@ class OwnFiles:
         for known in self._files.values():
             if known.path == path:  # under another name
                 return known
-        if not path.exists():
-            others = sorted(other.name for other in path.parent.glob("*.py"))
-            raise ValueError(f": there is no file {name!r}{suggestion(path.name, others)}")
-        if not path.is_file():  # a directory, or a pipe, which would be waited for
-            raise ValueError(f": {name!r} is not a regular file")
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise ValueError(f": {name!r} cannot be read: {error.strerror or error}") from None
+        content = self._read(name)
         self.say(f"loading {self.folder / name}")
         try:
             return OwnFile(path, content, _module(path, content))
         except (Exception, SystemExit) as error:
             raise ValueError(f": {_described(error, path, name)}") from None
+
+    def _read(self, name: str) -> bytes:
+        """Returns the content of a file."""
+        path = self._inside(name)
+        if not path.exists():
+            others = sorted(other.name for other in path.parent.glob("*.py"))
+            raise ValueError(f": there is no file {name!r}{suggestion(path.name, others)}")
+        try:
+            return read_file(self.folder / name)
+        except IsADirectoryError:
+            raise ValueError(f": {name!r} is not a regular file") from None
+        except UnsafeFileError as error:
+            raise ValueError(f": {name!r} {error.strerror}") from None
+        except OSError as error:
+            raise ValueError(f": {name!r} cannot be read: {error.strerror or error}") from None
 
     def _inside(self, name: str) -> Path:
         """Returns the path of a file, which must lie in the folder: links count as where they lead."""

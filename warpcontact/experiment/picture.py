@@ -36,6 +36,7 @@ from warpcontact.health import Health
 from warpcontact.hostile import in_one_line, shortened
 from warpcontact.picture_file import save
 from warpcontact.recording import Recording
+from warpcontact.run_folder import RunPath
 from warpcontact.scene import Body, Scene
 
 # Sensors over time: below each other, or in one row if the tracks take the whole width.
@@ -62,7 +63,9 @@ ROOM = 0.15
 NARROWEST = 0.3
 
 
-def write_picture(path: Path, recording: Recording, title: str, varied: list[str], health: Health) -> None:
+def write_picture(
+    path: Path | RunPath, recording: Recording, title: str, varied: list[str], health: Health
+) -> None:
     """Draws a recording with the poses of the bodies.
 
     Environments that are stopped or frozen are drawn as they were to the end, and counted in the title.

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -12,9 +13,15 @@ from typing import Any
 from warpcontact.experiment.folder import PROGRESS
 from warpcontact.experiment.store import Commit, Shard
 from warpcontact.footprint import environments
+from warpcontact.regular_files import UnsafeFileError
+from warpcontact.run_folder import RunPath
 
 # Between two looks [s].
 INTERVAL = 1.0
+# Largest file that is read of a shard [bytes].
+MOST = 2**16
+
+_FILE = re.compile(r"shard_(\d{6,})\.json")
 
 
 class Bar:
@@ -89,7 +96,7 @@ class Beacon:
     """Tells in a file of the run's folder how far a shard is, once in a while."""
 
     def __init__(self, folder: Path, shard: Shard) -> None:
-        self._path = folder / PROGRESS / f"{shard.name}.json"
+        self._path = RunPath(folder) / PROGRESS / f"{shard.name}.json"
         self._last = 0.0
 
     def tell(self, steps: int) -> bool:
@@ -99,23 +106,32 @@ class Beacon:
             return False
         self._last = now
         # It is nobody's loss if it cannot be told.
-        with contextlib.suppress(OSError):
-            partial = self._path.with_suffix(".partial")
-            content = {"steps": steps, "time": time.time(), "process": os.getpid()}
-            partial.write_text(json.dumps(content), encoding="utf-8")
-            partial.replace(self._path)
+        with contextlib.suppress(OSError), self._path.replacing(wait=False) as file:
+            told = {"steps": steps, "time": time.time(), "process": os.getpid()}
+            file.write(json.dumps(told).encode())
         return True
 
     def remove(self) -> None:
         """Removes the file."""
-        self._path.unlink(missing_ok=True)
+        self._path.remove()
 
 
 def told(folder: Path) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Iterates over the shards that tell of themselves, by number."""
-    for path in sorted((folder / PROGRESS).glob("shard_*.json")):
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            content = json.loads(path.read_bytes())
-            number = int(path.stem.rpartition("_")[2])
+    """Iterates over the shards that report progress, by number.
+
+    Raises:
+        UnsafeFileError: If such a file is a link, a pipe or a device, or far too large.
+    """
+    progress = RunPath(folder) / PROGRESS
+    for name in progress.names():
+        number = _FILE.fullmatch(name)
+        if number is None:
+            continue
+        try:
+            content = json.loads((progress / name).read(MOST))
             found = {"steps": int(content["steps"]), "time": float(content["time"])}
-            yield number, found
+        except UnsafeFileError:
+            raise
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            continue
+        yield int(number[1]), found

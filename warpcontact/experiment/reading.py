@@ -15,6 +15,7 @@ from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.schema import LISTS, SECTIONS, Settings, VariationSettings, table_at
 from warpcontact.experiment.variation_settings import MOST_ENVS, grid_size
 from warpcontact.kernels.names import suggestion
+from warpcontact.run_folder import read_file
 
 # What a value must be, by the type of pydantic's error.
 _KINDS = {
@@ -126,7 +127,7 @@ def load_toml(path: Path) -> dict[str, Any]:
         ExperimentError: If it cannot be read or is no TOML, with line and column.
     """
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        return tomllib.loads(read_file(path).decode("utf-8-sig"))
     except FileNotFoundError:
         problem = "there is no such file"
     except OSError as error:

@@ -5,10 +5,11 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 from typing import Any
 
 from warpcontact.experiment.errors import shown
+from warpcontact.regular_files import UnsafeFileError
+from warpcontact.run_folder import RunPath
 
 DATA = "data.zarr"
 COMMITS = "commit"
@@ -63,7 +64,7 @@ class Commit:
     checkpoint_sha256: str | None = None
 
     @classmethod
-    def read(cls, path: Path) -> "Commit":
+    def read(cls, path: RunPath) -> "Commit":
         """Reads a record.
 
         Raises:
@@ -96,17 +97,17 @@ class Commit:
         return cls(**content | {"files": _files(path, content["files"], _CHUNK)})
 
 
-def commits_in(folder: Path) -> dict[int, Commit]:
+def commits_in(folder: RunPath) -> dict[int, Commit]:
     """Returns the records of shards in a folder, by their numbers.
 
     Raises:
         StoreError: If one of them is damaged.
     """
-    paths = sorted(path for path in folder.glob("shard_*.json") if _RECORD.fullmatch(path.name))
+    paths = (folder / name for name in folder.names() if _RECORD.fullmatch(name))
     return {commit.shard: commit for commit in map(Commit.read, paths)}
 
 
-def made_in(folder: Path) -> Files:
+def made_in(folder: RunPath) -> Files:
     """Returns the files that the store was made with, by the record of them in a folder.
 
     Raises:
@@ -116,31 +117,28 @@ def made_in(folder: Path) -> Files:
     return _files(path, _content(path, ["files"])["files"], _MADE)
 
 
-def measured(root: Path, names: Iterable[str]) -> Files:
-    """Returns what a record says of files below ``root``."""
-    return {name: ((root / name).stat().st_size, digest(root / name)) for name in names}
-
-
-def digest(path: Path) -> str:
+def digest(path: RunPath) -> str:
     """Returns the SHA-256 of a file."""
-    with path.open("rb") as file:
+    with path.open() as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def is_unchanged(path: Path, size: int | None, sha: str) -> bool:
+def is_unchanged(path: RunPath, size: int | None, sha: str) -> bool:
     """Whether a file is there, with this content; its size tells faster, where it is known, that it is not."""
     try:
-        return size in (None, path.stat().st_size) and digest(path) == sha
+        return size in (None, path.size()) and digest(path) == sha
     except FileNotFoundError:
         return False
 
 
-def _content(path: Path, entries: Iterable[str], later: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def _content(path: RunPath, entries: Iterable[str], later: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Returns the entries of a record; ``later`` stands for those that earlier versions did not write."""
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(path.read())
     except FileNotFoundError:
         raise StoreError(f"{path}: is missing, which says what counts") from None
+    except UnsafeFileError as error:
+        raise StoreError(str(error)) from None
     except (OSError, ValueError, RecursionError) as error:
         raise StoreError(f"{path}: is no whole record of a commit: {error}") from None
     if isinstance(content, dict):
@@ -155,7 +153,7 @@ def _is_count(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MOST
 
 
-def _files(path: Path, files: object, allowed: re.Pattern[str]) -> Files:
+def _files(path: RunPath, files: object, allowed: re.Pattern[str]) -> Files:
     if not isinstance(files, dict):
         raise StoreError(f"{path}: files must be a table, got {shown(files)}")
     found: Files = {}

@@ -1,15 +1,18 @@
 """Files with a value for each item of a set: ``.npy``, or ``.csv`` with a row for each."""
 
+import io
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from warpcontact.available import HOST, find_room
 from warpcontact.checks import Array
 from warpcontact.experiment.errors import shown
 from warpcontact.numpy_files import check_numbers
+from warpcontact.run_folder import open_file
 
 SUFFIXES = (".npy", ".csv")
 
@@ -32,8 +35,10 @@ def read_rows(path: Path) -> Array:
         ValueError: If it cannot be read or holds anything but numbers.
     """
     is_npy = path.suffix.lower() == ".npy"
+    room = find_room(HOST)
     try:
-        values = _array(path) if is_npy else _table(path)
+        with open_file(path, None if room is None else room.size) as file:
+            values = _array(file) if is_npy else _table(file)
     except FileNotFoundError:
         raise ValueError(f"there is no file {str(path)!r}") from None
     except OSError as error:
@@ -46,9 +51,9 @@ def read_rows(path: Path) -> Array:
     return np.asarray(values, dtype=np.float64)
 
 
-def _array(path: Path) -> NDArray[Any]:
+def _array(file: BinaryIO) -> NDArray[Any]:
     try:
-        found = np.load(path, allow_pickle=False)
+        found = np.load(file, allow_pickle=False)
     except OSError:
         raise
     except MemoryError:
@@ -62,24 +67,26 @@ def _array(path: Path) -> NDArray[Any]:
     return found
 
 
-def _table(path: Path) -> NDArray[Any]:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that there is nothing in it
-            values = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError("it must be text in UTF-8") from None
-    except ValueError as error:
-        raise ValueError(_fault(path) or str(error)) from None
+def _table(file: BinaryIO) -> NDArray[Any]:
+    with io.TextIOWrapper(file, encoding="utf-8-sig") as text:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that there is nothing in it
+                values = np.loadtxt(text, delimiter=",", ndmin=2)
+        except UnicodeDecodeError:
+            raise ValueError("it must be text in UTF-8") from None
+        except ValueError as error:
+            text.seek(0)
+            raise ValueError(_fault(text.read()) or str(error)) from None
     if not values.size:
         raise ValueError("it is empty")
     return values
 
 
-def _fault(path: Path) -> str | None:
+def _fault(content: str) -> str | None:
     """Returns what is wrong with the first line of a ``.csv`` that is not as those before."""
     columns = None
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1):
+    for number, line in enumerate(content.splitlines(), 1):
         text = line.partition("#")[0].strip()
         if not text:
             continue

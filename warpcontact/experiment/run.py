@@ -3,6 +3,7 @@
 import csv
 import functools
 import hashlib
+import io
 import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.contact_coupling_report import CouplingReport, report_of
+from warpcontact.durable import writing
 from warpcontact.equal_items import merged_items
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import Assembler, Loaded
@@ -28,6 +30,8 @@ from warpcontact.flags import words_of
 from warpcontact.footprint import environments
 from warpcontact.health import Health
 from warpcontact.kernels.keywords import explain_keywords, explain_keywords_of
+from warpcontact.regular_files import UnsafeFileError
+from warpcontact.run_folder import RunPath
 from warpcontact.scene import Scene
 
 if TYPE_CHECKING:
@@ -56,6 +60,10 @@ class Run:
     folder: Path
     summary: dict[str, Any]
     _scene: Scene | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def _files(self) -> RunPath:
+        return RunPath(self.folder)
 
     @functools.cached_property
     def scene(self) -> Scene:
@@ -231,7 +239,7 @@ class Run:
             "picture": files_of.PICTURE,
         }
         named |= {name: name for name in files_of.law_files(self.summary)}
-        return {kind: self.folder / name for kind, name in named.items() if (self.folder / name).exists()}
+        return {kind: self.folder / name for kind, name in named.items() if (self._files / name).is_there()}
 
     @property
     def shards(self) -> list[Shard]:
@@ -273,7 +281,7 @@ class Run:
         frame = self.to_dataframe()
         coded = frame.select_dtypes("category").astype(object)
         frame[coded.columns] = coded.where(coded.notna(), None)
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
+        with writing(Path(path)) as raw, io.TextIOWrapper(raw, "utf-8", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["env", *frame.columns])
             for env, row in zip(frame.index, frame.itertuples(index=False), strict=True):
@@ -291,13 +299,14 @@ class Run:
             raise ImportError(
                 "Parquet needs pyarrow, which is not installed: pip install 'warpcontact[tables]'"
             ) from None
-        self.to_dataframe().to_parquet(path, engine="pyarrow")
+        with writing(Path(path)) as file:
+            self.to_dataframe().to_parquet(file, engine="pyarrow")
 
     def digest(self) -> str:
         """Returns the SHA-256 of all results, environment by environment: the same however they were run."""
         total = hashlib.sha256()
         for group in GROUPS:
-            if not (self.folder / DATA / group).is_dir():
+            if not (self._files / DATA / group).is_folder():
                 continue
             data = self._group(group)
             for name in sorted(map(str, data.data_vars)):
@@ -316,7 +325,7 @@ class Run:
         Ledger(self.folder).check(contents=True)
 
     def _group(self, name: str) -> "xr.Dataset":
-        if not (self.folder / DATA / name).is_dir():
+        if not (self._files / DATA / name).is_folder():
             what = {"series": "nothing over time: [record] series = false", "events": "no events"}[name]
             raise ValueError(f"{self.folder}: the run recorded {what}")
         import xarray as xr
@@ -324,7 +333,7 @@ class Run:
         from warpcontact.experiment.committed import CommittedStore
 
         data = xr.open_zarr(
-            CommittedStore(self.folder / DATA, commits=self._commits), group=name, consolidated=False, chunks=None
+            CommittedStore(self._files, commits=self._commits), group=name, consolidated=False, chunks=None
         )
         order = data.attrs.pop(ORDER, None)
         if not isinstance(order, list) or set(order) != set(data.data_vars):
@@ -364,7 +373,7 @@ class Run:
             of = "" if self.finished else f"of the {count} of {s['envs']} that are finished: "
             lines.append(f"{of}{self.health}")
         begun = self._mask(finished=False) & ~self._mask(finished=True)
-        if begun.any() and (self.folder / DATA / "series").is_dir():
+        if begun.any() and (self._files / DATA / "series").is_folder():
             fewest = self.frames[~self._mask(finished=True)[self._mask(finished=False)]].min()
             more = environments(int(begun.sum()))
             lines.append(f"{more} begun, with {fewest} records over time or more: {self._blocks}")
@@ -388,6 +397,7 @@ def open_run(path: str | PathLike[str], *, verify: bool = False) -> Run:
     Raises:
         ExperimentError: If it holds no run, or one of a schema that this version does not read.
         StoreError: If anything that was committed is missing, cut off or was changed.
+        UnsafeFileError: If there is a symbolic link, a pipe or a device instead of a file or folder of the run.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -396,12 +406,15 @@ def open_run(path: str | PathLike[str], *, verify: bool = False) -> Run:
     if summary is None:
         raise ExperimentError(str(folder), [f"holds no run: there is no whole {files_of.SUMMARY} in it"])
     files_of.check_schema(folder, summary)
-    if not (folder / DATA).is_dir():
+    files = RunPath(folder)
+    if not (files / DATA).is_folder():
         raise ExperimentError(str(folder), ["the run was ended before anything was kept"])
-    if not (folder / COMMITS).is_dir():
+    if not (files / COMMITS).is_folder():
         raise ExperimentError(str(folder), [f"folder {COMMITS} is missing, which says what counts"])
     try:
-        envs = tomllib.loads((folder / files_of.EXPERIMENT).read_text(encoding="utf-8")).get("envs")
+        envs = tomllib.loads((files / files_of.EXPERIMENT).read().decode()).get("envs")
+    except UnsafeFileError:
+        raise
     except (OSError, ValueError, RecursionError) as error:
         raise ExperimentError(str(folder / files_of.EXPERIMENT), [f"cannot be read: {error}"]) from None
     if envs != summary["envs"]:

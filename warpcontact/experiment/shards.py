@@ -28,6 +28,7 @@ from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Sta
 from warpcontact.looks import EVALUATED
 from warpcontact.recorder import Recorder
 from warpcontact.remarks import Remarks
+from warpcontact.run_folder import RunPath
 from warpcontact.signals import Asked, interruptions
 from warpcontact.simulation import Simulation
 from warpcontact.whole_steps import frame_count, recorded_steps
@@ -259,7 +260,7 @@ class ShardRunner:
 
     def _go_on(self, shard: Shard, commit: Commit, recorder: Recorder) -> Commit:
         """Puts the model where ``commit`` left it; from the start where its checkpoint does not fit."""
-        path = self.folder / CHECKPOINTS / str(commit.checkpoint)
+        path = RunPath(self.folder) / CHECKPOINTS / str(commit.checkpoint)
         try:
             if commit.checkpoint_sha256 is not None and digest(path) != commit.checkpoint_sha256:
                 raise checkpoint.CheckpointError(f"{path}: was changed since it was committed")
@@ -376,7 +377,7 @@ class _Attempt:
         pending = self.recorder.taken if self.runner.frames.count else 0
         arrays |= {f"frame/{key}": values[:pending] for key, values in self.recorder.frames().items()}
         arrays["times"] = self.recorder.times[:pending]
-        path = self.runner.folder / CHECKPOINTS / name
+        path = RunPath(self.runner.folder) / CHECKPOINTS / name
         checkpoint.write(path, arrays, self.runner.origin(self.shard, done))
         self.commit.steps, self.commit.checkpoint, self.commit.checkpoint_sha256 = done, name, digest(path)
         self._commit()

@@ -16,8 +16,9 @@ Chunks of series are written, and brought to the disk, while steps go on; a comm
 """
 
 import contextlib
+import hashlib
 import math
-import shutil
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -28,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.available import available_threads
-from warpcontact.durable import PARTIAL, sync_files, sync_folder, sync_names, write_json
+from warpcontact.durable import write_json
 from warpcontact.experiment.chunks import Chunk, Chunks, compressors
 from warpcontact.experiment.records import (
     COMMITS,
@@ -40,11 +41,13 @@ from warpcontact.experiment.records import (
     commits_in,
     is_unchanged,
     made_in,
-    measured,
 )
+from warpcontact.run_folder import PARTIAL, RunPath, sync_all, sync_names
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from warpcontact.experiment.committed import CommittedStore
 
 STAGING = "staging"
 CHECKPOINTS = "checkpoint"
@@ -109,16 +112,23 @@ def _few_threads() -> Iterator[None]:
 
 
 @_few_threads()
-def _begin_zarr(store: Path) -> None:
-    """Lets Zarr make its threads, by the thread of the caller: its settings are those of the process."""
+def _made(folder: RunPath) -> "CommittedStore":
+    """Returns the store of a run as it was made.
+
+    Lets Zarr make its threads, by the thread of the caller: its settings are those of the process.
+    """
     import zarr
 
+    from warpcontact.experiment.committed import CommittedStore
+
+    store = CommittedStore(folder, commits={})
     zarr.open_group(store, mode="r")
+    return store
 
 
 @_few_threads()
 def create(
-    path: Path,
+    folder: Path,
     templates: Mapping[str, "xr.Dataset"],
     envs: int,
     times: NDArray[np.float64],
@@ -128,7 +138,7 @@ def create(
     """Makes a store with empty arrays of their final shape; it is there as a whole or not at all.
 
     Args:
-        path: The store.
+        folder: Folder of the run.
         templates: A data set of a shard for each group: variables, axes, labels, attributes.
         envs: Number of environments of the whole.
         times: Times of all frames [s].
@@ -137,11 +147,11 @@ def create(
     """
     import xarray as xr
     import zarr
+    from zarr.storage import MemoryStore
 
-    partial = path.with_name(path.name + PARTIAL)
-    if partial.exists():
-        shutil.rmtree(partial)
-    zarr.open_group(partial, mode="w-", zarr_format=3, attributes=dict(attributes))
+    buffers: dict[str, Any] = {}
+    made = MemoryStore(buffers)
+    zarr.open_group(made, mode="w-", zarr_format=3, attributes=dict(attributes))
     for name, template in templates.items():
         sizes = {**template.sizes, "env": envs}
         coordinates = {key: c for key, c in template.coords.items() if key not in ("env", "time")}
@@ -152,17 +162,24 @@ def create(
         # Folders have no order of their own.
         order = {ORDER: list(map(str, template.data_vars))}
         labels = xr.Dataset(coords=coordinates, attrs={**attributes, **template.attrs, **order})
-        labels.to_zarr(partial, group=name, mode="w-", zarr_format=3, consolidated=False)
-        group = zarr.open_group(partial, mode="r+", path=name)
+        labels.to_zarr(made, group=name, mode="w-", zarr_format=3, consolidated=False)
+        group = zarr.open_group(made, mode="r+", path=name)
         for key, variable in template.data_vars.items():
             _create_array(group, str(key), variable, sizes, template.sizes["env"], block)
-    files = [one for one in partial.rglob("*") if one.is_file()]
-    sync_files(files)
-    sync_names({one.parent for one in files}, partial)
-    names = sorted(one.relative_to(partial).as_posix() for one in files)
-    write_json(path.parent / COMMITS / MADE, {"files": measured(partial, names)})
-    partial.rename(path)
-    sync_folder(path.parent)
+    content = {name: buffer.to_bytes() for name, buffer in sorted(buffers.items())}
+    run = RunPath(folder)
+    partial = run / f"{DATA}{PARTIAL}"
+    partial.remove()
+    for name, own in content.items():
+        (partial / name).parent.make()
+        with os.fdopen((partial / name).create(), "wb") as file:
+            file.write(own)
+    sync_all(partial / name for name in content)
+    sync_names({(partial / name).parent for name in content}, partial)
+    files = {name: (len(own), hashlib.sha256(own).hexdigest()) for name, own in content.items()}
+    write_json(run / COMMITS / MADE, {"files": files})
+    partial.move_to(run / DATA)
+    run.sync()
 
 
 def _create_array(
@@ -205,7 +222,7 @@ class Ledger:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder = RunPath(folder)
 
     def commits(self) -> dict[int, Commit]:
         """Returns the record of each shard that has one.
@@ -237,23 +254,23 @@ class Ledger:
         root = self.folder / STAGING / shard.name
         # A shard that began anew may have been writing the same chunk again when it was ended.
         self._publish(shard, [name for name, entry in commit.files.items() if is_unchanged(root / name, *entry)])
-        if root.exists():
-            shutil.rmtree(root)
+        root.remove()
         self._drop_checkpoints(shard, commit)
 
     def _publish(self, shard: Shard, names: Iterable[str]) -> None:
         root, target = self.folder / STAGING / shard.name, self.folder / DATA
         folders = set()
         for name in names:
-            (target / name).parent.mkdir(parents=True, exist_ok=True)
-            (root / name).replace(target / name)
+            (target / name).parent.make()
+            (root / name).move_to(target / name)
             folders.add((target / name).parent)
         sync_names(folders, target)
 
     def _drop_checkpoints(self, shard: Shard, commit: Commit) -> None:
-        for path in (self.folder / CHECKPOINTS).glob(f"{shard.name}-*"):
-            if path.name != commit.checkpoint:
-                path.unlink()
+        checkpoints = self.folder / CHECKPOINTS
+        for name in checkpoints.names():
+            if name.startswith(f"{shard.name}-") and name != commit.checkpoint:
+                (checkpoints / name).remove()
 
     def check(self, *, contents: bool = False, checkpoints: bool = True) -> None:
         """Checks that every file that was committed is there.
@@ -293,8 +310,8 @@ class Ledger:
             path = self.folder / DATA / name
             if not path.is_file():
                 return f"{path}: is missing, and was committed"
-            if path.stat().st_size != size:
-                return f"{path}: has {path.stat().st_size} bytes, and {size} were committed"
+            if (found := path.size()) != size:
+                return f"{path}: has {found} bytes, and {size} were committed"
             if contents and not is_unchanged(path, size, sha):
                 return f"{path}: was changed since it was committed"
         return None
@@ -315,13 +332,12 @@ class Staging:
         written: The files that are there, with their contents on the disk, since the last ``clear``.
     """
 
-    def __init__(self, folder: Path, shard: Shard, threads: int | None = None) -> None:
+    def __init__(self, folder: RunPath, shard: Shard, threads: int | None = None) -> None:
         self._shard = shard
         self._root = folder / STAGING / shard.name
-        self._store = folder / DATA
         self.written: Files = {}
         self._arrays: dict[str, Chunks] = {}
-        _begin_zarr(self._store)
+        self._store = _made(folder)
         self._beside = ThreadPoolExecutor(1)
         self._writers = ThreadPoolExecutor(min(threads or available_threads(), WRITERS))
         self._begun: Future[None] | None = None
@@ -374,9 +390,9 @@ class Staging:
             for chunk in self._chunks(path).cut(own, self._shard.first, self._shard.stop, first_frame):
                 chunks[f"{path}/{chunk.name}"] = chunk
         for folder in {(self._root / name).parent for name in chunks}:
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.make()
         written = dict(self._writers.map(self._put, chunks.items()))
-        sync_files(self._root / name for name in written)
+        sync_all(self._root / name for name in written)
         self.written |= written
 
     def _put(self, item: tuple[str, Chunk]) -> tuple[str, tuple[int, str]]:
@@ -386,8 +402,10 @@ class Staging:
 
     def _chunks(self, path: str) -> Chunks:
         """Returns what cuts a variable into chunks."""
+        import zarr
+
         if path not in self._arrays:
-            self._arrays[path] = Chunks(self._store / path)
+            self._arrays[path] = Chunks(zarr.open_array(self._store, path=path, mode="r", zarr_format=3))
         return self._arrays[path]
 
     def clear(self) -> None:
@@ -396,5 +414,4 @@ class Staging:
 
     def remove(self) -> None:
         """Removes the folder."""
-        if self._root.exists():
-            shutil.rmtree(self._root)
+        self._root.remove()

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from warpcontact.durable import replaced
+from warpcontact.durable import replaced, replacing
 from warpcontact.rendering.painter import Picture
 
 #: Pictures per second that browsers still play as told; they show shorter ones for a tenth of a second.
@@ -44,7 +44,7 @@ def write_gif(path: Path, pictures: Iterable[Picture], count: int, fps: float, t
     # Each picture ends at the tick nearest to its time: rounding does not add up.
     ticks = np.diff([round(number / fps / _TICK) for number in range(count + 1)]).tolist()
     frames = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
-    with replaced(path) as part, part.open("wb") as file:
+    with replacing(path) as file:
         for number, (frame, wait) in enumerate(_changes(map(np.asarray, frames), ticks)):
             if not number:
                 height, width = frame.indices.shape

@@ -1,6 +1,7 @@
 """What was run: the facts of its summary, its notices, and its settings as they are in the folder."""
 
 from collections.abc import Mapping
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from warpcontact.experiment.folder import EXPERIMENT
 from warpcontact.experiment.probe import spoken
 from warpcontact.experiment.status import RunStatus
 from warpcontact.number_format import count, number, quantity, several
+from warpcontact.run_folder import RunPath
 from warpcontact.run_report.markup import Markup, clean, element, joined, name, short, table
 
 # Of the settings so many characters are shown, and so many notices.
@@ -103,7 +105,7 @@ def section(folder: Path, summary: Mapping[str, Any], status: RunStatus) -> Mark
 
 def _settings(folder: Path) -> Markup:
     try:
-        with (folder / EXPERIMENT).open(encoding="utf-8", errors="replace") as file:
+        with (RunPath(folder) / EXPERIMENT).open() as raw, TextIOWrapper(raw, "utf-8", errors="replace") as file:
             text = file.read(SETTINGS + 1)
     except OSError as error:
         return element("p", f"{EXPERIMENT} cannot be read: {error.strerror or error}", class_="note")

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from warpcontact.durable import writing
 from warpcontact.numpy_files import check_numbers
+from warpcontact.run_folder import open_file
 from warpcontact.unilateral.problem import Problem
 
 _KIND = "warpcontact.unilateral.Problem"
@@ -31,7 +33,7 @@ def save(problem: Problem, path: str | Path) -> Path:
         entries[name] = getattr(problem, name)
     if problem.dim == 1:
         entries["G"] = entries["G"][..., 0, :]
-    with path.open("wb") as stream:
+    with writing(path) as stream:
         np.savez_compressed(stream, **entries)
     return path
 
@@ -39,10 +41,10 @@ def save(problem: Problem, path: str | Path) -> Path:
 def load(path: str | Path) -> Problem:
     """Returns the problem in a file, as ``Problem.load`` says."""
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is not there")
     try:
-        stream = path.open("rb")
+        stream = open_file(path)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path} is not there") from None
     except OSError as error:
         raise ValueError(f"{path} cannot be read as a problem: {error.strerror}") from None
     with stream:

@@ -13,6 +13,7 @@ comes last: where it is, all of it is.
 
 import hashlib
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,10 @@ from typing import Any
 import numpy as np
 
 from warpcontact.durable import write_json
+from warpcontact.regular_files import UnsafeFileError
 from warpcontact.replay.content import Content
 from warpcontact.replay.couplings import Coil
+from warpcontact.run_folder import RunPath, below_run
 from warpcontact.usd.author import Samples
 from warpcontact.usd.files import remove_file, save_layer
 from warpcontact.usd.layout import WORLD
@@ -29,6 +32,8 @@ from warpcontact.usd.stage import Export, Tell
 
 FOLDER_SUFFIX = ".clips"
 RECORD = "clips.json"
+
+_CLIP = re.compile(r"clip_.*\.usdc")
 
 Range = tuple[int, int]
 
@@ -58,7 +63,8 @@ class Clips:
     def __init__(self, export: Export, path: Path, frames: int) -> None:
         self.export = export
         self.path = path
-        self.folder = path.with_name(path.name + FOLDER_SUFFIX)
+        folder = path.with_name(path.name + FOLDER_SUFFIX)
+        self.folder = below_run(folder) or RunPath(folder)
         count = len(export.replay.codes)
         self.blocks = [(first, min(first + frames, count)) for first in range(0, count, frames)]
         self._inputs: list[str] = []
@@ -105,9 +111,9 @@ class Clips:
             later = [known[name] for name in sorted(known) if name > file.name]
             write_json(self.folder / RECORD, {**about, "clips": [*done, *later]})
         write_json(self.folder / RECORD, {**about, "clips": done})
-        for file in self.folder.glob("clip_*.usdc"):
-            if file.name not in {entry["file"] for entry in done}:
-                file.unlink()
+        for name in self.folder.names():
+            if _CLIP.fullmatch(name) and name not in {entry["file"] for entry in done}:
+                (self.folder / name).remove()
         save_layer(self._root(stage), self.path)
 
     def _contents(self, *, noting: bool) -> Iterator[tuple[Range, Content]]:
@@ -148,12 +154,14 @@ class Clips:
     def _told(self) -> dict[str, Any]:
         """Returns what the folder says of itself; nothing if that cannot be read."""
         try:
-            told = json.loads((self.folder / RECORD).read_bytes())
+            told = json.loads((self.folder / RECORD).read())
+        except UnsafeFileError:
+            raise
         except (OSError, ValueError, RecursionError):
             return {}
         return told if isinstance(told, dict) else {}
 
-    def _write_clip(self, stage: Any, file: Path, block: Range, coils: dict[str, Coil], tell: Tell) -> None:
+    def _write_clip(self, stage: Any, file: RunPath, block: Range, coils: dict[str, Coil], tell: Tell) -> None:
         from pxr import Sdf
 
         records = self._with_next(block)
@@ -196,11 +204,13 @@ def _name(number: int) -> str:
     return f"clip_{number:06d}.usdc"
 
 
-def _sha(path: Path) -> str:
+def _sha(path: RunPath) -> str:
     """Returns the SHA-256 of a file; of none an empty text."""
     try:
-        with path.open("rb") as file:
+        with path.open() as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
+    except UnsafeFileError:
+        raise
     except OSError:
         return ""
 

@@ -1,13 +1,12 @@
 """Files of stages: there as a whole or not at all."""
 
 import contextlib
-import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from warpcontact.durable import PARTIAL, sync_folder
+from warpcontact.run_folder import PARTIAL, RunPath, place_of
 
 #: What a stage can be written to.
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
@@ -34,7 +33,7 @@ def save_stage(stage: Any, path: Path) -> None:
         save_layer(stage.GetRootLayer(), path)
 
 
-def save_layer(layer: Any, path: Path) -> None:
+def save_layer(layer: Any, path: Path | RunPath) -> None:
     """Writes a layer; until it is whole, what was there before stays.
 
     Raises:
@@ -50,11 +49,11 @@ def remove_file(path: Path) -> None:
     Raises:
         OSError: If it cannot be removed; names it.
     """
+    place = place_of(path)
     try:
-        path.unlink()
-        sync_folder(path.parent)
-    except FileNotFoundError:
-        return
+        if place.is_there():
+            place.remove()
+            place.parent.sync()
     except OSError as error:
         raise OSError(f"cannot write {path}: {error.strerror or error}") from error
 
@@ -70,25 +69,20 @@ def _save_package(stage: Any, path: Path) -> None:
 
 
 @contextlib.contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
+def _replacing(path: Path | RunPath) -> Iterator[Path]:
     """Yields the name of a file that takes the place of ``path`` when the block ends without an error."""
     from pxr import Sdf, Tf
 
-    # USD knows formats by their suffix.
-    partial = path.with_name(f".{path.stem}{PARTIAL}{path.suffix}")
+    place = place_of(path)
+    path = place.path
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield partial
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
-        partial.replace(path)
-        sync_folder(path.parent)
+        place.parent.make()
+        # The suffix determines the format.
+        with place.replaced(f".{path.stem}{PARTIAL}{path.suffix}") as partial:
+            yield partial.path
     except (Tf.ErrorException, OSError) as error:
         reason = error.strerror or str(error) if isinstance(error, OSError) else _reason(str(error))
         raise OSError(f"cannot write {path}: {reason}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
     # Who has an earlier version of the file open sees the new one: USD keeps open files by name.
     opened = Sdf.Layer.Find(str(path.resolve()))
     if opened:

@@ -1,6 +1,7 @@
 """Where a replay comes from: the folder of a run, finished or not, or a recording."""
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from warpcontact.experiment.records import COMMITS
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.status import status_of
 from warpcontact.replay.drawing import Drawing
+from warpcontact.run_folder import RunPath
 from warpcontact.scene import Scene
 from warpcontact.status import Cause
 from warpcontact.viewer.values import rows_of, rows_of_parameters, spoken
@@ -123,7 +125,7 @@ class RunSource(Source):
 
     def _open(self, run: Run, scene: Scene | None) -> None:
         # To read the scene takes longer than the rest.
-        self.run = Run(run.folder, run.summary, scene)
+        self.run = replace(run, _scene=scene)
         self.scene = self.run.scene
         self.name = str(run.summary["name"])
         self.recording = self.run.recording
@@ -133,14 +135,12 @@ class RunSource(Source):
 
     def _signature(self) -> tuple[tuple[str, int, int], ...]:
         """Returns what changes when anything is committed."""
-        paths = [*sorted((self.folder / COMMITS).glob("*.json")), self.folder / SUMMARY]
+        commits = RunPath(self.folder) / COMMITS
         found = []
-        for path in paths:
-            try:
-                known = path.stat()
-            except FileNotFoundError:
-                continue
-            found.append((path.name, known.st_mtime_ns, known.st_size))
+        for path in (*(commits / name for name in commits.names()), RunPath(self.folder) / SUMMARY):
+            known = path.status()
+            if known is not None:
+                found.append((path.name, known.st_mtime_ns, known.st_size))
         return tuple(found)
 
     def refresh(self) -> bool:
