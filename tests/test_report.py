@@ -309,9 +309,7 @@ def test_characters_that_no_page_may_hold_are_replaced(copied, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:no picture or animation")
 def test_hostile_names_in_an_experiment_are_shown_and_do_nothing(tmp_path):
-    study = report_runs.changed(
-        name="</script><b>&\"'مرحبا🚀" + "y" * 10_000, duration=0.01, envs=1, variation=None
-    )
+    study = report_runs.changed(name="</script><b>&\"'مرحبا🚀" + "y" * 160, duration=0.01, envs=1, variation=None)
     study["contact"][0]["name"] = "z" * 100
     study["record"] = {"readings": [f"{study['contact'][0]['name']}.gap"], "every": 5e-3}
     study["outcome"] = {"o" * 150: {"type": "Min", "of": study["record"]["readings"][0], "items": "min"}}

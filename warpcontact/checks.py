@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 # More names than these are not listed in a message.
 LISTED = 20
 
+#: Largest length of a name that becomes a part of the names of files [bytes of UTF-8].
+MOST_NAME = 200
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
@@ -186,6 +189,7 @@ def new_name(kind: str, value: str | None, taken: Mapping[str, Any]) -> str:
         raise ValueError(
             f"name of a {kind} must be letters, digits, _ and -, not starting with a digit, got {value!r}"
         )
+    check_length(f"name of a {kind}", value)
     if value in taken or value == "scene":
         raise ValueError(f"name {value!r} of a {kind} is taken; every name in a scene is used once")
     return value
@@ -197,7 +201,17 @@ def key(what: str, value: object) -> str:
         raise ValueError(
             f"{what}: a name must be letters, digits, _ and -, not starting with a digit, got {value!r}"
         )
+    check_length(f"{what}: a name", value)
     return value
+
+
+def check_length(what: str, name: str, most: int = MOST_NAME) -> None:
+    """Raises ``ValueError`` if a name is too long to be a part of the name of a file."""
+    size = len(name.encode(errors="surrogatepass"))
+    if size > most:
+        raise ValueError(
+            f"{what} must have at most {most} bytes, as files are named after it, got {size}: {name[:20]!r}…"
+        )
 
 
 def look_up(kind: str, name: str, table: Mapping[str, Any]) -> Any:

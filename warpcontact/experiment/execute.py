@@ -99,10 +99,12 @@ def start(runner: ShardRunner, job: Job, alone: contextlib.ExitStack) -> None:
 
     Raises:
         ValueError: If a value does not fit into the precision of the device, before anything is removed.
+        ExperimentError: If a variable has too long a name, before anything is removed.
     """
     # All of them, so that values that do not fit are found now; the first one last.
     for shard in reversed(job.shards):
         runner.take(shard)
+    store.check_names(runner.templates(), str(job.folder))
     with _blamed(job):
         RunPath(job.folder).make()
         alone.enter_context(writing(job.folder))

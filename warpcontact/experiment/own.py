@@ -20,6 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from warpcontact.checks import check_length
 from warpcontact.experiment.errors import ExperimentError, shown
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction
@@ -162,6 +163,7 @@ class OwnFiles:
         parts = Path(name).parts
         if Path(name).is_absolute() or os.pardir in parts or not path.is_relative_to(folder):
             raise ValueError(f" must name a file inside of the folder of the experiment, got {shown(name)}")
+        check_length(": the name of a file", path.name)
         return path
 
 

@@ -166,8 +166,8 @@ def _element_name(value: Any) -> str:
     try:
         return checks.new_name("table", value, {})
     except ValueError as error:
-        rule = str(error).partition(" must be ")[2]  # what precedes it is a name that the file does not have
-        raise ValueError(f"must be {rule}") from None
+        rule = str(error).partition(" must ")[2]  # what precedes it is a name that the file does not have
+        raise ValueError(f"must {rule}") from None
 
 
 def _inertia(name: str, values: Any) -> None:
@@ -222,6 +222,7 @@ def _repair(value: Any) -> bool | str | tuple[str, ...]:
 def _title(value: Any) -> str:
     if not isinstance(value, str) or not value.strip() or not value.isprintable():
         raise ValueError(f"must be a text on one line, got {shown(value)}")
+    checks.check_length("", value)
     return value
 
 

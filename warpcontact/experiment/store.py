@@ -29,8 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.available import available_threads
+from warpcontact.checks import check_length
 from warpcontact.durable import write_json
 from warpcontact.experiment.chunks import Chunk, Chunks, compressors
+from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.records import (
     COMMITS,
     DATA,
@@ -60,6 +62,8 @@ FAR = 8
 
 # Arrays are stored in pieces of about this size [bytes].
 CHUNK = 16 * 2**20
+# Longest name of a folder on usual file systems [bytes].
+MOST_NAME = 255
 # Chunks that are copied and compressed at once: each takes its size twice.
 WRITERS = 4
 
@@ -124,6 +128,16 @@ def _made(folder: RunPath) -> "CommittedStore":
     store = CommittedStore(folder, commits={})
     zarr.open_group(store, mode="r")
     return store
+
+
+def check_names(templates: Mapping[str, "xr.Dataset"], source: str) -> None:
+    """Raises ``ExperimentError`` of ``source`` if a variable has too long a name for its folder in the store."""
+    for group, template in templates.items():
+        for name in template.data_vars:
+            try:
+                check_length(f"the name of a variable of {group}", str(name), MOST_NAME)
+            except ValueError as error:
+                raise ExperimentError(source, [str(error)]) from None
 
 
 @_few_threads()
