@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from warpcontact.trust_option import add_option
+
 if TYPE_CHECKING:
     from warpcontact.experiment import Experiment
 
@@ -41,6 +43,7 @@ def add_to(commands: Any) -> None:
         help="print only the key, and compile nothing: it changes with the source code, the experiments, the "
         "versions, the compiler options and the machine",
     )
+    add_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -118,7 +121,7 @@ def _experiment(file: Path, arguments: argparse.Namespace) -> "Experiment":
     from warpcontact.experiment import Experiment, ExperimentError
 
     _say(f"reading {file}")
-    experiment = Experiment.from_toml(file, on_stage=_say)
+    experiment = Experiment.from_toml(file, on_stage=_say, trust=arguments.trust)
     try:
         return experiment.changed(envs=arguments.envs)
     except ExperimentError as error:

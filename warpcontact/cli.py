@@ -23,6 +23,7 @@ from warpcontact import (
     view_command,
 )
 from warpcontact.signals import terminations
+from warpcontact.trust_option import add_option
 
 if TYPE_CHECKING:
     from warpcontact.experiment import Experiment
@@ -147,6 +148,7 @@ def _parser() -> argparse.ArgumentParser:
             metavar="N",
             help="at most so many environments at once, committed together (default: as many as fit)",
         )
+        add_option(command)
 
     inspect = commands.add_parser(
         "inspect", help="report on a mesh file", description="Report on a mesh file. Exit code 1: unusable."
@@ -347,7 +349,7 @@ def _experiment(arguments: argparse.Namespace) -> "Experiment":
     from warpcontact.experiment import Experiment
 
     _say(f"reading {arguments.file}")
-    experiment = Experiment.from_toml(arguments.file, changes=arguments.set, on_stage=_say)
+    experiment = Experiment.from_toml(arguments.file, changes=arguments.set, on_stage=_say, trust=arguments.trust)
     for option in ("envs", "duration"):
         value = getattr(arguments, option)
         with _blaming(f"--{option} {value}", experiment.source):

@@ -5,6 +5,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from warpcontact.trust_option import add_option
+
 # How many environments an animation has that nobody asked for otherwise.
 ANIMATED = 16
 
@@ -54,6 +56,7 @@ def add_to(commands: Any) -> None:
         type=float,
         help="distances between the environments of the animation on a grid [m] (default: all in place)",
     )
+    add_option(export)
 
 
 def status(arguments: argparse.Namespace) -> None:
@@ -87,7 +90,7 @@ def export(arguments: argparse.Namespace) -> None:
             raise ValueError(f"--{option.replace('_', '-')} is of --usd; a table has all environments")
     file = arguments.csv or arguments.parquet or arguments.usd
     check_place(Path(file))
-    run = open_run(arguments.folder)
+    run = open_run(arguments.folder, trust=arguments.trust)
     if not arguments.usd and not run.outcome.sizes["env"]:
         print(
             f"caution: no environment of {run.folder} is finished yet: the table has no rows; "

@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from warpcontact.trust_option import add_option
+
 STILLS = (".png",)
 FILMS = (".gif", ".mp4")
 # Options of films alone, with what they are where they are left out.
@@ -104,6 +106,7 @@ def add_to(commands: Any) -> None:
         "--device", default="auto", metavar="D", help="cpu, cuda:0, … (default: auto, a GPU if any)"
     )
     render.add_argument("--threads", type=int, metavar="N", help="threads on the CPU (default: one per core)")
+    add_option(render)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -118,7 +121,7 @@ def run(arguments: argparse.Namespace) -> None:
     from warpcontact.experiment.run import open_run
 
     try:
-        _draw(arguments, file, open_run(arguments.folder))
+        _draw(arguments, file, open_run(arguments.folder, trust=arguments.trust))
     except ValueError as error:
         raise ValueError(_in_words_of_options(str(error))) from None
 

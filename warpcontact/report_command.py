@@ -3,6 +3,8 @@
 import argparse
 from typing import Any
 
+from warpcontact.trust_option import add_option
+
 
 def add_to(commands: Any) -> None:
     """Adds the command and its options to the parsers of all commands."""
@@ -23,6 +25,7 @@ def add_to(commands: Any) -> None:
         help="numbers of the environments that are shown one by one (default: the first 16, some that failed, and "
         "those with the smallest and largest outcomes, as far as there is room)",
     )
+    add_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -34,4 +37,4 @@ def run(arguments: argparse.Namespace) -> None:
     """
     from warpcontact.run_report import report
 
-    print(report(arguments.folder, arguments.file, envs=arguments.envs))
+    print(report(arguments.folder, arguments.file, envs=arguments.envs, trust=arguments.trust))

@@ -6,6 +6,8 @@ import sys
 import warnings
 from typing import Any
 
+from warpcontact.trust_option import add_option
+
 
 def add_to(commands: Any) -> None:
     """Adds the command and its options to the parsers of all commands."""
@@ -33,6 +35,7 @@ def add_to(commands: Any) -> None:
         "--envs", type=int, metavar="N", help="environments of an experiment (default: its own, 16 at most)"
     )
     view.add_argument("--device", default="auto", metavar="D", help="of an experiment (default: auto)")
+    add_option(view)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -57,6 +60,7 @@ def run(arguments: argparse.Namespace) -> None:
                 speed=arguments.speed,
                 envs=arguments.envs,
                 device=device,
+                trust=arguments.trust,
             )
     except ImportError as error:
         raise ValueError(str(error)) from None

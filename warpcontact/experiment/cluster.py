@@ -17,6 +17,7 @@ from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, Bar, told
 from warpcontact.experiment.store import Commit, Shard, StoreError
+from warpcontact.experiment.trust import digest_of
 from warpcontact.footprint import USABLE, MemoryShortage, environments, readable
 from warpcontact.quarantine import QuarantineError
 
@@ -98,7 +99,9 @@ class Place:
 
         def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> dict[str, str]:
             folder = str(job.folder.resolve())
-            words = (folder, where, self.cores, job.every)
+            # A worker trusts the files that this process has run, and no others.
+            laws = tuple(digest_of(content) for content in job.copy.files.values())
+            words = (folder, where, self.cores, job.every, laws)
             return _Tasks(self.ray, task, words, list(left), bar, Path(folder)).run()
 
         return run
@@ -265,7 +268,9 @@ class _Tasks:
 _RUNNERS: dict[tuple[str, str, str, int, float], "ShardRunner"] = {}
 
 
-def run_shard(number: int, folder: str, device: str, threads: int, every: float) -> tuple[int, list[str]]:
+def run_shard(
+    number: int, folder: str, device: str, threads: int, every: float, laws: tuple[str, ...]
+) -> tuple[int, list[str]]:
     """Runs a shard of the run in a folder, in a worker.
 
     Returns:
@@ -283,7 +288,7 @@ def run_shard(number: int, folder: str, device: str, threads: int, every: float)
         warnings.simplefilter("always")
         if key not in _RUNNERS:
             _RUNNERS.clear()
-            _RUNNERS[key] = _runner(path, summary, device, threads, every)
+            _RUNNERS[key] = _runner(path, summary, device, threads, every, laws)
         runner = _RUNNERS[key]
         shard = shards_of(summary["envs"], summary["shard"])[number]
         commit = runner.ledger.commits().get(number)
@@ -293,11 +298,13 @@ def run_shard(number: int, folder: str, device: str, threads: int, every: float)
     return ended.frozen, [labeled(one.message) for one in heard if issubclass(one.category, kinds)]
 
 
-def _runner(folder: Path, summary: Mapping[str, Any], device: str, threads: int, every: float) -> "ShardRunner":
+def _runner(
+    folder: Path, summary: Mapping[str, Any], device: str, threads: int, every: float, laws: tuple[str, ...]
+) -> "ShardRunner":
     from warpcontact.experiment.run import open_run
     from warpcontact.experiment.shards import Frames, ShardRunner
 
-    experiment = open_run(folder).experiment
+    experiment = open_run(folder, trust=laws).experiment
     settings = experiment.settings
     model = experiment.draft(device).build(summary["shard"])
     frames = Frames.of(settings, summary["block"])

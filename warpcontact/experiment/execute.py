@@ -3,7 +3,6 @@
 import contextlib
 import datetime
 import errno
-import hashlib
 import platform
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,7 +17,7 @@ from warpcontact._version import __version__
 from warpcontact.contact_warning import RunWarning, WarningLevel
 from warpcontact.environments import Environments
 from warpcontact.experiment import folder as files_of
-from warpcontact.experiment import store
+from warpcontact.experiment import store, trust
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.disk import disk_of
 from warpcontact.experiment.errors import ExperimentError
@@ -117,6 +116,7 @@ def _make_folder(runner: ShardRunner, job: Job) -> None:
     files_of.write_summary(folder, _first_summary(runner.model, job))
     comment = f"The experiment as warpcontact {__version__} ran it, with all defaults."
     text = to_toml(job.copy.settings, comment).encode()
+    trust.record(job.copy.files.values())
     for name, content in {files_of.EXPERIMENT: text, **job.copy.files}.items():
         with (RunPath(folder) / name).replacing() as file:
             file.write(content)
@@ -306,7 +306,7 @@ def _is_finished(commits: Mapping[int, Commit], shard: Shard) -> bool:
 
 def _first_summary(model: Environments, job: Job) -> dict[str, Any]:
     settings, frames = job.settings, job.frames
-    laws = {name: hashlib.sha256(content).hexdigest() for name, content in job.copy.files.items()}
+    laws = {name: trust.digest_of(content) for name, content in job.copy.files.items()}
     return {
         "state": files_of.UNFINISHED,
         "name": settings.name,

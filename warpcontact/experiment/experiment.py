@@ -26,6 +26,7 @@ from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.sampling import Sobol
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.trial import trial
+from warpcontact.experiment.trust import Trust
 from warpcontact.experiment.variation import Variation, truncated
 from warpcontact.footprint import environments
 from warpcontact.integrators.base import formulas_of
@@ -57,6 +58,8 @@ class Experiment:
         source: What to call it in messages.
         on_stage: Called with a few words when a stage that may take long begins, and before a file with laws of
             the user is loaded, which runs it.
+        trust: Whether files with laws are run that came with the folder of a run and were not written there by a
+            run of this user; or the SHA-256 of those that are.
 
     Attributes:
         settings: All settings, with everything that was left to defaults filled in.
@@ -72,11 +75,12 @@ class Experiment:
         *,
         source: str = "experiment",
         on_stage: Callable[[str], None] | None = None,
+        trust: Trust = False,
     ) -> None:
         self.folder = Path(folder)
         self.source = source
         self._loaded = Loaded()
-        self._own = OwnFiles(self.folder, on_stage or _say_nothing)
+        self._own = OwnFiles(self.folder, on_stage or _say_nothing, trust)
         self._check(content)
 
     def __repr__(self) -> str:
@@ -90,6 +94,7 @@ class Experiment:
         *,
         changes: Iterable[str] = (),
         on_stage: Callable[[str], None] | None = None,
+        trust: Trust = False,
     ) -> "Experiment":
         """Reads an experiment file; the names of other files in it are relative to its folder.
 
@@ -99,6 +104,7 @@ class Experiment:
                 ``'template.rubber.law.stiffness=1e6'`` or ``'variation."ball.mass"={ uniform = [1, 2] }'``.
             on_stage: Called with a few words when a stage that may take long begins, and before a file with laws
                 of the user is loaded, which runs it.
+            trust: As for the class.
 
         Raises:
             ExperimentError: If it cannot be read, with line and column if it is no TOML; if a change leads
@@ -108,7 +114,7 @@ class Experiment:
         if isinstance(changes, str):
             raise TypeError(f"changes must be a list of texts PATH=VALUE, got the string {changes!r}")
         path = Path(path)
-        return cls(content_of(path, changes), path.parent, source=str(path), on_stage=on_stage)
+        return cls(content_of(path, changes), path.parent, source=str(path), on_stage=on_stage, trust=trust)
 
     @classmethod
     def from_dict(
@@ -117,13 +123,14 @@ class Experiment:
         folder: str | PathLike[str] = ".",
         *,
         on_stage: Callable[[str], None] | None = None,
+        trust: Trust = False,
     ) -> "Experiment":
         """Makes an experiment of a dictionary of the form of an experiment file; arguments are those of the class.
 
         Raises:
             ExperimentError: If anything is wrong with it; lists all problems with their keys.
         """
-        return cls(content, folder, on_stage=on_stage)
+        return cls(content, folder, on_stage=on_stage, trust=trust)
 
     def scene(self) -> Scene:
         """Returns a new scene of this experiment."""

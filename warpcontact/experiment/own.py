@@ -1,8 +1,8 @@
 """Formulas, laws for instance, and outcomes out of a user's own Python file, named as ``FILE.py:CLASS``.
 
 Such a file is run as any module is that one imports. It has to lie inside of the folder of the experiment, so that
-an experiment from elsewhere runs nothing but what came with it. What is wrong with a file, or goes wrong in it, is
-said in one sentence with its line.
+an experiment from elsewhere runs only its own files. In a run folder, a file must be trusted, see ``trust``.
+Errors in a file, and of reading it, are reported in one sentence with the line.
 """
 
 import contextlib
@@ -14,13 +14,14 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from warpcontact.checks import check_length
+from warpcontact.experiment import trust
 from warpcontact.experiment.errors import ExperimentError, shown
 from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Friction
@@ -31,7 +32,7 @@ from warpcontact.kernels.outcomes.base import Outcome
 from warpcontact.kernels.smooth.base import Shape
 from warpcontact.kernels.springs import Damper, Spring
 from warpcontact.regular_files import UnsafeFileError
-from warpcontact.run_folder import read_file
+from warpcontact.run_folder import is_run_folder, read_file
 
 #: What a user's class may be.
 KINDS: tuple[type, ...] = (Law, Friction, Spring, Damper, Motion, Shape, Outcome)
@@ -40,6 +41,10 @@ KINDS: tuple[type, ...] = (Law, Friction, Spring, Damper, Motion, Shape, Outcome
 _MODULES: dict[tuple[Path, bytes], ModuleType] = {}
 # Every attempt has a name of its own, under which neither Python nor Warp finds what an earlier one left behind.
 _NUMBERS = itertools.count(1)
+
+
+class TrustError(ExperimentError):
+    """The folder of a run names Python files that no run of this user has written, and that were not trusted."""
 
 
 @dataclass(frozen=True)
@@ -63,13 +68,36 @@ class OwnFiles:
     Args:
         folder: Folder of the experiment.
         say: Called with a few words before a file is loaded.
+        trusted: Which files are run if it is the folder of a run: see ``trust``.
     """
 
-    def __init__(self, folder: Path, say: Callable[[str], None]) -> None:
+    def __init__(self, folder: Path, say: Callable[[str], None], trusted: trust.Trust = False) -> None:
         self.folder = folder
         self.say = say
+        self.trusted = trusted
         self._files: dict[str, OwnFile] = {}
         self._failures: dict[str, str] = {}
+
+    def check_trusted(self, raw: Any) -> None:
+        """Checks, before any is run, that all files that an experiment names may be run.
+
+        Args:
+            raw: Content of the experiment file.
+
+        Raises:
+            TrustError: If some may not; names these.
+        """
+        if not is_run_folder(self.folder):
+            return
+        untrusted = []
+        for name in dict.fromkeys(_files_in(raw)):
+            if name in self._files:  # and stays what it was when it was loaded
+                continue
+            with contextlib.suppress(ValueError):  # which loading it raises again, with its place
+                if not trust.may_run(self._read(name), self.trusted):
+                    untrusted.append(name)
+        if untrusted:
+            raise _untrusted(self.folder, untrusted)
 
     def file(self, name: str) -> OwnFile:
         """Returns the file called ``name``, relative to the folder.
@@ -132,6 +160,11 @@ class OwnFiles:
             if known.path == path:  # under another name
                 return known
         content = self._read(name)
+        if is_run_folder(self.folder):
+            if not trust.may_run(content, self.trusted):
+                raise _untrusted(self.folder, [name])
+            if self.trusted is True:
+                trust.record([content])
         self.say(f"loading {self.folder / name}")
         try:
             return OwnFile(path, content, _module(path, content))
@@ -165,6 +198,30 @@ class OwnFiles:
             raise ValueError(f" must name a file inside of the folder of the experiment, got {shown(name)}")
         check_length(": the name of a file", path.name)
         return path
+
+
+def _files_in(raw: Any) -> Iterator[str]:
+    """Iterates over the files that an experiment names, as ``FILE.py:CLASS``, at any depth."""
+    if isinstance(raw, str):
+        name = raw.rpartition(":")[0]
+        if name.endswith(".py"):
+            yield name
+    elif isinstance(raw, Mapping):
+        for value in raw.values():
+            yield from _files_in(value)
+    elif isinstance(raw, list | tuple):
+        for value in raw:
+            yield from _files_in(value)
+
+
+def _untrusted(folder: Path, names: list[str]) -> TrustError:
+    return TrustError(
+        str(folder),
+        [
+            f"would run {', '.join(names)}, Python code that no run of this user has written there; read it, then "
+            "run it with --trust (Python: trust=True)"
+        ],
+    )
 
 
 def _words(bases: Iterable[type]) -> str:

@@ -150,7 +150,11 @@ def read_settings(raw: Mapping[str, Any], own: OwnFiles, problems: Problems) -> 
         raw: The content of an experiment file.
         own: The user's files that it may name.
         problems: Receives what is not.
+
+    Raises:
+        TrustError: If it names files of the folder of a run that are not trusted.
     """
+    own.check_trusted(raw)
     for section in SECTIONS:
         entries = raw.get(section, ())
         for i, entry in enumerate(entries if isinstance(entries, list | tuple) else ()):

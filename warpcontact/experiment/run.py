@@ -26,6 +26,7 @@ from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, StoreError
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import ORDER, Ledger, Shard, shards_of
+from warpcontact.experiment.trust import Trust
 from warpcontact.flags import words_of
 from warpcontact.footprint import environments
 from warpcontact.health import Health
@@ -60,6 +61,7 @@ class Run:
     folder: Path
     summary: dict[str, Any]
     _scene: Scene | None = field(default=None, repr=False, compare=False)
+    _trust: Trust = field(default=False, repr=False, compare=False)
 
     @property
     def _files(self) -> RunPath:
@@ -80,13 +82,14 @@ class Run:
         """The experiment that ran, checked as one that is to run again: with a model, which compiles kernels."""
         from warpcontact.experiment.experiment import Experiment
 
-        return Experiment.from_toml(self.folder / files_of.EXPERIMENT)
+        return Experiment.from_toml(self.folder / files_of.EXPERIMENT, trust=self._trust)
 
     @functools.cached_property
     def settings(self) -> Settings:
         """All settings of the experiment. Files with laws of its own are run to read them; no model is built."""
         path, problems = self.folder / files_of.EXPERIMENT, Problems()
-        settings = read_settings(load_toml(path), OwnFiles(self.folder, lambda stage: None), problems).settings
+        own = OwnFiles(self.folder, lambda stage: None, self._trust)
+        settings = read_settings(load_toml(path), own, problems).settings
         problems.stop(str(path))
         assert settings is not None  # they are there if there are no problems
         return settings
@@ -387,12 +390,14 @@ class Run:
 
 
 @explain_keywords
-def open_run(path: str | PathLike[str], *, verify: bool = False) -> Run:
+def open_run(path: str | PathLike[str], *, verify: bool = False, trust: Trust = False) -> Run:
     """Opens the folder of a run, finished or not.
 
     Args:
         path: The folder.
         verify: Whether to read all results and compare them with what was committed, not only their sizes.
+        trust: Whether files with laws are run that came with the folder and were not written there by a run of
+            this user, when the scene or the experiment is read; or the SHA-256 of those that are.
 
     Raises:
         ExperimentError: If it holds no run, or one of a schema that this version does not read.
@@ -424,7 +429,7 @@ def open_run(path: str | PathLike[str], *, verify: bool = False) -> Run:
         )
     ledger = Ledger(folder)
     ledger.check(contents=verify)
-    run = Run(folder, summary)
+    run = Run(folder, summary, None, trust)
     commits = ledger.commits()
     for shard in run.shards if summary["state"] == files_of.FINISHED else ():
         if shard.number not in commits or not commits[shard.number].finished:

@@ -11,9 +11,11 @@ from warpcontact.checks import entries
 from warpcontact.contact_coupling_report import CouplingReport
 from warpcontact.durable import check_place, replacing
 from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.own import TrustError
 from warpcontact.experiment.records import StoreError
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.status import status_of
+from warpcontact.experiment.trust import Trust
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.run_report import couplings, ended, environments, facts, loops, outcomes, series, viewer
 from warpcontact.run_report.choice import Choice, choose
@@ -32,6 +34,7 @@ def report(
     path: str | PathLike[str] | None = None,
     *,
     envs: int | Iterable[int] | None = None,
+    trust: Trust = False,
 ) -> Path:
     """Writes a report of a run as one HTML file, which opens anywhere and loads nothing.
 
@@ -44,6 +47,7 @@ def report(
         path: File to write, ``.html``; replaced if it exists; ``None``: ``report.html`` in the folder.
         envs: Numbers of the environments that are shown one by one; ``None``: the first 16, some of those that
             failed, and those in which outcomes are smallest and largest, as far as there is room.
+        trust: As for ``wc.open_run``, if ``run`` is a folder.
 
     Returns:
         The path.
@@ -54,7 +58,7 @@ def report(
         StoreError: If results are missing or were changed.
         OSError: If writing fails.
     """
-    run = run if isinstance(run, Run) else open_run(run)
+    run = run if isinstance(run, Run) else open_run(run, trust=trust)
     path = run.folder / REPORT if path is None else Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"path must end in {' or '.join(SUFFIXES)}, got {str(path)!r}")
@@ -129,6 +133,8 @@ def _drawn(run: Run, choice: Choice) -> tuple[Replay, tuple[CouplingReport, ...]
     finished = run.outcome.sizes["env"]
     try:
         scene = run.scene
+    except TrustError:
+        raise
     except (ValueError, OSError) as error:
         reason = short(str(error).splitlines()[0], 400)
         return Replay([f"There is no replay, as the scene cannot be made again: {reason}"]), ()

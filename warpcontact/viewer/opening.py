@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from warpcontact.experiment.experiment import Experiment
 from warpcontact.experiment.run import Run
 from warpcontact.experiment.shards import make_simulation
+from warpcontact.experiment.trust import Trust
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.recording import Recording
 from warpcontact.simulation import Simulation
@@ -82,6 +83,7 @@ def view(
     speed: float = 1.0,
     envs: int | None = None,
     device: str | Sequence[str] = "auto",
+    trust: Trust = False,
 ) -> Viewer:
     """Shows a run, a recording, or a simulation that steps, on a page for a browser of this machine.
 
@@ -97,6 +99,7 @@ def view(
         speed: Simulated time to that on the wall.
         envs: Number of environments of an experiment; ``None``: its own, 16 at most.
         device: Device of an experiment, as of ``Experiment.model``.
+        trust: As for ``wc.open_run``, if ``target`` is a folder or file.
 
     Returns:
         The page; ended already if ``block``.
@@ -114,10 +117,10 @@ def view(
     if not (isinstance(speed, int | float) and math.isfinite(speed) and SLOWEST <= speed <= FASTEST):
         raise ValueError(f"speed must be from {SLOWEST:g} to {FASTEST:g}, got {speed!r}")
     if isinstance(target, str | PathLike) and not Path(target).is_dir():
-        target = Experiment.from_toml(target)
+        target = Experiment.from_toml(target, trust=trust)
     if envs is not None and not isinstance(target, Experiment):
         raise ValueError(f"envs is of an experiment, got {envs!r}; the page of a run has all it has")
-    viewer = Viewer(_show_of(target, port, float(speed), envs, device))
+    viewer = Viewer(_show_of(target, port, float(speed), envs, device, trust))
     try:
         viewer.show.start()
         if open_browser:
@@ -130,7 +133,9 @@ def view(
     return viewer
 
 
-def _show_of(target: "Target", port: int, speed: float, envs: int | None, device: str | Sequence[str]) -> "Show":
+def _show_of(
+    target: "Target", port: int, speed: float, envs: int | None, device: str | Sequence[str], trust: Trust
+) -> "Show":
     """Makes what is behind the page; the server is opened when all else is there."""
     from warpcontact.viewer.live import Live
     from warpcontact.viewer.page import LocalServer
@@ -153,7 +158,7 @@ def _show_of(target: "Target", port: int, speed: float, envs: int | None, device
     elif isinstance(target, Run):
         source = RunSource(target.folder, target.scene)
     elif isinstance(target, str | PathLike):
-        source = RunSource(target)
+        source = RunSource(target, trust=trust)
     else:
         raise TypeError(
             "target must be the folder of a run, an experiment file, a Run, Experiment, Simulation or recording, "

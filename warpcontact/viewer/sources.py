@@ -13,6 +13,7 @@ from warpcontact.experiment.folder import SUMMARY
 from warpcontact.experiment.records import COMMITS
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.status import status_of
+from warpcontact.experiment.trust import Trust
 from warpcontact.replay.drawing import Drawing
 from warpcontact.run_folder import RunPath
 from warpcontact.scene import Scene
@@ -111,6 +112,7 @@ class RunSource(Source):
     Args:
         folder: The folder.
         scene: What ran; ``None``: as the folder says.
+        trust: As for ``open_run``.
 
     Raises:
         ExperimentError: If it holds no run.
@@ -118,10 +120,10 @@ class RunSource(Source):
         ValueError: If nothing was recorded over time.
     """
 
-    def __init__(self, folder: str | PathLike[str], scene: Scene | None = None) -> None:
+    def __init__(self, folder: str | PathLike[str], scene: Scene | None = None, trust: Trust = False) -> None:
         self.folder = Path(folder)
         self._seen = self._signature()
-        self._open(open_run(folder), scene)
+        self._open(open_run(folder, trust=trust), scene)
 
     def _open(self, run: Run, scene: Scene | None) -> None:
         # To read the scene takes longer than the rest.
