@@ -22,6 +22,7 @@ from warpcontact._version import __version__
 from warpcontact.arrays import Layout
 from warpcontact.captures import beside_captures
 from warpcontact.durable import replacing
+from warpcontact.hostile import VisibleError
 from warpcontact.integrators.base import formulas_of
 from warpcontact.parameters import Field
 from warpcontact.regular_files import UnsafeFileError
@@ -45,7 +46,7 @@ _UNREADABLE = (
 Arrays = dict[str, NDArray[Any]]
 
 
-class CheckpointError(ValueError):
+class CheckpointError(VisibleError):
     """A file that holds no checkpoint, a damaged one, or one of another simulation."""
 
 

@@ -1,7 +1,6 @@
 """The command line. Nothing slow is imported before it is needed: ``--help`` answers at once."""
 
 import argparse
-import io
 import os
 import re
 import shlex
@@ -22,6 +21,7 @@ from warpcontact import (
     report_command,
     view_command,
 )
+from warpcontact.hostile import visible_output
 from warpcontact.signals import terminations
 from warpcontact.trust_option import add_option
 
@@ -34,6 +34,7 @@ SHARDS_FAILED = 3  # some shards of a run; the others are finished
 INTERRUPTED = 130  # the shell's number for Ctrl-C
 
 
+@visible_output()
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command.
 
@@ -44,10 +45,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0, or 1 for an unusable mesh or a plan that does not fit, 2 for an error, 3 if shards of a
         run failed, 130 if interrupted.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            # Characters that the encoding of a terminal does not have end no command.
-            stream.reconfigure(errors="backslashreplace")
     arguments = _parser().parse_args(argv)
     try:
         code = arguments.command(arguments)

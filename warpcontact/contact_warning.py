@@ -1,6 +1,8 @@
-"""Warnings and their levels. Warning filters import this module first, so it imports nothing of the package."""
+"""Warnings and their levels. Warning filters import this module first, so it imports no kernels."""
 
 import enum
+
+from warpcontact.hostile import visible
 
 
 class WarningLevel(enum.StrEnum):
@@ -24,7 +26,7 @@ class ContactWarning(UserWarning):
     """
 
     def __init__(self, message: str, level: WarningLevel = WarningLevel.CAUTION) -> None:
-        super().__init__(message)
+        super().__init__(visible(message))
         self.level = level
 
 
@@ -37,13 +39,13 @@ class RunWarning(RuntimeWarning):
     """
 
     def __init__(self, message: str, level: WarningLevel = WarningLevel.CAUTION) -> None:
-        super().__init__(message)
+        super().__init__(visible(message))
         self.level = level
 
 
 def labeled(warning: Warning | str) -> str:
     """Returns the text of a warning behind its level, such as ``caution: …``; without one it is a caution."""
-    return f"{getattr(warning, 'level', WarningLevel.CAUTION)}: {warning}"
+    return visible(f"{getattr(warning, 'level', WarningLevel.CAUTION)}: {warning}")
 
 
 def split_label(text: str) -> tuple[WarningLevel, str]:

@@ -1,5 +1,75 @@
 """Texts of any length and content, such as names and paths in files of others, as people are shown them."""
 
+import contextlib
+import io
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from typing import Any, TextIO
+
+# Terminals obey control characters, other than newline and tab, and marks that change the direction of text; they
+# also break lines at U+2028 and U+2029.
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+
+
+def visible(text: object) -> str:
+    """Returns a text with control characters other than newline and tab as escapes, such as those of Python."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
+
+
+class VisibleError(ValueError):
+    """An error whose message may quote files: control characters in it are escapes."""
+
+    def __init__(self, message: object) -> None:
+        super().__init__(visible(message))
+
+
+class VisibleStream:
+    """A stream to a terminal that writes control characters as escapes.
+
+    Args:
+        stream: The stream.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        """Writes a text; returns its length."""
+        self.stream.write(visible(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Writes texts one after the other."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
+@contextlib.contextmanager
+def visible_output() -> Iterator[None]:
+    """Writes control characters to the output and error streams of this process as escapes.
+
+    So are characters that the encoding of the streams does not have, which would otherwise be an error.
+    """
+    out, err = sys.stdout, sys.stderr
+    for stream in (out, err):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    with (
+        contextlib.redirect_stdout(VisibleStream(out)),
+        contextlib.redirect_stderr(VisibleStream(err)),
+    ):
+        yield
+
+
+def terminal() -> TextIO:
+    """Returns the error stream as it is, for progress bars, which move the cursor by control characters."""
+    stream: Any = sys.stderr
+    return stream.stream if isinstance(stream, VisibleStream) else stream
+
 
 def shortened(text: str, most: int, *, middle: bool = False) -> str:
     """Returns a text of at most ``most`` characters; … stands for what is left out.
@@ -16,5 +86,5 @@ def shortened(text: str, most: int, *, middle: bool = False) -> str:
 
 
 def in_one_line(text: object) -> str:
-    """Returns a text with a space for whatever white space it has."""
-    return " ".join(str(text).split())
+    """Returns a text with a space for whatever white space it has, and other control characters as escapes."""
+    return visible(" ".join(str(text).split()))

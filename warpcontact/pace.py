@@ -4,6 +4,8 @@ import contextlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from warpcontact.hostile import terminal
+
 if TYPE_CHECKING:
     from tqdm import tqdm
 
@@ -51,4 +53,4 @@ def bar_of(progress: Any, steps: int, what: str) -> "contextlib.AbstractContextM
     if isinstance(progress, tqdm):
         return contextlib.nullcontext(progress)
     disable = None if progress is None else not progress
-    return tqdm(total=steps, unit="step", desc=what, delay=1.0, disable=disable)
+    return tqdm(total=steps, unit="step", desc=what, delay=1.0, disable=disable, file=terminal())

@@ -19,6 +19,7 @@ from warpcontact.benchmark.simulation import run_seconds, seconds_of_runs, simul
 from warpcontact.benchmark.works import DT, STEPS, WORKS, Work
 from warpcontact.contact_warning import ContactWarning
 from warpcontact.devices import find_device
+from warpcontact.hostile import terminal
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.simulation import Simulation
 
@@ -81,6 +82,7 @@ def bench(
             unit="s",
             bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}",
             disable=None if progress is None else not progress,
+            file=terminal(),
         ) as bar,
     ):
         entries = []

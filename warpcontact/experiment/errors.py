@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from warpcontact.hostile import visible
 from warpcontact.kernels.names import suggestion
 
 # More than this helps nobody: they then have one cause.
@@ -30,12 +31,12 @@ class ExperimentError(ValueError):
         self.problems = tuple(problems)
         shown = [_named(problem, names or {}) for problem in self.problems[:PROBLEMS_SHOWN]]
         if len(self.problems) == 1:
-            super().__init__(f"{source}: {shown[0]}")
+            super().__init__(visible(f"{source}: {shown[0]}"))
             return
         lines = [f"{source} has {len(self.problems)} problems:", *(f"  - {problem}" for problem in shown)]
         if len(self.problems) > len(shown):
             lines.append(f"  … and {len(self.problems) - len(shown)} more")
-        super().__init__("\n".join(lines))
+        super().__init__(visible("\n".join(lines)))
 
 
 def _named(problem: str, names: Mapping[str, str]) -> str:

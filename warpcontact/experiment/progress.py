@@ -13,6 +13,7 @@ from typing import Any
 from warpcontact.experiment.folder import PROGRESS
 from warpcontact.experiment.store import Commit, Shard
 from warpcontact.footprint import environments
+from warpcontact.hostile import terminal
 from warpcontact.regular_files import UnsafeFileError
 from warpcontact.run_folder import RunPath
 
@@ -45,6 +46,7 @@ class Bar:
             desc=f"{environments(envs)}{several}",
             delay=1.0,
             disable=None if show is None else not show,
+            file=terminal(),
         )
         self._envs = envs
         self._steps = steps

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from warpcontact.experiment.errors import shown
+from warpcontact.hostile import VisibleError
 from warpcontact.regular_files import UnsafeFileError
 from warpcontact.run_folder import RunPath
 
@@ -33,7 +34,7 @@ _MOST = 2**63 - 1
 _COUNTS = ("steps", "frames", "frozen")
 
 
-class StoreError(ValueError):
+class StoreError(VisibleError):
     """A folder of results that is damaged, or was changed by somebody else."""
 
 

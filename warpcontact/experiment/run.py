@@ -30,6 +30,7 @@ from warpcontact.experiment.trust import Trust
 from warpcontact.flags import words_of
 from warpcontact.footprint import environments
 from warpcontact.health import Health
+from warpcontact.hostile import visible
 from warpcontact.kernels.keywords import explain_keywords, explain_keywords_of
 from warpcontact.regular_files import UnsafeFileError
 from warpcontact.run_folder import RunPath
@@ -383,10 +384,10 @@ class Run:
         lines += [line for report in s.get("contact_couplings", {}).values() for line in report]
         width = max(11, *map(len, self.files))
         lines += [f"  {kind:<{width}} {path}" for kind, path in sorted(self.files.items())]
-        return "\n".join(lines)
+        return visible("\n".join(lines))
 
     def __repr__(self) -> str:
-        return f"<Run in {self.folder}: {self.summary['name']}, {self.summary['state']}>"
+        return visible(f"<Run in {self.folder}: {self.summary['name']}, {self.summary['state']}>")
 
 
 @explain_keywords

@@ -12,6 +12,7 @@ from warpcontact.experiment.lock import is_written
 from warpcontact.experiment.probe import spoken
 from warpcontact.experiment.progress import told
 from warpcontact.experiment.store import Ledger, shards_of
+from warpcontact.hostile import visible
 
 # What a shard told longer ago than this is no news [s].
 FRESH = 60.0
@@ -73,7 +74,7 @@ class RunStatus:
         lines += [f"{shard} failed: {message}" for shard, message in s.get("failed", {}).items()]
         if self.state in ("interrupted", "failed", "stopped"):
             lines.append(f"go on with: warpcontact run --resume --out {self.folder}")
-        return "\n".join(lines)
+        return visible("\n".join(lines))
 
 
 def status_of(path: str | PathLike[str]) -> RunStatus:

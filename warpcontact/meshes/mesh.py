@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from warpcontact.hostile import VisibleError
 from warpcontact.kernels.keywords import explain_keywords_of
 from warpcontact.meshes.examine import examine
 from warpcontact.meshes.groups import FaceChoice, checked_groups, face_mask
@@ -19,7 +20,7 @@ from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import weld
 
 
-class MeshError(ValueError):
+class MeshError(VisibleError):
     """A mesh, or a mesh file, that cannot be used; the message says why, problem by problem."""
 
 

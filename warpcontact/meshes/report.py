@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+from warpcontact.hostile import visible
 from warpcontact.meshes.topology import Component, Orientation
 
 # A largest dimension outside of this range [m] usually means a file in millimetres or inches.
@@ -197,7 +198,7 @@ class MeshReport:
         }
         for title, entries in blocks.items():
             lines += [title, *(f"  - {entry}" for entry in entries)] if entries else []
-        return "\n".join(lines)
+        return visible("\n".join(lines))
 
     def _groups(self) -> str:
         shown = [f"{name!r} ({counted(count, 'face')})" for name, count in self.groups[:20]]

@@ -11,6 +11,7 @@ import numpy as np
 
 from warpcontact import checks
 from warpcontact.checks import Array, limits
+from warpcontact.hostile import terminal, visible
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.picture_file import check_path
 from warpcontact.rendering.look import Look, LookOptions
@@ -135,7 +136,11 @@ def shoot(
     def pictures() -> Iterator[Picture]:
         last, picture = -1, None
         bar = tqdm(
-            order.tolist(), unit="picture", desc=file.name, disable=None if progress is None else not progress
+            order.tolist(),
+            unit="picture",
+            desc=visible(file.name),
+            disable=None if progress is None else not progress,
+            file=terminal(),
         )
         with bar:
             for number in bar:

@@ -6,6 +6,7 @@ from pathlib import Path
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from warpcontact.hostile import terminal, visible
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.replay.content import Content
 from warpcontact.scene import Scene
@@ -77,8 +78,9 @@ def export_usd(
         total=len(replay.codes) * len(replay.envs),
         unit="record",
         unit_scale=True,
-        desc=path.name,
+        desc=visible(path.name),
         delay=1.0,
+        file=terminal(),
         disable=None if progress is None else not progress,
     )
     with bar:

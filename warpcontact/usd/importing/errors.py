@@ -22,11 +22,10 @@ class StageError(ValueError):
         if len(self.problems) > _LISTED:
             shown.append(f"and {len(self.problems) - _LISTED} more, in the attribute problems of this error")
         if len(self.problems) == 1:
-            super().__init__(f"{subject}: {shown[0]}")
+            super().__init__(hostile.visible(f"{subject}: {shown[0]}"))
         else:
-            super().__init__(
-                f"{subject} has {len(self.problems)} problems:" + "".join(f"\n  - {o}" for o in shown)
-            )
+            listed = "".join(f"\n  - {o}" for o in shown)
+            super().__init__(hostile.visible(f"{subject} has {len(self.problems)} problems:{listed}"))
 
 
 def shortened(text: object, most: int = 120) -> str:
