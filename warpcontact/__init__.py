@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from warpcontact import compare, integrators, meshes, outcomes, unilateral
     from warpcontact.analysis import convergence, quantile_fan, sensitivity, write_fan
     from warpcontact.benchmark import BenchReport, bench
-    from warpcontact.checkpoint import CheckpointError
+    from warpcontact.checkpoint_values import CheckpointError
     from warpcontact.contact_coupling import ContactCoupling
     from warpcontact.contact_range import ContactRange
     from warpcontact.contact_warning import ContactWarning, RunWarning, WarningLevel
@@ -56,7 +56,7 @@ _HOME = {
     "Body": "warpcontact.elements",
     "Bushing": "warpcontact.couplings.elements",
     "Catenary": "warpcontact.couplings.elements",
-    "CheckpointError": "warpcontact.checkpoint",
+    "CheckpointError": "warpcontact.checkpoint_values",
     "Cause": "warpcontact.status",
     "Contact": "warpcontact.elements",
     "ContactCoupling": "warpcontact.contact_coupling",

@@ -1,6 +1,6 @@
 """Arrays on a device: declared first, so that one knows what they take, and made together."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from math import prod
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.allocation import Allocation, Allowed
 from warpcontact.footprint import Need
 from warpcontact.kernels import strides
 
@@ -41,20 +42,44 @@ class Layout:
         self.device = device
         self._sizes: list[tuple[str, Callable[[int], int]]] = []  # what for, bytes for a number of environments
         self._missing: list[Callable[[int], None]] = []
-        # What steps write: purpose, name, and how to find it once it is made.
-        self._written: list[tuple[str, str, Callable[[], wp.array]]] = []
+        # Memory that steps write, by number and purpose.
+        self._written: dict[str, Allocation] = {}
 
-    def array(self, purpose: str, owner: Any, name: str, dtype: Any, shape: Shape) -> None:
-        """Declares ``owner.name``, an array of zeros."""
+    def array(
+        self,
+        purpose: str,
+        owner: Any,
+        name: str,
+        dtype: Any,
+        shape: Shape,
+        *,
+        transient: bool = False,
+        ranges: Mapping[str, Allowed] | None = None,
+    ) -> None:
+        """Declares ``owner.name``, an array of zeros; ``transient`` and ``ranges``: see ``struct``."""
         size = wp.types.type_size_in_bytes(dtype)
+        saved = () if transient or purpose == MEASURES else (name,)
+        written = Allocation({name: dtype}, {name: 0}, size, saved, ranges)
 
         def make(envs: int) -> None:
-            setattr(owner, name, wp.zeros(shape(envs), dtype=dtype, device=self.device))
+            array = wp.zeros(shape(envs), dtype=dtype, device=self.device)
+            setattr(owner, name, array)
+            written.made(_bytes_of(array), shape(envs))
 
         self._declare(purpose, lambda envs: size * prod(shape(envs)), make)
-        self._written.append((purpose, name, lambda: getattr(owner, name)))
+        self._add_written(purpose, written)
 
-    def struct(self, purpose: str, struct: Any, shape: Shape, *, records: bool = False, **others: Shape) -> Any:
+    def struct(
+        self,
+        purpose: str,
+        struct: Any,
+        shape: Shape,
+        *,
+        records: bool = False,
+        transient: bool | Collection[str] = False,
+        ranges: Mapping[str, Allowed] | None = None,
+        **others: Shape,
+    ) -> Any:
         """Returns an instance of a Warp struct of arrays, to be zero.
 
         Args:
@@ -63,36 +88,53 @@ class Layout:
             shape: Shape of its arrays.
             records: Whether what belongs to an item lies side by side: few items here and there are fetched whole.
                 On a CPU some structs do anyway, as far as ``strides.py`` says.
+            transient: Names of the arrays that checkpoints omit, ``True``: all. Zeros must be valid values: these
+                are caches, and arrays that are computed before they are read.
+            ranges: Allowed values of the integers of all other arrays, by array, or array and field (``a.b``).
+                Loaded integers are checked, as kernels use them as indices.
             others: Arrays that have a shape of their own, one for those of a record. They lie apart, if not in
                 records of ``strides.py``.
+
+        Raises:
+            TypeError: If integers that checkpoints store have no range.
         """
         instance = struct()
         dtypes = {name: variable.type.dtype for name, variable in struct.vars.items()}
+        omitted = (tuple(dtypes) if transient else ()) if isinstance(transient, bool) else tuple(transient)
         kinds = strides.in_records(struct) if self.device.is_cpu else ()
         if records and not kinds:
             alike = tuple(name for name in dtypes if name not in others)
             kinds = (alike,) if alike else ()
         for names in kinds:
             own = {name: dtypes.pop(name) for name in names}
-            self._records(purpose, instance, own, others.get(names[0], shape))
+            saved = [name for name in names if name not in omitted]
+            self._records(purpose, instance, own, others.get(names[0], shape), saved, ranges)
         for name, dtype in dtypes.items():
-            self.array(purpose, instance, name, dtype, others.get(name, shape))
+            own_shape = others.get(name, shape)
+            self.array(purpose, instance, name, dtype, own_shape, transient=name in omitted, ranges=ranges)
         return instance
 
-    def _records(self, purpose: str, owner: Any, dtypes: dict[str, Any], shape: Shape) -> None:
+    def _records(
+        self,
+        purpose: str,
+        owner: Any,
+        dtypes: dict[str, Any],
+        shape: Shape,
+        saved: Collection[str],
+        ranges: Mapping[str, Allowed] | None,
+    ) -> None:
         """Declares arrays [env, item] of some types, interleaved in one piece of memory."""
         offsets, record = strides.record_of(dtypes)
+        written = Allocation(dtypes, offsets, record, () if purpose == MEASURES else saved, ranges)
 
         def number(envs: int) -> int:
             return max(1, prod(shape(envs)))
 
-        made: list[wp.array] = []
-
         def make(envs: int) -> None:
             # Of two dimensions, as each has less than 2³¹ elements, and a device may have more bytes.
             memory = wp.zeros((number(envs), record), dtype=wp.uint8, device=self.device)
-            made[:] = [memory]
             own = shape(envs)
+            written.made(memory, own)
             for name, dtype in dtypes.items():
                 array = wp.array(
                     ptr=memory.ptr + offsets[name],
@@ -106,18 +148,15 @@ class Layout:
                 setattr(owner, name, array)
 
         self._declare(purpose, lambda envs: number(envs) * record, make)
-        self._written.append((purpose, "+".join(dtypes), lambda: made[0]))
+        self._add_written(purpose, written)
 
-    def written(self) -> dict[str, wp.array]:
-        """Returns the bytes of every array that was declared as zeros, by a name that says which it is.
+    def _add_written(self, purpose: str, written: Allocation) -> None:
+        if purpose != MEASURES:  # measured again on each request
+            self._written[f"{len(self._written)}:{purpose}"] = written
 
-        That is all that steps write; measures, which are made anew whenever they are asked for, are left out.
-        """
-        return {
-            f"{number}:{purpose}:{name}": _bytes_of(find())
-            for number, (purpose, name, find) in enumerate(self._written)
-            if purpose != MEASURES
-        }
+    def written(self) -> Mapping[str, Allocation]:
+        """Returns all memory that was declared as zeros, which is all that steps write, by number and purpose."""
+        return self._written
 
     def content(self, purpose: str, owner: Any, name: str, values: Any, dtype: Any) -> None:
         """Declares ``owner.name``, an array that holds ``values``, the same for all environments."""

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact import elements as limits_of
-from warpcontact.arrays import Layout, fixed, per_env
+from warpcontact.arrays import Layout
 from warpcontact.blocks import Blocks, make_blocks, upload_blocks
 from warpcontact.cells import grids_about
 from warpcontact.checks import Array, limits
 from warpcontact.contact_couplings import ContactCouplings
+from warpcontact.core_arrays import declare_arrays
 from warpcontact.couplings.ends import add_ends
 from warpcontact.couplings.sets import make_sets
 from warpcontact.devices import find_devices
@@ -25,7 +26,6 @@ from warpcontact.frames import placed
 from warpcontact.groups import by_code, make_group
 from warpcontact.kernels import types
 from warpcontact.model import Model
-from warpcontact.of_scene import MEASURES
 from warpcontact.parameters import ClosedGap, Field, Parameter, Parameters, Upload, pack, split
 from warpcontact.patches import Known, Patches, make_patches, upload_patches
 from warpcontact.piles.pile import make_piles
@@ -113,31 +113,10 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
     starts = np.cumsum([0] + [contact.count for contact in contacts]).tolist()
     start_of = dict(zip(contacts, starts, strict=False))
 
-    smooth_count = sum(contact.count for contact in scene.smooth_contacts)
     body_count = sum(body.count for body in scene.bodies)
-    bodies, each, parts = per_env(body_count), per_env(starts[-1]), per_env(blocks.count)
     grids = grids_about(common.patches, where, t)
-    records = starts[-1] > 1  # a few of many contacts are near; of one contact neighbours are those of other envs
-    arrays = SimpleNamespace(
-        model=t.Model(),
-        initial=t.State(),
-        state=layout.struct("state", t.State, bodies),
-        wrenches=layout.struct("state", t.Wrenches, bodies),
-        ends=layout.struct("couplings", t.Ends, per_env(2 * (len(scene.couplings) + smooth_count))),
-        history=layout.struct("contacts", t.History, each, records=records),
-        contacts=layout.struct("contacts", t.Contacts, each, records=records),
-        near=layout.struct("contacts", t.Near, parts, contact=each, news=each),
-        cache=_cache(t, layout, blocks, records, common.patches if grids is None else None),
-        guard=add_guard(scene, layout, parameters, t.real),
-        celled=grids is not None,
-        faces_read=common.patches.faces_read(),
-        **dict.fromkeys(("status", "time", "instant", "constrained", "active")),  # allocated with the model
-        **dict.fromkeys(MEASURES),  # allocated by the first reading that needs them
-    )
-    layout.array("state", arrays, "status", wp.int32, per_env())
-    layout.array("state", arrays, "time", wp.float64, per_env())
-    layout.array("state", arrays, "instant", t.real, fixed(1, 1))
-    layout.array("state", arrays, "active", wp.int32, fixed(1))
+    arrays = declare_arrays(scene, t, layout, blocks, common.patches, celled=grids is not None)
+    arrays.guard = add_guard(scene, layout, parameters, t.real)
     gravity = Field(scene.gravity[None])
     upload = parameters.upload(arrays.model, "gravity", t.vec3, lambda: gravity.values)
     parameters.add("scene.gravity", gravity, slice(0, 1), limits("m/s²"), [upload], tail=(3,))
@@ -184,32 +163,6 @@ def _draw_up_on(where: wp.Device, common: _Common) -> PartDraft:
         readings=readings_of(scene, t, start_of, groups, contact_couplings, couplings, smooth, piles),
         sides=common.patches.sides(),
         meshes=meshes,
-    )
-
-
-def _cache(t: SimpleNamespace, layout: Layout, made: Blocks, records: bool, searched: Patches | None) -> Any:
-    blocks, contacts, queued = made.count, len(made.contact), layout.device.is_cuda
-    shapes = {name: per_env(made.set_count) for name in t.Cache.vars if name.startswith("set_")}
-    remembered = 0
-    if searched is not None:
-        remembered = types.REMEMBERED_IN_QUEUES if queued else searched.remembered()
-    faces = per_env(contacts * remembered)
-    room = per_env(0 if searched is not None and queued else contacts)
-    return layout.struct(
-        "cache",
-        t.Cache,
-        per_env(contacts),
-        records=records,
-        **shapes,
-        # What blocks look through lies by contact.
-        wake=per_env(contacts),
-        faces=per_env(contacts),
-        **dict.fromkeys(("room", "room_place"), room),
-        **dict.fromkeys(("block_wake", "block_probe", "block_quiet"), per_env(blocks)),
-        waiting=fixed(types.QUEUES),
-        waiting_block=(lambda envs: (envs * blocks,)) if queued else fixed(1),
-        waiting_contact=(lambda envs: (types.QUEUES, envs * contacts)) if queued else fixed(types.QUEUES, 1),
-        **dict.fromkeys(("face", "distance", "direction"), faces),
     )
 
 

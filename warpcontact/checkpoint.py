@@ -1,53 +1,51 @@
-"""The full state of a simulation as arrays, and as a file: what a run needs to go on to the bit.
+"""State and history of a simulation as arrays, and as a file: what a run needs to continue bitwise identically.
 
-Everything that steps write is declared as zeros in a ``Layout``, so it is saved without being named here; what
-follows from the scene and from parameters is made anew. A file is an ``.npz`` of plain arrays, whose parts carry
-check sums; nothing in it is code.
+A ``Layout`` declares which arrays are stored, and the allowed values of their integers. Caches and arrays that
+are computed before they are read are left out; loading sets them to zero, as in a new model. Tables that follow
+from the scene and from parameters are computed again. A file is an ``.npz`` of plain arrays with checksums, and
+contains no code.
+
+A file may come from anywhere: shapes, types, index ranges, parameters and states are checked before anything is
+changed, so that no file can make a kernel read outside its arrays.
 """
 
 import hashlib
 import json
 import os
+import warnings
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact._version import __version__
 from warpcontact.arrays import Layout
 from warpcontact.captures import beside_captures
+from warpcontact.checkpoint_values import (
+    CheckpointError,
+    ParameterValues,
+    check_clocks,
+    check_states,
+    set_values,
+)
 from warpcontact.durable import replacing
-from warpcontact.hostile import VisibleError
+from warpcontact.hostile import shortened
 from warpcontact.integrators.base import formulas_of
-from warpcontact.parameters import Field
 from warpcontact.regular_files import UnsafeFileError
 from warpcontact.run_folder import RunPath, open_file
 
 if TYPE_CHECKING:
-    from warpcontact.model import Model
     from warpcontact.outcomes.watch import Watch
     from warpcontact.simulation import Simulation
 
 #: Goes up when files of earlier versions can no longer be read as they are.
-SCHEMA = 3
+SCHEMA = 4
 _HEADER = "header"
 
-# What a file that is damaged anywhere may raise; sizes in it may be anything, and so may ways of compression.
-_UNREADABLE = (
-    *(OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, RuntimeError, SyntaxError),
-    *(zipfile.BadZipFile, zlib.error),
-)
-
 Arrays = dict[str, NDArray[Any]]
-
-
-class CheckpointError(VisibleError):
-    """A file that holds no checkpoint, a damaged one, or one of another simulation."""
 
 
 def write(path: Path | RunPath, arrays: Mapping[str, NDArray[Any]], header: Mapping[str, Any]) -> None:
@@ -66,15 +64,21 @@ def read(path: Path | RunPath) -> tuple[Arrays, dict[str, Any]]:
         FileNotFoundError: If there is none.
     """
     try:
-        with open_file(path) as raw, np.load(raw, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        with open_file(path) as raw, warnings.catch_warnings():
+            # NumPy warns of files by Python 2.
+            warnings.simplefilter("ignore")
+            size = raw.seek(0, os.SEEK_END)
+            raw.seek(0)
+            with np.load(raw, allow_pickle=False) as file:
+                _check_members(file.zip.infolist(), size)
+                arrays = {name: np.asarray(file[name]) for name in file.files}
         header = json.loads(arrays.pop(_HEADER).tobytes())
         schema = header["schema"]
     except FileNotFoundError:
         raise
     except UnsafeFileError as error:
         raise CheckpointError(str(error)) from None
-    except _UNREADABLE as error:
+    except Exception as error:  # NumPy, zipfile and json raise many kinds for a damaged file
         # NumPy tells how to run the code in a file, also of one that is no archive.
         why = str(error).partition(" when allow_pickle")[0]
         if not isinstance(error, OSError) and not _is_archive(path):
@@ -82,7 +86,7 @@ def read(path: Path | RunPath) -> tuple[Arrays, dict[str, Any]]:
         raise CheckpointError(f"{path}: is no whole checkpoint: {why}") from None
     if schema != SCHEMA:
         raise CheckpointError(
-            f"{path}: is of schema {schema!r}, by {header.get('program')}; this version reads schema {SCHEMA}"
+            f"{path}: is of schema {schema!r}, by {header.get('program')!r}; this version reads schema {SCHEMA}"
         )
     return arrays, header
 
@@ -90,6 +94,17 @@ def read(path: Path | RunPath) -> tuple[Arrays, dict[str, Any]]:
 def _is_archive(path: Path | RunPath) -> bool:
     with open_file(path) as file:
         return zipfile.is_zipfile(file)
+
+
+def _check_members(members: list[zipfile.ZipInfo], size: int) -> None:
+    """Raises ``ValueError`` unless the members of an archive of ``size`` bytes are stored one after the other.
+
+    Otherwise a small file could take any amount of memory.
+    """
+    if any(one.compress_type != zipfile.ZIP_STORED for one in members):
+        raise ValueError("its arrays are compressed, which those of a checkpoint are not")
+    if sum(one.file_size for one in members) > size:
+        raise ValueError("its arrays are larger than the file")
 
 
 def identity(simulation: "Simulation") -> dict[str, Any]:
@@ -127,55 +142,71 @@ def _watched(watch: "Watch") -> list[str]:
 
 
 def state_of(simulation: "Simulation") -> Arrays:
-    """Returns everything that steps of ``simulation`` have written, by name; views of its memory on the CPU."""
+    """Returns the bytes of everything that steps of ``simulation`` need of earlier ones, by name."""
     arrays: Arrays = {}
-    for number, layouts in enumerate(_layouts(simulation)):
-        for kind, layout in layouts.items():
-            for name, array in layout.written().items():
-                arrays[f"{number}/{kind}/{name}"] = array.numpy().ravel()
+    for place, layout in _layouts(simulation):
+        for name, memory in layout.written().items():
+            arrays |= {f"{place}/{name}:{array}": content for array, content in memory.content().items()}
     parts = simulation.model.parts
-    arrays["elapsed"] = np.array([part.elapsed for part in parts])
-    arrays["untouched"] = np.array([part.untouched for part in parts])
+    arrays["elapsed"] = np.array([part.elapsed for part in parts], dtype=np.float64)
+    arrays["untouched"] = np.array([part.untouched for part in parts], dtype=bool)
     return arrays
 
 
 @beside_captures()
 def restore(simulation: "Simulation", arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Puts back what ``state_of`` returned.
+    """Sets state and history to those that ``state_of`` returned, and clears all caches.
 
     Raises:
-        CheckpointError: If the arrays are others than those of ``simulation``; nothing is changed then.
+        CheckpointError: If the arrays are others than those of ``simulation``, or hold values that no steps lead
+            to; nothing is changed then.
     """
-    targets = {
-        f"{number}/{kind}/{name}": array
-        for number, layouts in enumerate(_layouts(simulation))
-        for kind, layout in layouts.items()
-        for name, array in layout.written().items()
-    }
-    for name, array in targets.items():
-        found = arrays.get(name)
-        if found is None or found.dtype != np.uint8 or found.shape != (array.size,):
-            size = "is missing" if found is None else f"has {found.nbytes} bytes"
-            raise CheckpointError(f"array {name!r} {size}, and {array.size} are expected")
-    parts = simulation.model.parts
-    for name in ("elapsed", "untouched"):
-        if name not in arrays or arrays[name].shape != (len(parts),):
-            raise CheckpointError(f"array {name!r} must have a value for each of {len(parts)} devices")
-    for name, array in targets.items():
-        array.assign(arrays[name].reshape(array.shape))
-    for part, elapsed, untouched in zip(parts, arrays["elapsed"], arrays["untouched"], strict=True):
+    restored = _checked(simulation, arrays)
+    for place, layout in _layouts(simulation):
+        for name, memory in layout.written().items():
+            memory.restore(restored[place][name])
+    for part, elapsed, untouched in zip(
+        simulation.model.parts, arrays["elapsed"], arrays["untouched"], strict=True
+    ):
+        if part.contact_count:
+            # Zero would be a face.
+            part.arrays.contacts.crossed_face.fill_(-1)
         part.elapsed, part.untouched = float(elapsed), bool(untouched)
+
+
+def _checked(
+    simulation: "Simulation", arrays: Mapping[str, NDArray[Any]]
+) -> dict[str, dict[str, dict[str, NDArray[Any]]]]:
+    """Returns the values of all arrays by layout, memory and name.
+
+    Raises:
+        CheckpointError: If anything is missing or not allowed.
+    """
+    restored: dict[str, dict[str, dict[str, NDArray[Any]]]] = {}
+    for place, layout in _layouts(simulation):
+        restored[place] = {name: {} for name in layout.written()}
+        for name, memory in layout.written().items():
+            for array in memory.saved:
+                full = f"{place}/{name}:{array}"
+                if full not in arrays:
+                    raise CheckpointError(f"array {full!r} is missing")
+                try:
+                    restored[place][name][array] = memory.checked(array, arrays[full])
+                except ValueError as error:
+                    raise CheckpointError(f"array {full!r}: {error}") from None
+    check_clocks(arrays, len(simulation.model.parts))
+    for number in range(len(simulation.model.parts)):
+        own = restored[f"{number}/model"]
+        state = {array: values for name in own if name.endswith(":state") for array, values in own[name].items()}
+        check_states(state)
+    return restored
 
 
 def save(simulation: "Simulation", path: str | os.PathLike[str]) -> None:
     """Writes what ``Simulation.save`` promises."""
     arrays = state_of(simulation)
     for number, part in enumerate(simulation.model.parts):
-        for key, field in enumerate(_fields(part)):
-            arrays[f"{number}/values/{key}"] = field.values
-        if part.handed_out:
-            for name, array in _external(part).items():
-                arrays[f"{number}/external/{name}"] = array.numpy()
+        arrays |= ParameterValues(part, number).saved()
     write(Path(path), arrays, {"identity": identity(simulation)})
 
 
@@ -190,61 +221,33 @@ def load(simulation: "Simulation", path: str | os.PathLike[str]) -> None:
         if theirs.get(key) != json.loads(json.dumps(value)):
             raise CheckpointError(f"{path}: is of another simulation: {_difference(key, theirs.get(key), value)}")
     try:
-        # Values first: whoever sends them forgets what is known of distances, which then comes back.
-        for number, part in enumerate(simulation.model.parts):
-            _load_values(part, {key: arrays[f"{number}/values/{key}"] for key in range(len(_fields(part)))})
-            if f"{number}/external/force" in arrays:
-                for name, array in _external(part).items():
-                    array.assign(arrays[f"{number}/external/{name}"])
+        _checked(simulation, arrays)
+        values = [ParameterValues(part, number) for number, part in enumerate(simulation.model.parts)]
+        for one in values:
+            one.check(arrays)
+        set_values(values)
         restore(simulation, arrays)
-    except (KeyError, CheckpointError) as error:
+    except CheckpointError as error:
         raise CheckpointError(f"{path}: {error}") from None
 
 
-def _layouts(simulation: "Simulation") -> Iterator[dict[str, Layout]]:
-    """Iterates over what is on the device of each part."""
-    for part, stepping in zip(simulation.model.parts, simulation.stepping_layouts(), strict=True):
-        yield {"model": part.layout, "stepping": stepping}
-
-
-def _fields(part: "Model") -> list[Field]:
-    """Returns the values of all parameters, each once."""
-    return list({id(parameter.field): parameter.field for parameter in part.parameters.values()}.values())
-
-
-def _external(part: "Model") -> dict[str, wp.array]:
-    external = part.external
-    return {"force": external.force, "torque": external.torque}
-
-
-def _load_values(part: "Model", values: Mapping[int, NDArray[Any]]) -> None:
-    fields = _fields(part)
-    for key, field in enumerate(fields):
-        found = values[key]
-        if found.shape[1:] != field.values.shape[1:] or len(found) not in (1, part.envs):
-            raise CheckpointError(f"the values of parameter group {key} have shape {found.shape}")
-    changed = {id(field) for key, field in enumerate(fields) if not np.array_equal(field.values, values[key])}
-    uploads = {
-        id(upload): upload
-        for parameter in part.parameters.values()
-        if id(parameter.field) in changed
-        for upload in parameter.uploads
-    }
-    for key, field in enumerate(fields):
-        if id(field) in changed:
-            field.values = np.array(values[key], dtype=np.float64)
-            field.shared = len(values[key]) == 1 and (part.envs > 1 or field.shared)
-    part.send(uploads.values(), (upload.content() for upload in uploads.values()))
+def _layouts(simulation: "Simulation") -> Iterator[tuple[str, Layout]]:
+    """Iterates over what is on the device of each part, by a name."""
+    for number, (part, stepping) in enumerate(
+        zip(simulation.model.parts, simulation.stepping_layouts(), strict=True)
+    ):
+        yield f"{number}/model", part.layout
+        yield f"{number}/stepping", stepping
 
 
 def _shown(value: Any) -> str:
-    return f"{len(value)} of them" if isinstance(value, list) and len(value) > 3 else f"{value!r}"
+    return f"{len(value)} of them" if isinstance(value, list) and len(value) > 3 else shortened(f"{value!r}", 200)
 
 
 def _difference(key: str, theirs: Any, own: Any) -> str:
     """Returns in words where two identities differ."""
-    if key in ("parameters", "formulas", "watched"):
-        told = [f"it has {one!r}" for one in theirs if one not in own][:1]
+    if key in ("parameters", "formulas", "watched") and isinstance(theirs, list):
+        told = [f"it has {_shown(one)}" for one in theirs if one not in own][:1]
         told += [f"has no {one!r}" for one in own if one not in theirs][:1]
         if told:
             return f"{key}: {' and '.join(told)}"

@@ -118,7 +118,8 @@ def make_group(
         for target in (memory, kept):
             # Never looked at if the formula remembers nothing.
             shape = per_env(count) if formula.memories else fixed(1, 1)
-            layout.array("contacts", target, part, memory_struct(formula, real), shape)
+            transient = target is kept or not formula.memories
+            layout.array("contacts", target, part, memory_struct(formula, real), shape, transient=transient)
     # Only a mass depends on how bodies may move.
     moves = moves and parts.law.needs_mass
     return Group(

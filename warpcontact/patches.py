@@ -157,6 +157,11 @@ class Patches:
             for contact, first in self.of_contact.items()
         }
 
+    @property
+    def face_count(self) -> int:
+        """Number of rows of the tables of faces."""
+        return sum(len(patch.corner) for patch in self.patches)
+
     def faces_read(self) -> int:
         """Returns about how many faces an environment reads, in some steps, of meshes too large for caches.
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from warpcontact.arrays import Layout, per_env
 from warpcontact.kernels import quarantine
-from warpcontact.kernels.types import ENV_FROZEN
+from warpcontact.kernels.types import ENV_FROZEN, NO_CAUSE, TOO_FAR
 from warpcontact.parameters import Field, Parameters, pack
 from warpcontact.scene import MAX_DISTANCE, MAX_SPEED, Scene
 from warpcontact.status import Cause
@@ -25,7 +25,7 @@ def add_guard(scene: Scene, layout: Layout, parameters: Parameters, real: type) 
     """Returns the struct of what environments may not do, declared and with its parameters."""
     of_guard = quarantine.guard(real)
     guard = of_guard.Guard()
-    layout.array("state", guard, "cause", wp.int32, per_env())
+    layout.array("state", guard, "cause", wp.int32, per_env(), ranges={"cause": (NO_CAUSE, TOO_FAR)})
     speed, distance = Field(np.array([scene.max_speed])), Field(np.array([scene.max_distance]))
     largest = float(np.finfo(wp.dtype_to_numpy(real)).max)
 

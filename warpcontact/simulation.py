@@ -184,7 +184,8 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         integrator. Its parameters become those of the file.
 
         Raises:
-            CheckpointError: If the file is damaged, of a later version, or of another simulation; says in what.
+            CheckpointError: If the file is damaged, of another version or simulation, or has values out of range;
+                names the entry. Nothing is changed then.
             FileNotFoundError: If there is none.
         """
         self._attach()

@@ -79,7 +79,7 @@ class Buffers:
         self.layout = Layout(model.device)
         nothing = StepLength(None, None, None)
         self.times = Times(nothing, nothing, None, None)
-        self.other = self.layout.struct("stepping", model.types.State, per_env(model.body_count))
+        self.other = self.layout.struct("stepping", model.types.State, per_env(model.body_count), transient=True)
         self.hard = integrator.declare(model, self.layout)
         self.observer = Observer(model, watch, self.layout, self.hard) if watch else None
         if self.hard is not None:

@@ -52,7 +52,7 @@ class BushingSet(CouplingSet):
 
     def _make(self, layout: "Layout", parameters: "Parameters") -> None:
         t = bushing.bushing_structs(self.types.real)
-        self._bushings = layout.struct("couplings", t.Bushings, per_env(self.count))
+        self._bushings = layout.struct("couplings", t.Bushings, per_env(self.count), transient=True)
         self._owner = SimpleNamespace(settings=None)
         # From the frame of the first body to that of the second at rest, which is how they stand in the scene.
         rest = np.array(

@@ -9,6 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact import elements as limits_of
+from warpcontact.allocation import COUNT, SWITCH
 from warpcontact.arrays import per_env
 from warpcontact.captures import beside_captures
 from warpcontact.couplings import elements
@@ -66,8 +67,11 @@ class CatenarySet(CouplingSet):
 
     def _make(self, layout: "Layout", parameters: "Parameters") -> None:
         shape = per_env(self.count)
-        self._lines = layout.struct("couplings", catenary.line_structs(self.types.real).Lines, shape)
-        self._held, self._found = (layout.struct("couplings", catenary.Held, shape) for _ in range(2))
+        Lines = catenary.line_structs(self.types.real).Lines
+        measured = [name for name in Lines.vars if name != "failures"]
+        self._lines = layout.struct("couplings", Lines, shape, transient=measured, ranges={"failures": COUNT})
+        self._held = layout.struct("couplings", catenary.Held, shape, ranges={"grounded": SWITCH})
+        self._found = layout.struct("couplings", catenary.Held, shape, transient=True)
         self._owner = SimpleNamespace(settings=None)
         ranges = {key: allowed for key, allowed in _RANGES.items() if self.floored or key != "floor"}
         self._add_settings(parameters, self._owner, catenary.Settings, ranges)

@@ -8,6 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from warpcontact import elements as limits_of
+from warpcontact.allocation import SWITCH
 from warpcontact.arrays import per_env
 from warpcontact.compiling import load
 from warpcontact.couplings import elements
@@ -62,7 +63,13 @@ class SpringSet(CouplingSet):
 
     def _make(self, layout: "Layout", parameters: "Parameters") -> None:
         t = spring.spring_structs(self.types.real)
-        self._springs = layout.struct("couplings", t.Springs, per_env(self.count))
+        self._springs = layout.struct(
+            "couplings",
+            t.Springs,
+            per_env(self.count),
+            transient=("length", "rate", "force", "status", "direction"),
+            ranges={"broken": SWITCH},
+        )
         self._coefficients = spring.coefficient_structs(self.parts, self.types.real)()
         rest = self._add_settings(parameters, self._coefficients, t.Settings, _RANGES)["rest_length"]
         self._tables = []

@@ -297,7 +297,8 @@ class ShardRunner:
         expected = {name: ((count, *values.shape[1:]), values.dtype) for name, values in recorder.frames().items()}
         found = {name: (values.shape, values.dtype) for name, values in frames.items()}
         fits = steps < own.steps and commit.frames % own.block == 0 and 0 <= count < own.block
-        if not fits or times.shape != (count,) or found != expected:
+        timed = times.dtype == np.float64 and times.shape == (count,) and bool(np.isfinite(times).all())
+        if not fits or not timed or found != expected:
             path = self.folder / CHECKPOINTS / str(commit.checkpoint)
             done = f"{steps} of {own.steps} steps and {commit.frames} of {own.count} frames"
             raise checkpoint.CheckpointError(f"{path}: does not go on after {done}")

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.allocation import COUNT, SWITCH
 from warpcontact.arrays import Layout, per_env
 from warpcontact.captures import beside_captures
 from warpcontact.compiling import load
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from warpcontact.unilateral.hard_contacts import HardContacts
 
 PURPOSE = "outcomes"
+#: Events of an environment in a checkpoint: their place in the ring follows from a 32-bit count.
+MOST_EVENTS = 2**30
 
 
 @dataclass
@@ -105,13 +108,20 @@ class Observer:
             layout.array(PURPOSE, kept, "memory", Memory, per_env(kept.results))
         self.stops = stop.Stops()
         if self._stops:
-            self.stops = layout.struct(PURPOSE, stop.Stops, per_env(len(self._stops)), stopped_by=per_env())
+            count = len(self._stops)
+            none_or_one = {"stopped_by": (-1, count - 1)}
+            self.stops = layout.struct(
+                PURPOSE, stop.Stops, per_env(count), ranges=none_or_one, stopped_by=per_env()
+            )
         self.events = events.Events()
         if watch.events is not None:
             slots, places = per_env(watch.events.most), per_env(self.first_places[-1])
-            self.events = layout.struct(PURPOSE, events.Events, slots, count=per_env(), touching=places)
+            ranges = {"touching": SWITCH, "count": (0, MOST_EVENTS), "what": (0, 2 * self.first_places[-1] - 1)}
+            self.events = layout.struct(
+                PURPOSE, events.Events, slots, ranges=ranges, count=per_env(), touching=places
+            )
         self.resets: Any = None
-        layout.array(PURPOSE, self, "resets", wp.int32, per_env())
+        layout.array(PURPOSE, self, "resets", wp.int32, per_env(), ranges={"resets": COUNT})
 
     def begin(self, model: "Model") -> None:
         """Takes the model, once everything is allocated, and compiles outcomes, which may be a user's own.

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from warpcontact import checks, frames
 from warpcontact import elements as limits_of
+from warpcontact.allocation import COUNT
 from warpcontact.arrays import Layout, fixed, per_env
 from warpcontact.checks import Array
 from warpcontact.groups import compile_forces
 from warpcontact.kernels.formula import Formula, coefficient_struct
 from warpcontact.kernels.memory import memory_struct
 from warpcontact.kernels.piles import force, history, lists, measures, sums
-from warpcontact.kernels.piles.base import NONE, Form, pile_structs
+from warpcontact.kernels.piles.base import NONE, TOUCHED, TOUCHES, Form, pile_structs
 from warpcontact.kernels.touch import group_structs
 from warpcontact.kernels.types import FREE
 from warpcontact.parameters import ClosedGap, Field, Parameter, Parameters, Upload, pack
@@ -101,7 +102,14 @@ class Pile:
             placed=placed, long=any(one is not None for one in self._pose["half_length"]), fixed=self.fixed
         )
         self.touches = layout.struct(
-            "piles", t.Touches, per_env(self.slots), records=True, bits=per_env(self.slots), busy=per_env(count)
+            "piles",
+            t.Touches,
+            per_env(self.slots),
+            records=True,
+            transient=[name for name in t.Touches.vars if name not in ("entry_speed", "bits", "busy")],
+            ranges=dict.fromkeys(("bits", "busy"), (0, TOUCHES | TOUCHED)),
+            bits=per_env(self.slots),
+            busy=per_env(count),
         )
         self._buckets = 1 << (max(16, count) - 1).bit_length()
         self.grid = self._make_grid(layout)
@@ -112,6 +120,7 @@ class Pile:
             "piles",
             measures.measured(self.real),
             per_env(),
+            transient=True,
             coordination=per_env(count),
             force=per_env(count),
         )
@@ -154,10 +163,20 @@ class Pile:
             else:
                 room = np.full(count, min(contact.partners, count - 1))
             starts, slots = (np.cumsum([0, *most]) for most in (room, owned_of(room)))
-            for name in ("owned", "count"):
-                layout.array("piles", self.lists, name, wp.int32, per_env(count))
-            for name in ("partner", "slot"):
-                layout.array("piles", self.lists, name, wp.int32, per_env(int(starts[-1])))
+            # Kept, as the history of a pair is found by them; after a checkpoint they are made again.
+            ranges = {
+                "owned": (0, np.diff(slots)),
+                "count": (0, np.diff(starts)),
+                "partner": (0, count - 1),
+                "slot": (NONE, int(slots[-1]) - 1),
+            }
+            for name, entries in (
+                ("owned", count),
+                ("count", count),
+                ("partner", starts[-1]),
+                ("slot", starts[-1]),
+            ):
+                layout.array("piles", self.lists, name, wp.int32, per_env(int(entries)), ranges=ranges)
         self.entries, self.slots = int(starts[-1]), max(1, int(slots[-1]))
         layout.content("piles", self.shapes, "entry_start", starts, wp.int32)
         layout.content("piles", self.shapes, "slot_start", slots, wp.int32)
@@ -166,10 +185,14 @@ class Pile:
     def _make_grid(self, layout: Layout) -> Any:
         count = self.contact.count
         each = fixed(1, 1) if self.fixed else per_env(count)
+        Grid = pile_structs(self.real).Grid
+        counts = dict.fromkeys(("made", "missing"), COUNT)
         return layout.struct(
             "piles",
-            pile_structs(self.real).Grid,
+            Grid,
             each,
+            transient=[name for name in Grid.vars if name not in counts],
+            ranges=counts,
             stale=per_env(),
             known=per_env(),
             made=per_env(),
@@ -228,7 +251,7 @@ class Pile:
         if self._form.long:
             follow["half_length"] = follow["orientation"] = [parameters.upload(shapes, "axis", vec3, axes)]
         else:
-            layout.array("piles", shapes, "axis", vec3, fixed(1, 1))
+            layout.array("piles", shapes, "axis", vec3, fixed(1, 1), transient=True)
         for key, uploads in follow.items():
             for one in self._pose[key]:
                 if one is not None:
@@ -308,7 +331,9 @@ class Pile:
             for target in (self._memory, self._kept):
                 # Never looked at if the formula remembers nothing.
                 shape = per_env(self.slots) if formula.memories else fixed(1, 1)
-                layout.array("piles", target, part, memory_struct(type(formula), self.real), shape)
+                transient = target is self._kept or not formula.memories
+                struct = memory_struct(type(formula), self.real)
+                layout.array("piles", target, part, struct, shape, transient=transient)
 
     def _add_formula(self, part: str, formula: Formula, parameters: Parameters) -> None:
         struct = coefficient_struct(type(formula), self.real)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from warpcontact import checks
 from warpcontact import elements as limits_of
+from warpcontact.allocation import COUNT, SWITCH
 from warpcontact.arrays import fixed, per_env
 from warpcontact.compiling import load
 from warpcontact.formula_errors import of_users, told_by_warp
@@ -142,8 +143,13 @@ class SmoothSet:
         each, nothing = per_env(self.count), fixed(1, 1)
         absent = ((OF_CURVATURE, self.curved), (OF_DIRECTION, self.oriented))
         apart: dict[str, Any] = {name: nothing for names, there in absent if not there for name in names}
-        self.smooth = layout.struct("smooth contacts", contact_structs(self.real).Smooth, each, **apart)
-        self.held, self.found = (layout.struct("smooth contacts", Seeds, each) for _ in range(2))
+        Smooth = contact_structs(self.real).Smooth
+        computed = [name for name in Smooth.vars if name not in ("entry_speed", "failures")]
+        self.smooth = layout.struct(
+            "smooth contacts", Smooth, each, transient=computed, ranges={"failures": COUNT}, **apart
+        )
+        self.held = layout.struct("smooth contacts", Seeds, each, ranges={"seed.known": SWITCH})
+        self.found = layout.struct("smooth contacts", Seeds, each, transient=True)
         self.members = Members()
         bodies = {
             key: np.concatenate([_each(getattr(contact, key).body_numbers, contact) for contact in self.items])
@@ -165,7 +171,9 @@ class SmoothSet:
             for target in (self.memory, self.kept):
                 # Never looked at if the formula remembers nothing.
                 shape = each if formula.memories else nothing
-                layout.array("smooth contacts", target, part, memory_struct(formula, self.real), shape)
+                transient = target is self.kept or not formula.memories
+                struct = memory_struct(formula, self.real)
+                layout.array("smooth contacts", target, part, struct, shape, transient=transient)
 
     def _sides(self, key: str) -> Iterator[tuple[SmoothContact, Any]]:
         return ((contact, getattr(contact, key)) for contact in self.items)

@@ -9,11 +9,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from warpcontact.allocation import COUNT, SWITCH, Allowed
 from warpcontact.arrays import Layout, per_env
 from warpcontact.captures import beside_captures
 from warpcontact.footprint import Need
 from warpcontact.groups import Group, by_code
 from warpcontact.kernels.smooth.records import contact_structs
+from warpcontact.kernels.types import MODE_OPEN, MODE_SLIP
 from warpcontact.kernels.unilateral import collect, impulses, remember, rest, sequence
 from warpcontact.kernels.unilateral.records import record_structs
 from warpcontact.kernels.unilateral.rows import moving_struct, row_structs
@@ -144,7 +146,7 @@ class HardContacts:
         self._hard = [contact for contact in everything if not self.acts(contact.name)]
 
         bodies, each_row = per_env(model.body_count), per_env(max(1, self.capacity))
-        self.middle = layout.struct(PURPOSE, t.State, bodies)
+        self.middle = layout.struct(PURPOSE, t.State, bodies, transient=True)
         made = {
             "rows": (rows.Row, each_row),
             "moving": (moving_struct(t.real, model.moves), bodies),
@@ -152,19 +154,22 @@ class HardContacts:
             "memory": (records.Memory, per_env(max(1, known))),
         }
         self.rows = self.moving = self.change = self.memory = None
+        remembered: dict[str, Allowed] = {"memory.mode": (MODE_OPEN, MODE_SLIP), "memory.stamp": COUNT}
         for name, (struct, shape) in made.items():
-            layout.array(PURPOSE, self, name, struct, shape)
+            layout.array(PURPOSE, self, name, struct, shape, transient=name != "memory", ranges=remembered)
         self._scratch = SimpleNamespace()
         for name, make in scratch.items():
             setattr(self._scratch, name, None)
-            layout.array(PURPOSE, self._scratch, name, make(t.real, self.rolls), each_row)
+            layout.array(PURPOSE, self._scratch, name, make(t.real, self.rolls), each_row, transient=True)
         self.hits: Any = None
         if sequential:
-            layout.array(PURPOSE, self, "hits", sequence.scratch(t.real), each_row)
-        self.outcome = layout.struct(PURPOSE, rows.Outcome, per_env())
-        self.restraint = layout.struct(PURPOSE, records.Restraint, per_env())
-        self.account = layout.struct(PURPOSE, records.Account, per_env())
-        self.shown = layout.struct(PURPOSE, records.Shown, per_env(max(1, count)))
+            layout.array(PURPOSE, self, "hits", sequence.scratch(t.real), each_row, transient=True)
+        solved = {"count": (0, self.capacity), "iterations": COUNT, "converged": SWITCH}
+        self.outcome = layout.struct(PURPOSE, rows.Outcome, per_env(), transient=("slack",), ranges=solved)
+        self.restraint = layout.struct(PURPOSE, records.Restraint, per_env(), transient=True)
+        counts = dict.fromkeys(("step", "failures", "restrained"), COUNT)
+        self.account = layout.struct(PURPOSE, records.Account, per_env(), transient=("calm",), ranges=counts)
+        self.shown = layout.struct(PURPOSE, records.Shown, per_env(max(1, count)), transient=True)
         self.reactions = layout.struct(PURPOSE, t.Wrenches, bodies)
         self.material: Any = None
         self._bodies, self._step = 0, None
