@@ -11,7 +11,9 @@ import xarray as xr
 
 import warpcontact as wc
 from warpcontact import checkpoint
+from warpcontact.cli import main
 from warpcontact.experiment.committed import CommittedStore
+from warpcontact.experiment.records import measured
 
 MOST = 2**63 - 1
 
@@ -69,6 +71,127 @@ def test_chunks_that_are_missing_or_cut_off_are_named(whole_run, copied_run):
     path.unlink()
     with pytest.raises(wc.StoreError, match=r"series/touch\.gap/c/\S+: is missing, and was committed"):
         wc.open_run(folder)
+
+
+def drop_entry(folder, name):
+    """Removes a chunk from the record that has it."""
+    for record in (folder / "commit").glob("*.json"):
+        content = json.loads(record.read_text())
+        if content["files"].pop(name, None) is not None:
+            record.write_text(json.dumps(content))
+            return
+    raise KeyError(name)
+
+
+@pytest.mark.parametrize(
+    "array", ["params/ball.mass", "params/env", "params/axis", "outcome/status", "series/touch.gap", "series/time"]
+)
+def test_a_chunk_that_is_missing_with_its_entry_is_named(array, whole_run, copied_run, capsys):
+    folder = copied_run(whole_run)
+    chunk = sorted((folder / "data.zarr" / array / "c").rglob("*"))[-1]
+    name = chunk.relative_to(folder / "data.zarr").as_posix()
+    chunk.unlink()
+    drop_entry(folder, name)
+    with pytest.raises(wc.StoreError, match=rf"{name}: is missing"):
+        wc.open_run(folder)
+    assert main(["status", str(folder), "--verify"]) == 1
+    assert f"{name}: is missing" in capsys.readouterr().err
+
+
+def test_an_array_that_is_missing_with_its_entries_is_named(whole_run, copied_run):
+    folder = copied_run(whole_run)
+    shutil.rmtree(folder / "data.zarr/series/touch.gap")
+    for path in (folder / "commit").glob("*.json"):
+        content = json.loads(path.read_text())
+        kept = {name: one for name, one in content["files"].items() if "/touch.gap/" not in name}
+        path.write_text(json.dumps(content | {"files": kept}))
+    with pytest.raises(wc.StoreError, match=r"series/touch\.gap/zarr\.json: is missing in \S+store\.json"):
+        wc.open_run(folder)
+
+
+def test_a_block_of_an_unfinished_shard_that_is_missing_with_its_entry_is_named(whole_run, part_run, copied_run):
+    folder = copied_run(part_run)
+    name = chunk_of(folder, "series/touch.gap", shard=1).relative_to(folder / "data.zarr").as_posix()
+    for root in ("data.zarr", "staging/shard_000001"):  # it may not be moved yet
+        (folder / root / name).unlink(missing_ok=True)
+    drop_entry(folder, name)
+    with pytest.raises(wc.StoreError, match=rf"{name}: is missing"):
+        wc.open_run(folder)
+    with pytest.warns(RuntimeWarning, match=rf"shard_000001 begins anew: \S+{name}: is missing"):
+        wc.Experiment.from_toml(folder / "experiment.toml").run(folder, device="cpu", resume=True)
+    assert runs.hashes(folder) == runs.hashes(whole_run)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"steps": 199}, "steps must be 200, got 199"),
+        ({"frames": 38}, "frames must be 201, got 38"),
+        (
+            {"add": "series/touch.gap/c/99/0"},
+            r"files must be those of this shard .*, got 'series/touch\.gap/c/99/0'",
+        ),
+        (
+            {"add": "series/touch.gap/c/0/1"},
+            r"files must be those of this shard .*, got 'series/touch\.gap/c/0/1'",
+        ),
+        ({"add": "series/other/c/0"}, r"files must be those .*, got 'series/other/c/0'"),
+        ({"empty": ["series/touch.gap/c/0/0"]}, "empty must name chunks that are not in files"),
+        ({"empty": None}, "empty is missing"),
+    ],
+    ids=str,
+)
+def test_a_record_that_no_run_writes_is_not_verified(changes, message, whole_run, copied_run):
+    folder = copied_run(whole_run)
+    record = folder / "commit" / "shard_000000.json"
+    if "add" in changes:
+        files = json.loads(record.read_text())["files"]
+        runs.change(record, files=files | {changes["add"]: next(iter(files.values()))})
+    else:
+        runs.change(record, **changes)
+    with pytest.raises(wc.StoreError, match=rf"shard_000000\.json: {message}"):
+        wc.open_run(folder, verify=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("commit/shard_0000001.json", "is no record that a run writes"),
+        ("commit/shard_000000 (copy).json", "is no record that a run writes"),
+        ("commit/shard_000007.json", "shard must be 7, as in its name, got 0"),
+        ("data.zarr/series/other/zarr.json", "is not of this run"),
+        ("data.zarr/notes.txt", "is not of this run"),
+    ],
+)
+def test_files_that_no_run_writes_are_not_verified(name, message, whole_run, copied_run):
+    folder = copied_run(whole_run)
+    (folder / name).parent.mkdir(exist_ok=True)
+    shutil.copy(folder / "commit" / "shard_000000.json", folder / name)
+    with pytest.raises(wc.StoreError, match=message):
+        wc.open_run(folder, verify=True)
+
+
+def test_chunks_lost_with_their_entries_are_not_verified_in_a_run_of_an_earlier_version(
+    whole_run, copied_run, capsys
+):
+    folder = copied_run(whole_run)
+    made = json.loads((folder / "commit/store.json").read_text())["files"]
+    for path in (folder / "data.zarr").rglob("zarr.json"):
+        content = json.loads(path.read_text())
+        for key in ("groups", "labels"):
+            content["attributes"].pop(key, None)
+        path.write_text(json.dumps(content))
+        made |= measured(folder / "data.zarr", [path.relative_to(folder / "data.zarr").as_posix()])
+    (folder / "commit/store.json").write_text(json.dumps({"files": made}))
+    assert main(["status", str(folder), "--verify"]) == 0
+    assert "earlier version" not in capsys.readouterr().out
+    for path in (folder / "commit").glob("shard_*.json"):
+        content = json.loads(path.read_text())
+        del content["empty"]
+        path.write_text(json.dumps(content))
+    assert main(["status", str(folder), "--verify"]) == 0
+    assert "an earlier version" in capsys.readouterr().out
+    assert wc.open_run(folder).digest() == wc.open_run(whole_run).digest()
 
 
 def test_a_shard_whose_record_was_removed_is_run_again(whole_run, copied_run):

@@ -15,6 +15,7 @@ import zarr
 
 from warpcontact.experiment import store
 from warpcontact.experiment.chunks import Chunk, Chunks, compressors
+from warpcontact.experiment.expected import Extent
 from warpcontact.experiment.records import StoreError
 from warpcontact.run_folder import RunPath
 
@@ -131,6 +132,23 @@ def test_chunks_are_to_the_byte_those_that_zarr_writes(dims, dtype, tmp_path):
         content = (tmp_path / "own").read_bytes()
         assert content == files[chunk.name].read_bytes()
         assert (size, sha) == (len(content), hashlib.sha256(content).hexdigest())
+
+
+def test_chunks_without_values_have_no_file_and_are_named(made):
+    folder, values = made
+    values = values.copy()
+    values[:, 4:8] = np.nan
+    staging = write(folder, values, store.Shard(0, 0, 32))
+    assert staging.empty == {"series/gap/c/0/1"}
+    assert staging.written.keys() == {f"series/gap/c/0/{k}" for k in (0, 2, 3, 4, 5, 6, 7)}
+
+
+def test_labels_of_a_single_environment_have_a_file(tmp_path):
+    template = xr.Dataset({"x": ("env", [1.0])}, coords={"env": [0]})
+    (tmp_path / store.COMMITS).mkdir()
+    store.create(tmp_path / store.DATA, {"params": template}, 1, np.zeros(0), 1, {})
+    assert (tmp_path / store.DATA / "params" / "env" / "c" / "0").is_file()
+    store.Ledger(tmp_path).check(Extent(envs=1, shard=1, steps=1), contents=True)
 
 
 def test_arrays_that_are_compressed_otherwise_are_refused(tmp_path):

@@ -443,10 +443,9 @@ def _of_folder(arguments: argparse.Namespace) -> int:
     # Standard output has what was asked for, and nothing about kernels and devices.
     wp.config.log_level = wp.LOG_ERROR
     try:
-        arguments.work(arguments)
+        return arguments.work(arguments) or 0
     except ValueError as error:
         return _fail(str(error))
-    return 0
 
 
 def _bench(arguments: argparse.Namespace) -> int:

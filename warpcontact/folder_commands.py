@@ -14,7 +14,10 @@ ANIMATED = 16
 def add_to(commands: Any) -> None:
     """Adds the commands and their options to the parsers of all commands."""
     status = commands.add_parser(
-        "status", help="how far a run is", description="Tell how far the run in a folder is, running or not."
+        "status",
+        help="how far a run is",
+        description="Tell how far the run in a folder is, running or not. Exit code 1: with --verify, its results "
+        "are not as they were committed.",
     )
     status.add_argument("folder", metavar="DIR", help="folder of the run")
     status.add_argument(
@@ -59,20 +62,30 @@ def add_to(commands: Any) -> None:
     add_option(export)
 
 
-def status(arguments: argparse.Namespace) -> None:
-    """Prints how far a run is.
+def status(arguments: argparse.Namespace) -> int:
+    """Prints how far a run is; returns 1 if its results are not as they were committed.
 
     Raises:
         ValueError: If the folder holds no whole run.
     """
+    from warpcontact.experiment.records import StoreError
     from warpcontact.experiment.run import open_run
     from warpcontact.experiment.status import status_of
+    from warpcontact.experiment.store import Ledger
 
     found = status_of(arguments.folder)
     print(found)
-    if arguments.verify:
+    if not arguments.verify:
+        return 0
+    try:
         open_run(arguments.folder, verify=True)
-        print("verified: all that was committed is there, and as it was written")
+    except StoreError as error:
+        print(f"warpcontact: {error}", file=sys.stderr)
+        return 1
+    print("verified: all that was committed is there, and as it was written")
+    if any(commit.empty is None for commit in Ledger(found.folder).commits().values()):
+        print("not verified: chunks lost with their entries; records of an earlier version do not show them")
+    return 0
 
 
 def export(arguments: argparse.Namespace) -> None:

@@ -86,5 +86,5 @@ def shortened(text: str, most: int, *, middle: bool = False) -> str:
 
 
 def in_one_line(text: object) -> str:
-    """Returns a text with a space for whatever white space it has, and other control characters as escapes."""
+    """Returns a text with spaces for its white space, and other control characters as escapes."""
     return visible(" ".join(str(text).split()))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warpcontact.direct import DirectFile
+from warpcontact.experiment.expected import ChunkGrid
 from warpcontact.experiment.records import StoreError
 from warpcontact.run_folder import RunPath
 
@@ -65,6 +66,9 @@ class Chunks:
     Args:
         array: The array, which has been made.
 
+    Attributes:
+        grid: How the array is divided.
+
     Raises:
         StoreError: If it is compressed as no run compresses any.
     """
@@ -80,6 +84,7 @@ class Chunks:
         if not known or codecs[0]["name"] not in ("blosc", "zstd"):
             raise StoreError(f"{array.store_path}: is compressed by {codecs}, which no run does")
         self._dims: tuple[str, ...] = tuple(described["dimension_names"])
+        self.grid = ChunkGrid(self._dims, array.shape, array.chunks)
         self._compressor = _compressor(**codecs[0])
 
     def cut(self, values: NDArray[Any], first_env: int, stop_env: int, first_frame: int) -> Iterator[Chunk]:
@@ -102,6 +107,10 @@ class Chunks:
             some = own[(slice(None),) * axis + (slice(start, start + self._sizes[axis]),)]
             if not self._is_empty(some):
                 yield Chunk(self, "/".join(("c", *map(str, place))), some)
+
+    def frames_of(self, values: NDArray[Any]) -> int:
+        """Returns the number of frames of values; 0 of an array without them."""
+        return values.shape[self._dims.index("time")] if "time" in self._dims else 0
 
     def _is_empty(self, values: NDArray[Any]) -> bool:
         """Whether all values are the empty one: Zarr writes no file of these either."""

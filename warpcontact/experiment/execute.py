@@ -21,6 +21,7 @@ from warpcontact.experiment import store, trust
 from warpcontact.experiment.design import Design
 from warpcontact.experiment.disk import disk_of
 from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.expected import Extent
 from warpcontact.experiment.fingerprint import differences, fingerprint
 from warpcontact.experiment.lock import writing
 from warpcontact.experiment.notices import Notices
@@ -175,7 +176,7 @@ def _proceed(job: Job, run_shards: Runs) -> Run:
     folder = job.folder
     files_of.make_parts(folder)
     ledger = Ledger(folder)
-    ledger.check(checkpoints=False)
+    ledger.check(Extent(job.plan.envs, job.plan.shard, job.frames.steps), checkpoints=False)
     commits = ledger.commits()
     # What a process tells of itself that is no more.
     progress = RunPath(folder) / files_of.PROGRESS

@@ -52,6 +52,7 @@ class Commit:
         files: Size [bytes] and SHA-256 of each file of the store that belongs to it, by its path.
         frozen: How many of its environments are frozen.
         checkpoint_sha256: SHA-256 of that file; ``None``: it is finished, or of an earlier version.
+        empty: Chunks that have no file, as all their values are empty; ``None``: a record of an earlier version.
     """
 
     shard: int
@@ -63,6 +64,7 @@ class Commit:
     files: Files = field(default_factory=dict)
     frozen: int = 0
     checkpoint_sha256: str | None = None
+    empty: list[str] | None = field(default_factory=list)
 
     @classmethod
     def read(cls, path: RunPath) -> "Commit":
@@ -72,7 +74,8 @@ class Commit:
             StoreError: If it is cut off, or holds what no run writes; names the entry, the value and what is
                 allowed.
         """
-        content = _content(path, [one.name for one in fields(cls)], {"checkpoint_sha256": None})
+        entries = [one.name for one in fields(cls)]
+        content = _content(path, entries, {"checkpoint_sha256": None, "empty": None})
         number = int(path.stem.rpartition("_")[2])
         finished = content["finished"] is True
         checkpoint, time, sha = content["checkpoint"], content["wall_time"], content["checkpoint_sha256"]
@@ -92,6 +95,12 @@ class Commit:
                 "null in a finished shard" if finished else "null, or a SHA-256 in 64 hexadecimal digits",
             ),
         }
+        empty = content["empty"]
+        rules["empty"] = (
+            empty is None
+            or (isinstance(empty, list) and all(isinstance(one, str) and _CHUNK.fullmatch(one) for one in empty)),
+            f"a list of chunks that a run writes into {DATA}",
+        )
         for key, (holds, allowed) in rules.items():
             if not holds:
                 raise StoreError(f"{path}: {key} must be {allowed}, got {shown(content[key])}")
@@ -106,6 +115,19 @@ def commits_in(folder: RunPath) -> dict[int, Commit]:
     """
     paths = (folder / name for name in folder.names() if _RECORD.fullmatch(name))
     return {commit.shard: commit for commit in map(Commit.read, paths)}
+
+
+def is_chunk(name: str) -> bool:
+    """Whether a file of the store is a chunk, by its path."""
+    return bool(_CHUNK.fullmatch(name))
+
+
+def unknown_record(folder: RunPath) -> str | None:
+    """Returns what is wrong if a folder of records has one that no run writes, such as a copy."""
+    for name in folder.names():
+        if name.endswith(".json") and name != MADE and not _RECORD.fullmatch(name):
+            return f"{folder / name}: is no record that a run writes; remove it"
+    return None
 
 
 def made_in(folder: RunPath) -> Files:

@@ -20,12 +20,13 @@ from warpcontact.equal_items import merged_items
 from warpcontact.experiment import folder as files_of
 from warpcontact.experiment.assemble import Assembler, Loaded
 from warpcontact.experiment.errors import ExperimentError, Problems, shown
+from warpcontact.experiment.expected import LABELS, ORDER, Extent
 from warpcontact.experiment.lock import is_written
 from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, StoreError
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.store import ORDER, Ledger, Shard, shards_of
+from warpcontact.experiment.store import Ledger, Shard, shards_of
 from warpcontact.experiment.trust import Trust
 from warpcontact.flags import words_of
 from warpcontact.footprint import environments
@@ -326,7 +327,7 @@ class Run:
         Raises:
             StoreError: If one is missing or was changed.
         """
-        Ledger(self.folder).check(contents=True)
+        Ledger(self.folder).check(Extent.of(self.summary), contents=True)
 
     def _group(self, name: str) -> "xr.Dataset":
         if not (self._files / DATA / name).is_folder():
@@ -340,6 +341,7 @@ class Run:
             CommittedStore(self._files, commits=self._commits), group=name, consolidated=False, chunks=None
         )
         order = data.attrs.pop(ORDER, None)
+        data.attrs.pop(LABELS, None)
         if not isinstance(order, list) or set(order) != set(data.data_vars):
             raise StoreError(f"{self.folder / DATA / name}: must have the variables {order}, has {list(data)}")
         # A folder lists its arrays in any order.
@@ -429,7 +431,7 @@ def open_run(path: str | PathLike[str], *, verify: bool = False, trust: Trust = 
             [f"envs must be {shown(envs)}, as in {files_of.EXPERIMENT}, got {summary['envs']}"],
         )
     ledger = Ledger(folder)
-    ledger.check(contents=verify)
+    ledger.check(Extent.of(summary), contents=verify)
     run = Run(folder, summary, None, trust)
     commits = ledger.commits()
     for shard in run.shards if summary["state"] == files_of.FINISHED else ():

@@ -19,10 +19,11 @@ from warpcontact.contact_coupling_report import OUTCOMES
 from warpcontact.contact_warning import ContactWarning, RunWarning, WarningLevel
 from warpcontact.environments import Environments
 from warpcontact.experiment.design import Design
+from warpcontact.experiment.expected import Expected, Extent
 from warpcontact.experiment.observation import watching
 from warpcontact.experiment.plan import blocks_at_once, kept
 from warpcontact.experiment.progress import Beacon
-from warpcontact.experiment.records import digest
+from warpcontact.experiment.records import COMMITS, digest, made_in
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.store import CHECKPOINTS, Commit, Ledger, Shard, Staging
 from warpcontact.looks import EVALUATED
@@ -271,6 +272,10 @@ class ShardRunner:
             frames = {key.removeprefix("frame/"): a for key, a in arrays.items() if key.startswith("frame/")}
             times = arrays.get("times", np.zeros(0))
             self._check_pending(commit, frames, times, recorder)
+            extent = Extent(self.settings.envs, self.model.envs, self.frames.steps)
+            made = made_in(RunPath(self.folder) / COMMITS)
+            if problem := Expected(RunPath(self.folder), made, extent).problem(commit):
+                raise checkpoint.CheckpointError(problem)
             checkpoint.restore(self.simulation, arrays)
         except (checkpoint.CheckpointError, FileNotFoundError) as error:
             warnings.warn(RunWarning(f"{shard.name} begins anew: {error}", WarningLevel.NOTE), stacklevel=3)
@@ -405,6 +410,8 @@ class _Attempt:
     def _commit(self) -> None:
         self.staging.wait()
         self.commit.wall_time = self.spent + time.perf_counter() - self.started
+        if self.commit.empty is not None:
+            self.commit.empty = sorted({*self.commit.empty, *self.staging.empty})
         self.runner.ledger.commit(self.shard, self.commit, self.staging.written)
         self.staging.clear()
 

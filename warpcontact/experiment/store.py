@@ -33,6 +33,7 @@ from warpcontact.checks import check_length
 from warpcontact.durable import write_json
 from warpcontact.experiment.chunks import Chunk, Chunks, compressors
 from warpcontact.experiment.errors import ExperimentError
+from warpcontact.experiment.expected import LABELS, ORDER, PARTS, Expected, Extent
 from warpcontact.experiment.records import (
     COMMITS,
     DATA,
@@ -41,8 +42,10 @@ from warpcontact.experiment.records import (
     Files,
     StoreError,
     commits_in,
+    is_chunk,
     is_unchanged,
     made_in,
+    unknown_record,
 )
 from warpcontact.run_folder import PARTIAL, RunPath, sync_all, sync_names
 
@@ -53,9 +56,6 @@ if TYPE_CHECKING:
 
 STAGING = "staging"
 CHECKPOINTS = "checkpoint"
-
-#: Attribute of a group: its variables, in their order.
-ORDER = "variables"
 
 # A piece may be so many times smaller than that for being a part of a shard.
 FAR = 8
@@ -165,7 +165,7 @@ def create(
 
     buffers: dict[str, Any] = {}
     made = MemoryStore(buffers)
-    zarr.open_group(made, mode="w-", zarr_format=3, attributes=dict(attributes))
+    zarr.open_group(made, mode="w-", zarr_format=3, attributes={**attributes, PARTS: list(templates)})
     for name, template in templates.items():
         sizes = {**template.sizes, "env": envs}
         coordinates = {key: c for key, c in template.coords.items() if key not in ("env", "time")}
@@ -174,9 +174,11 @@ def create(
             sizes["time"] = len(times)
             coordinates["time"] = ("time", times, template["time"].attrs)
         # Folders have no order of their own.
-        order = {ORDER: list(map(str, template.data_vars))}
-        labels = xr.Dataset(coords=coordinates, attrs={**attributes, **template.attrs, **order})
-        labels.to_zarr(made, group=name, mode="w-", zarr_format=3, consolidated=False)
+        listed = {ORDER: list(map(str, template.data_vars)), LABELS: sorted(map(str, coordinates))}
+        labels = xr.Dataset(coords=coordinates, attrs={**attributes, **template.attrs, **listed})
+        # Zarr leaves out a chunk of zeros, such as that of a single environment.
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            labels.to_zarr(made, group=name, mode="w-", zarr_format=3, consolidated=False)
         group = zarr.open_group(made, mode="r+", path=name)
         for key, variable in template.data_vars.items():
             _create_array(group, str(key), variable, sizes, template.sizes["env"], block)
@@ -286,28 +288,47 @@ class Ledger:
             if name.startswith(f"{shard.name}-") and name != commit.checkpoint:
                 (checkpoints / name).remove()
 
-    def check(self, *, contents: bool = False, checkpoints: bool = True) -> None:
-        """Checks that every file that was committed is there.
+    def check(self, extent: Extent, *, contents: bool = False, checkpoints: bool = True) -> None:
+        """Checks that all files that the committed steps of each shard lead to are recorded, and are there.
 
         Args:
-            contents: Whether to read the files, and not only look at their sizes.
-            checkpoints: Whether those are asked for, too; a shard without one can begin anew.
+            extent: Environments, shards and steps of the run.
+            contents: Whether to compare the contents of files, not only their sizes, and to refuse unknown entries
+                of records and, in a finished run, unknown files.
+            checkpoints: Whether unfinished shards must be able to continue; otherwise they can start again.
 
         Raises:
-            StoreError: If one is not; names it.
+            StoreError: If a file or its entry is missing, or is not of the run; names it.
         """
-        if problem := self._problem_of(made_in(self.folder / COMMITS), "", contents):
+        made = made_in(self.folder / COMMITS)
+        expected = Expected(self.folder, made, extent)
+        if problem := self._problem_of(made, "", contents) or unknown_record(self.folder / COMMITS):
             raise StoreError(problem)
-        for number, found in self.commits().items():
+        commits = self.commits()
+        for number, found in commits.items():
             commit: Commit | None = found
-            while commit is not None and (problem := self._problem(commit, contents, checkpoints)):
+            while commit is not None and (problem := self._problem(commit, expected, contents, checkpoints)):
                 # The run may have gone on since the record was read.
                 again = self.commits().get(number)
                 if again == commit:
                     raise StoreError(problem)
                 commit = again
+        finished = sum(commit.finished for commit in commits.values()) == extent.shards
+        if contents and finished and (problem := self._unknown_file(made, commits)):
+            raise StoreError(problem)
 
-    def _problem(self, commit: Commit, contents: bool, checkpoints: bool) -> str | None:
+    def _unknown_file(self, made: Files, commits: Mapping[int, Commit]) -> str | None:
+        """Returns what is wrong if there is a file that no record names; unnamed chunks are never read."""
+        known = {*made, *(name for commit in commits.values() for name in commit.files)}
+        for path in _entries_below(self.folder / DATA):
+            name = "/".join(path.parts[1:])
+            if name not in known and not is_chunk(name):
+                return f"{path}: is not of this run; remove it"
+        return None
+
+    def _problem(self, commit: Commit, expected: Expected, contents: bool, checkpoints: bool) -> str | None:
+        if (checkpoints or commit.finished) and (problem := expected.problem(commit, entries=contents)):
+            return problem
         path = self.folder / CHECKPOINTS / str(commit.checkpoint)
         if checkpoints and commit.checkpoint is not None and not path.is_file():
             return f"{path}: is missing, and was committed; --resume lets its shard begin anew"
@@ -331,6 +352,15 @@ class Ledger:
         return None
 
 
+def _entries_below(folder: RunPath) -> Iterator[RunPath]:
+    """Iterates over all entries below a folder that are no folders, links included."""
+    for name in folder.names():
+        if (folder / name).is_real_folder():
+            yield from _entries_below(folder / name)
+        else:
+            yield folder / name
+
+
 class Staging:
     """Where a shard writes chunks, while steps go on, until they are committed.
 
@@ -344,12 +374,14 @@ class Staging:
 
     Attributes:
         written: The files that are there, with their contents on the disk, since the last ``clear``.
+        empty: Chunks without a file since then, as all their values are empty.
     """
 
     def __init__(self, folder: RunPath, shard: Shard, threads: int | None = None) -> None:
         self._shard = shard
         self._root = folder / STAGING / shard.name
         self.written: Files = {}
+        self.empty: set[str] = set()
         self._arrays: dict[str, Chunks] = {}
         self._store = _made(folder)
         self._beside = ThreadPoolExecutor(1)
@@ -398,11 +430,14 @@ class Staging:
             begun.result()
 
     def _write(self, group: str, values: Mapping[str, NDArray[Any]], first_frame: int) -> None:
-        chunks = {}
+        chunks, envs = {}, range(self._shard.first, self._shard.stop)
         for name, own in values.items():
             path = f"{group}/{name}"
-            for chunk in self._chunks(path).cut(own, self._shard.first, self._shard.stop, first_frame):
+            array = self._chunks(path)
+            for chunk in array.cut(own, envs.start, envs.stop, first_frame):
                 chunks[f"{path}/{chunk.name}"] = chunk
+            frames = range(first_frame, first_frame + array.frames_of(own))
+            self.empty |= {f"{path}/{one}" for one in array.grid.names(envs, frames)} - chunks.keys()
         for folder in {(self._root / name).parent for name in chunks}:
             folder.make()
         written = dict(self._writers.map(self._put, chunks.items()))
@@ -424,7 +459,7 @@ class Staging:
 
     def clear(self) -> None:
         """Forgets what was committed; what steps write next goes into new files."""
-        self.written = {}
+        self.written, self.empty = {}, set()
 
     def remove(self) -> None:
         """Removes the folder."""

@@ -1,0 +1,266 @@
+"""Files that the results of a run must have, from the shapes of the arrays and the committed frames.
+
+A chunk whose values are all empty has no file; the record of its shard names it. So a chunk that is in neither
+list was lost. Records of earlier versions do not name such chunks, and can only be checked for unknown files.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from warpcontact.experiment.records import (
+    COMMITS,
+    DATA,
+    GROUPS,
+    MADE,
+    Commit,
+    Files,
+    StoreError,
+    is_unchanged,
+)
+from warpcontact.run_folder import RunPath
+
+#: Attribute of the store: its groups.
+PARTS = "groups"
+#: Attributes of a group: its variables, in their order; and the arrays that label its axes.
+ORDER = "variables"
+LABELS = "labels"
+
+_META = "zarr.json"
+# Groups that are written when a shard ends.
+_AT_END = ("outcome", "events")
+
+
+@dataclass(frozen=True)
+class ChunkGrid:
+    """How an array is divided into chunks.
+
+    Attributes:
+        dims: Names of its axes.
+        shape: Its size along each.
+        chunks: Size of a chunk along each.
+    """
+
+    dims: tuple[str | None, ...]
+    shape: tuple[int, ...]
+    chunks: tuple[int, ...]
+
+    def places(self, envs: range | None = None, frames: range | None = None) -> list[range]:
+        """Returns the places along each axis of the chunks of some environments and frames; ``None``: of all."""
+        some = {"env": envs, "time": frames}
+        places = []
+        for dim, size, chunk in zip(self.dims, self.shape, self.chunks, strict=True):
+            part = some.get(str(dim))
+            part = range(size) if part is None else part
+            places.append(range(part.start // chunk, -(-part.stop // chunk)) if len(part) else range(0))
+        return places
+
+    def names(self, envs: range | None = None, frames: range | None = None) -> Iterator[str]:
+        """Iterates over the names of these chunks."""
+        for place in _each(self.places(envs, frames)):
+            yield "/".join(("c", *map(str, place)))
+
+
+def _each(ranges: Sequence[range]) -> Iterator[tuple[int, ...]]:
+    # Lazily: itertools.product stores all numbers of each range.
+    if not ranges:
+        yield ()
+        return
+    for first in ranges[0]:
+        for rest in _each(ranges[1:]):
+            yield (first, *rest)
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What ``run.json`` states of the results.
+
+    Attributes:
+        envs: Number of environments.
+        shard: Environments of a shard.
+        steps: Steps of each environment.
+    """
+
+    envs: int
+    shard: int
+    steps: int
+
+    @classmethod
+    def of(cls, summary: Mapping[str, Any]) -> "Extent":
+        """Returns that of a checked ``run.json``."""
+        return cls(summary["envs"], summary["shard"], summary["steps"])
+
+    @property
+    def shards(self) -> int:
+        """Number of shards."""
+        return -(-self.envs // self.shard)
+
+    def envs_of(self, number: int) -> range:
+        """Returns the environments of a shard."""
+        return range(number * self.shard, min((number + 1) * self.shard, self.envs))
+
+
+class Expected:
+    """Arrays of a store, by its metadata, and which of their chunks must be recorded.
+
+    Args:
+        folder: Folder of the run.
+        made: Files that the store was made with, by their record.
+        extent: What ``run.json`` states.
+
+    Attributes:
+        complete: Whether records name the chunks without a file; those of earlier versions do not.
+
+    Raises:
+        StoreError: If metadata is missing, was changed, or does not fit to ``run.json``; names the array.
+    """
+
+    def __init__(self, folder: RunPath, made: Files, extent: Extent) -> None:
+        self._data, self._record = folder / DATA, folder / COMMITS
+        self._made, self._extent = made, extent
+        self._variables: dict[str, dict[str, ChunkGrid]] = {}
+        known = {_META}
+        listed = self._attributes("", self._read("")).get(PARTS)
+        if listed is not None and not (isinstance(listed, list) and all(group in GROUPS for group in listed)):
+            raise StoreError(f"{self._data / _META}: {PARTS} must be a list of {', '.join(GROUPS)}")
+        self.complete = listed is not None
+        recorded = [group for group in GROUPS if f"{group}/{_META}" in made]
+        for group in recorded if listed is None else listed:
+            attributes = self._attributes(group, self._read(group))
+            self._variables[group] = {
+                name: self._grid(group, name) for name in self._names(group, attributes, ORDER)
+            }
+            known.add(f"{group}/{_META}")
+            known |= {f"{group}/{name}/{_META}" for name in self._variables[group]}
+            if LABELS in attributes:
+                for name in self._names(group, attributes, LABELS):
+                    known |= {f"{group}/{name}/{_META}", *self._label(group, name)}
+        if self.complete and (more := sorted(made.keys() - known)):
+            raise StoreError(f"{self._record / MADE}: files must be those of the store, got {more[0]!r}")
+
+    def _read(self, array: str) -> dict[str, Any]:
+        """Returns the metadata of an array or group; ``""``: of the store."""
+        name = f"{array}/{_META}".lstrip("/")
+        if name not in self._made:
+            raise StoreError(f"{self._data}/{name}: is missing in {self._record / MADE}")
+        path = self._data / name
+        if not is_unchanged(path, *self._made[name]):
+            what = "was changed since it" if path.is_file() else "is missing, and"
+            raise StoreError(f"{path}: {what} was committed")
+        try:
+            content = json.loads(path.read())
+        except (OSError, ValueError, RecursionError) as error:
+            raise StoreError(f"{path}: cannot be read: {error}") from None
+        if not isinstance(content, dict):
+            raise StoreError(f"{path}: must be a table")
+        return content
+
+    def _attributes(self, array: str, content: Mapping[str, Any]) -> dict[str, Any]:
+        attributes = content.get("attributes")
+        if not isinstance(attributes, dict):
+            raise StoreError(f"{self._data}/{array}/{_META}: attributes must be a table")
+        return attributes
+
+    def _names(self, group: str, attributes: Mapping[str, Any], key: str) -> list[str]:
+        names = attributes.get(key)
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise StoreError(f"{self._data}/{group}/{_META}: {key} must be a list of names")
+        return names
+
+    def _grid(self, group: str, name: str) -> ChunkGrid:
+        """Returns how an array is divided."""
+        content = self._read(f"{group}/{name}")
+        path = self._data / group / name
+        try:
+            shape = tuple(content["shape"])
+            chunks = tuple(content["chunk_grid"]["configuration"]["chunk_shape"])
+            dims = tuple(content["dimension_names"])
+            whole = all(isinstance(n, int) for n in (*shape, *chunks)) and min(chunks, default=1) > 0
+            if not whole or min(shape, default=0) < 0 or not len(shape) == len(chunks) == len(dims):
+                raise ValueError
+        except (KeyError, TypeError, ValueError):
+            raise StoreError(f"{path / _META}: must have a shape, and chunks of a regular grid") from None
+        grid = ChunkGrid(dims, shape, chunks)
+        own = dict(zip(dims, zip(shape, chunks, strict=True), strict=True))
+        if "env" in own and own["env"][0] != self._extent.envs:
+            raise StoreError(
+                f"{path}: must have {self._extent.envs} environments, as in run.json, got {own['env'][0]}"
+            )
+        return grid
+
+    def _label(self, group: str, name: str) -> list[str]:
+        """Returns the chunks of an array that labels an axis."""
+        grid, found = self._grid(group, name), []
+        for chunk in grid.names():
+            full = f"{group}/{name}/{chunk}"
+            if full not in self._made:
+                raise StoreError(f"{self._data}/{full}: is missing in {self._record / MADE}")
+            found.append(full)
+        return found
+
+    def problem(self, commit: Commit, *, entries: bool = True) -> str | None:
+        """Returns what is wrong with the record of a shard; ``None``: nothing.
+
+        Args:
+            commit: The record.
+            entries: Whether it must have no other entries, either.
+        """
+        extent, record = self._extent, self._record / f"shard_{commit.shard:06d}.json"
+        if commit.shard >= extent.shards:
+            return f"{record}: shard must be below {extent.shards}, as in run.json, got {commit.shard}"
+        if commit.empty is None and self.complete:
+            return f"{record}: empty is missing"
+        frames = self._frames if commit.finished else min(commit.frames, self._frames)
+        envs, grids = extent.envs_of(commit.shard), self._grids(finished=commit.finished)
+        named = {*commit.files, *(commit.empty or ())}
+        if entries and (problem := self._unknown_entry(commit, named, grids, range(frames))):
+            return f"{record}: {problem}"
+        if commit.empty is None or not commit.steps:  # without steps it begins again
+            return None
+        expected = (f"{path}/{name}" for path, grid in grids.items() for name in grid.names(envs, range(frames)))
+        # Ends at the first that is missing, at the latest after as many as are recorded, for any shapes.
+        missing = next((name for name in expected if name not in named), None)
+        return missing and f"{self._data / missing}: is missing, and so is its entry in {record}"
+
+    def _unknown_entry(
+        self, commit: Commit, named: set[str], grids: Mapping[str, ChunkGrid], frames: range
+    ) -> str | None:
+        """Returns what is wrong with entries that no run writes after these steps; ``None``: nothing."""
+        for key, found, end in (
+            ("steps", commit.steps, self._extent.steps),
+            ("frames", commit.frames, self._frames),
+        ):
+            if (commit.finished and found != end) or found > end:
+                return f"{key} must be {end if commit.finished else f'at most {end}'}, got {found}"
+        if len(named) < len(commit.files) + len(commit.empty or ()):
+            return "empty must name chunks that are not in files, each once"
+        envs = self._extent.envs_of(commit.shard)
+        places = {path: grid.places(envs, frames) for path, grid in grids.items()}
+        if more := next((name for name in named if not _is_among(places, name)), None):
+            return f"files must be those of this shard after {commit.steps} steps, got {more!r}"
+        return None
+
+    @property
+    def _frames(self) -> int:
+        """Frames of the whole run."""
+        grids = self._variables.get("series", {}).values()
+        return max((dict(zip(grid.dims, grid.shape, strict=True)).get("time", 0) for grid in grids), default=0)
+
+    def _grids(self, *, finished: bool) -> dict[str, ChunkGrid]:
+        """Returns the arrays in which a shard must have chunks, by path."""
+        return {
+            f"{group}/{name}": grid
+            for group, variables in self._variables.items()
+            if finished or group not in _AT_END
+            for name, grid in variables.items()
+        }
+
+
+def _is_among(places: Mapping[str, Sequence[range]], name: str) -> bool:
+    """Whether a chunk is at one of the places of its array."""
+    path, _, place = name.partition("/c/")
+    own, found = places.get(path), place.split("/")
+    if own is None or len(found) != len(own):
+        return False
+    return all(str(int(k)) == k and int(k) in some for k, some in zip(found, own, strict=True))
