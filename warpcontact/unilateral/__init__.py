@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from warpcontact.unilateral.rigid.equilibrium import Equilibrium, equilibrium
     from warpcontact.unilateral.rigid.event_driven import EventDriven
     from warpcontact.unilateral.rigid.events import Event, EventKind, EventRun
-    from warpcontact.unilateral.solution import Solution
+    from warpcontact.unilateral.solution import Solution, Termination
     from warpcontact.unilateral.solving import solve, solve_delassus
 
 # Where each public name lives.
@@ -27,6 +27,7 @@ _HOME = {
     "ParadoxError": "rigid.acceleration",
     "Problem": "problem",
     "Solution": "solution",
+    "Termination": "solution",
     "assemble": "rigid.assembly",
     "equilibrium": "rigid.equilibrium",
     "solve": "solving",
@@ -44,6 +45,7 @@ __all__ = [
     "ParadoxError",
     "Problem",
     "Solution",
+    "Termination",
     "assemble",
     "equilibrium",
     "solve",

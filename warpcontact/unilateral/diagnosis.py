@@ -11,10 +11,13 @@ from numpy.typing import ArrayLike
 from warpcontact.checks import Array
 from warpcontact.unilateral import intake
 from warpcontact.unilateral.delassus import Delassus
-from warpcontact.unilateral.elimination import SINGULAR, SingularError, eliminate
+from warpcontact.unilateral.elimination import eliminate, regular
 from warpcontact.unilateral.enumeration import MOST
+from warpcontact.unilateral.freedom import ZERO, null_space, unopposed
+from warpcontact.unilateral.residual import Judge
+from warpcontact.unilateral.scaled import Scaled
 from warpcontact.unilateral.solution import Solution
-from warpcontact.unilateral.states import sizes
+from warpcontact.unilateral.states import all_states, as_solutions
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
@@ -75,15 +78,13 @@ def diagnose(problem: Problem) -> Diagnosis:
     """Returns what can be said of a single problem."""
     if problem.count is not None:
         raise ValueError(f"one problem at a time is diagnosed, got {problem.count} problems")
-    stiffness = _kind(problem)
+    scaled = Scaled.of(problem)
+    stiffness, definite = _kind(problem, scaled)
     friction = bool(np.asarray(problem.mu).any())
     system = None
     if stiffness != "singular":
-        try:
-            system = eliminate(problem)[0]
-            system = system if friction else system.normals()
-        except SingularError:
-            stiffness = "singular"
+        system = eliminate(problem)[0]
+        system = system if friction else system.normals()
     rows = problem.contacts * problem.dim if friction else problem.contacts
     rank, free, bound = None, np.zeros((rows, 0)), None
     if system is not None:
@@ -105,30 +106,41 @@ def diagnose(problem: Problem) -> Diagnosis:
             exists = True if room > 0.0 else None
             if rank == rows and bound is not None and largest < bound:
                 unique_u = unique_lam = True
-    solutions = _look(problem, friction) if exists is None or unique_u is None else None
-    if solutions is not None:
+    elif stiffness == "singular":
+        held = (
+            unopposed(scaled, null_space(scaled, Judge.of(problem).scale[0])) is None
+            and _room(problem, False) >= 0.0
+        )
+        # Without friction a convex energy that has a lower bound has a minimum (Frank and Wolfe, 1956).
+        exists = False if not held else True if definite and not friction else None
+    solutions = None
+    if (exists is None or unique_u is None) and _are_few(problem, scaled):
+        found = all_states(problem, 1e-10)[1]
+        solutions = as_solutions(problem, scaled, found, 1e-10)
         exists = bool(solutions) if exists is None else exists
-        if len(solutions) > 1:
-            usual = sizes(problem)
-            unique_u = all(usual.same_u(one, solutions[0]) for one in solutions)
-            unique_lam = all(usual.same_lam(one, solutions[0]) for one in solutions)
-        elif solutions and rank == rows:
+        if len(found) > 1:
+            unique_u = all(one.same_u(found[0]) for one in found)
+            unique_lam = all(one.same_lam(found[0]) for one in found)
+        elif found and rank == rows:
             unique_u = unique_lam = True
     text = _sentences(stiffness, friction, rows, rank, bound, largest, exists, unique_u, unique_lam, solutions)
     return Diagnosis(stiffness, rows, rank, free, exists, unique_u, unique_lam, bound, solutions, text)
 
 
-def _kind(problem: Problem) -> str:
-    K = problem.K
-    if hasattr(K, "tocsc"):
-        if K.shape[0] > _DENSE:
-            return "unknown"
-        K = K.toarray()
-    sizes = np.linalg.eigvalsh(K)
-    least = SINGULAR * np.abs(sizes).max()
-    if np.abs(sizes).min() <= least:
-        return "singular"
-    return "positive definite" if sizes[0] > 0.0 else "indefinite"
+def _kind(problem: Problem, scaled: Scaled) -> tuple[str, bool]:
+    """Returns the kind of the stiffness, and whether no eigenvalue is negative."""
+    if not regular(problem, Judge.of(problem)).all():
+        kind = "singular"
+    elif hasattr(problem.K, "tocsc") and problem.K.shape[0] > _DENSE:
+        return "unknown", False
+    else:
+        kind = ""
+    if hasattr(problem.K, "tocsc") and problem.K.shape[0] > _DENSE:
+        return kind, False
+    sizes = np.linalg.eigvalsh(scaled.dense())
+    if kind:
+        return kind, bool(sizes[0] >= -ZERO * np.abs(sizes).max())
+    return ("positive definite", True) if sizes[0] > 0.0 else ("indefinite", False)
 
 
 def _spectrum(system: Delassus) -> tuple[int, Array, float]:
@@ -172,13 +184,11 @@ def _room(problem: Problem, friction: bool) -> float:
     return 0.0 if abs(found.x[-1]) < 1e-9 else float(found.x[-1])
 
 
-def _look(problem: Problem, friction: bool) -> list[Solution] | None:
-    dim = problem.dim if friction else 1
-    if dim == 3 or problem.contacts > MOST[dim] or (2 * dim) ** problem.contacts > _FEW_STATES:
-        return None
-    if problem.K.shape[-1] > 200:
-        return None
-    return problem.all_solutions()
+def _are_few(problem: Problem, scaled: Scaled) -> bool:
+    """Returns whether there are few states of the contacts, and few displacements."""
+    dim, contacts = scaled.dim, scaled.contacts
+    few = dim < 3 and contacts <= MOST[dim] and (2 * dim) ** contacts <= _FEW_STATES
+    return few and problem.K.shape[-1] <= 200
 
 
 def _sentences(

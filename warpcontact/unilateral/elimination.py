@@ -3,17 +3,17 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpcontact.checks import Array
 from warpcontact.unilateral.delassus import Delassus
+from warpcontact.unilateral.residual import ROUNDINGS, Judge
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
 
-#: A matrix whose smallest eigenvalue is less than this of its largest is singular to rounding.
+#: A scaled matrix whose smallest eigenvalue is less than this of its largest is singular to rounding.
 SINGULAR = 1e-14
-#: Roundings of d, G u and their difference.
-ROUNDINGS = 16.0 * float(np.finfo(np.float64).eps)
 
 
 class SingularError(ValueError):
@@ -26,7 +26,7 @@ def eliminate(problem: "Problem") -> tuple[Delassus, Array, Array]:
     Shapes: (problems, n) and (problems or 1, n, rows).
 
     Raises:
-        SingularError: If K, or one of many, is singular.
+        SingularError: If K, or one of many, is exactly singular; if a sparse K is singular to rounding.
     """
     n, contacts = problem.K.shape[-1], problem.contacts
     count = 1 if problem.count is None else problem.count
@@ -40,9 +40,11 @@ def eliminate(problem: "Problem") -> tuple[Delassus, Array, Array]:
         u_free = inverse(f.T).T
     else:
         K = np.asarray(problem.K).reshape(-1, n, n)
-        _check_regular(K, problem.count is not None and len(K) > 1)
-        by_contact = np.linalg.solve(K, turned)
-        u_free = np.linalg.solve(K, f[..., None])[..., 0]
+        try:
+            by_contact = np.linalg.solve(K, turned)
+            u_free = np.linalg.solve(K, f[..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            raise SingularError from None
     W = G @ by_contact
     W = 0.5 * (W + np.swapaxes(W, -1, -2))
     u_free = np.broadcast_to(u_free, (count, n))
@@ -52,34 +54,41 @@ def eliminate(problem: "Problem") -> tuple[Delassus, Array, Array]:
     return Delassus(W, q, np.atleast_2d(problem.mu), ROUNDINGS * parts.max(axis=2)), u_free, by_contact
 
 
-def _check_regular(K: Array, many: bool) -> None:
-    for i, one in enumerate(K):
+def regular(problem: "Problem", judge: Judge) -> NDArray[np.bool_]:
+    """Returns whether K of each problem can be inverted, independent of units; (problems,)."""
+    count, n = 1 if problem.count is None else problem.count, problem.K.shape[-1]
+    if hasattr(problem.K, "tocsc"):
         try:
-            pivots = np.diagonal(np.linalg.cholesky(one))
-            regular = (pivots.min() / pivots.max()) ** 2 > SINGULAR
+            _sparse(problem.K)
+        except SingularError:
+            return np.zeros(count, dtype=bool)
+        return np.ones(count, dtype=bool)
+    K = np.asarray(problem.K).reshape(-1, n, n)
+    scale = judge.scale if len(judge.scale) == len(K) else np.broadcast_to(judge.scale[:1], (len(K), n))
+    found = np.empty(len(K), dtype=bool)
+    for i, one in enumerate(scale[:, :, None] * K * scale[:, None, :]):
+        try:
+            # Share of each diagonal entry that other displacements do not explain.
+            pivots = np.diagonal(np.linalg.cholesky(one)) ** 2 / np.diagonal(one)
+            found[i] = pivots.min() > SINGULAR
         except np.linalg.LinAlgError:
             sizes = np.abs(np.linalg.eigvalsh(one))
-            regular = sizes.min() > SINGULAR * sizes.max()
-        if not regular:
-            raise SingularError(_message(f"K[{i}]" if many else "K"))
+            found[i] = sizes.min() > SINGULAR * sizes.max()
+    return np.broadcast_to(found, (count,))
 
 
 def _sparse(K: Any) -> Any:
-    """Returns the function that solves with K, factorised once."""
+    """Returns the function that solves with K, factorized once."""
+    from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu
 
+    diagonal = np.abs(K.diagonal())
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     try:
-        factors = splu(K)
+        factors = splu((diags_array(scale) @ K @ diags_array(scale)).tocsc())
     except RuntimeError:
-        raise SingularError(_message("K")) from None
+        raise SingularError from None
     pivots = np.abs(factors.U.diagonal())
     if pivots.min() <= SINGULAR * pivots.max():
-        raise SingularError(_message("K"))
-    return lambda right: factors.solve(np.ascontiguousarray(right))
-
-
-def _message(name: str) -> str:
-    return (
-        f"{name} is singular: something can move without force. Support it, or take method 'enumeration' "
-        "or all_solutions() of a single small problem"
-    )
+        raise SingularError
+    return lambda right: scale[:, None] * factors.solve(scale[:, None] * right)

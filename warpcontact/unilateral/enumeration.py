@@ -11,23 +11,25 @@ from warpcontact.unilateral.delassus import Delassus
 #: Most contacts: 2 states of each without friction, 4 in the plane, and 65 536 of all.
 MOST = {1: 16, 2: 8}
 _CHUNK = 2048
+# Solution of a system over its right side, from which on it is computed by its singular values.
+_LARGE = 1e8
 
 # States of a contact in the plane; without friction OPEN and STICK, which is closed then.
 _OPEN, _STICK, _SLIP_UP, _SLIP_DOWN = range(4)
 
 
-def check_size(problem: Delassus) -> None:
+def check_size(contacts: int, dim: int) -> None:
     """Raises ``ValueError`` if there are too many states, or with friction in space infinitely many."""
-    if problem.dim == 3:
+    if dim == 3:
         raise ValueError(
             "method 'enumeration' goes through open, stick and both ways of slip of each contact; in space there "
             "are infinitely many ways to slip: take 'projection' or 'gauss_seidel'"
         )
-    most, states = MOST[problem.dim], 2 * problem.dim
-    if problem.contacts > most:
+    most, states = MOST[dim], 2 * dim
+    if contacts > most:
         raise ValueError(
             f"method 'enumeration' goes through {states} states of each contact and takes at most {most} of them, "
-            f"got {problem.contacts}: take 'projection'"
+            f"got {contacts}: take 'projection'"
         )
 
 
@@ -63,16 +65,15 @@ def candidates(problem: Delassus) -> Iterator[Array]:
     rho = np.repeat(problem.rho[0], problem.dim)
     W, q = rho[:, None] * problem.W[0], rho * problem.q[0].reshape(-1)
     for chunk in states(problem.contacts, problem.dim):
-        matrix, right = rows_of(chunk, W, q, np.eye(size), problem)
+        matrix, right = rows_of(chunk, W, q, np.eye(size), problem.mu[0], problem.dim)
         yield solve_all(matrix, right).reshape(len(chunk), problem.contacts, problem.dim)
 
 
-def rows_of(chunk: NDArray[np.int64], W: Array, q: Array, lam: Array, problem: Delassus) -> tuple[Array, Array]:
+def rows_of(chunk: NDArray[np.int64], W: Array, q: Array, lam: Array, mu: Array, dim: int) -> tuple[Array, Array]:
     """Returns the equations of states: (chunk, rows, unknowns) and right sides.
 
     ``W`` and ``q`` give w, and ``lam`` gives l, of the unknowns.
     """
-    dim = problem.dim
     closed = chunk != _OPEN
     pick = np.repeat(closed[..., None], dim, axis=-1)
     if dim == 2:
@@ -82,7 +83,7 @@ def rows_of(chunk: NDArray[np.int64], W: Array, q: Array, lam: Array, problem: D
     right = np.where(pick, -q, 0.0)
     if dim == 2:
         # Of a contact that slips l_t ∓ μ l_n = 0.
-        side = np.where(chunk == _SLIP_UP, 1.0, np.where(chunk == _SLIP_DOWN, -1.0, 0.0)) * problem.mu[0]
+        side = np.where(chunk == _SLIP_UP, 1.0, np.where(chunk == _SLIP_DOWN, -1.0, 0.0)) * mu
         matrix[:, 1::2] -= side[..., None] * lam[0::2]
     return matrix, right
 
@@ -90,13 +91,28 @@ def rows_of(chunk: NDArray[np.int64], W: Array, q: Array, lam: Array, problem: D
 def solve_all(matrix: Array, right: Array) -> Array:
     """Returns the solutions of many systems; of a singular one, one of small size if there is one."""
     try:
-        found = np.asarray(np.linalg.solve(matrix, right[..., None]), dtype=np.float64)[..., 0]
-        if np.isfinite(found).all():
-            return found
+        found = _solved(matrix, right)
+        bad = ~np.isfinite(found).all(axis=1)
+        # A solution this large is that of a matrix that is singular to rounding.
+        bad |= np.abs(found).max(axis=1, initial=0.0) > _LARGE * np.abs(right).max(axis=1, initial=0.0)
     except np.linalg.LinAlgError:
-        pass
-    smallest = np.linalg.pinv(matrix, rcond=1e-12) @ right[..., None]
-    return np.asarray(smallest, dtype=np.float64)[..., 0]
+        found, bad = np.zeros(right.shape), np.ones(len(right), dtype=bool)
+    if bad.any():
+        inverse = np.linalg.pinv(matrix[bad], rcond=1e-12)
+        found[bad] = (inverse @ right[bad][..., None])[..., 0]
+        found[bad] += (inverse @ (right[bad] - _times(matrix[bad], found[bad]))[..., None])[..., 0]
+    if not bad.all():
+        # Refinement: small entries of the right side become as exact as large ones.
+        found[~bad] += _solved(matrix[~bad], right[~bad] - _times(matrix[~bad], found[~bad]))
+    return found
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right[..., None]), dtype=np.float64)[..., 0]
+
+
+def _times(matrix: Array, x: Array) -> Array:
+    return np.asarray((matrix @ x[..., None])[..., 0])
 
 
 def _residuals(problem: Delassus, lam: Array) -> Array:

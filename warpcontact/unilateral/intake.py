@@ -53,11 +53,15 @@ def stiffness(given: Any) -> Any:
         K = given.tocsc().astype(np.float64)
         if K.ndim != 2 or K.shape[0] != K.shape[1] or not K.shape[0]:
             raise ValueError(f"K must be square, got a sparse matrix of shape {K.shape}")
-        if not np.isfinite(K.data).all():
-            raise ValueError("K must be finite, got a sparse matrix with entries that are not")
-        skew, size = abs(K - K.T), abs(K)
-        if skew.nnz and skew.max() > _SKEW * size.max():
-            raise ValueError(f"K must be symmetric, got a sparse matrix with K − Kᵀ of up to {skew.max():g}")
+        bad = np.flatnonzero(~np.isfinite(K.data))
+        if len(bad):
+            row, column = K.indices[bad[0]], np.searchsorted(K.indptr, bad[0], side="right") - 1
+            raise ValueError(f"K[{row}, {column}] must be finite, got {K.data[bad[0]]:g}")
+        skew, size = abs(K - K.T).tocoo(), abs(K)
+        if skew.nnz and skew.data.max() > _SKEW * size.max():
+            worst = int(np.argmax(skew.data))
+            i, j = sorted((int(skew.row[worst]), int(skew.col[worst])))
+            raise ValueError(_not_symmetric("K", i, j, K[i, j], K[j, i]))
         return K
     K = values("K", given)
     K = K.reshape(1, 1) if K.ndim == 0 else K
@@ -79,11 +83,15 @@ def symmetric(name: str, array: Array, size: str) -> Array:
     bad = np.argwhere(skew > _SKEW * largest)
     if len(bad):
         where = tuple(int(i) for i in bad[0])
-        raise ValueError(
-            f"{name}{list(where) if where else ''} must be symmetric, got one with {name} − {name}ᵀ of up to "
-            f"{skew[where]:g}"
-        )
+        one = array[where]
+        i, j = (int(k) for k in np.unravel_index(np.argmax(np.abs(one - one.T)), one.shape))
+        entry = f"{name}{list(where) if where else ''}"
+        raise ValueError(_not_symmetric(entry, i, j, one[i, j], one[j, i]))
     return 0.5 * (array + turned)
+
+
+def _not_symmetric(name: str, i: int, j: int, one: float, other: float) -> str:
+    return f"{name} must be symmetric, got {one:g} at [{i}, {j}] and {other:g} at [{j}, {i}]"
 
 
 def gap_rows(given: Any, n: int, d: Array, friction: bool, dim: int) -> tuple[Array, int]:

@@ -10,6 +10,8 @@ from warpcontact.unilateral.delassus import Delassus
 
 #: Most rows of all problems of one launch, squared: what their matrices take of memory.
 _ENTRIES = 50_000_000
+# Forces over those of the problem, beyond which iterations diverged.
+_FARTHEST = 1e100
 
 
 def iterate(
@@ -21,7 +23,7 @@ def iterate(
     parameter: float | None,
     device: str,
 ) -> tuple[Array, Array]:
-    """Returns l and the iterations taken of each problem."""
+    """Returns l and the iterations taken of each problem; l is 0 if they diverged."""
     found, taken = np.empty_like(lam), np.zeros(problem.count, dtype=int)
     rows = max(problem.contacts * problem.dim, 1)
     size = max(_ENTRIES // rows**2, 1)
@@ -30,6 +32,8 @@ def iterate(
         found[part], taken[part] = _launch(
             method, problem.part(part), lam[part], tolerance, iterations, parameter, device
         )
+    # Iterations diverge if W is not positive semidefinite.
+    found[~(np.abs(found).max(axis=(1, 2), initial=0.0) < _FARTHEST * problem.scale)] = 0.0
     return found, taken
 
 

@@ -40,7 +40,7 @@ def run(
     if method == "enumeration":
         if initial is not None:
             raise ValueError("initial: method 'enumeration' has no start")
-        check_size(system)
+        check_size(system.contacts, system.dim)
     lam = np.zeros(system.q.shape) if initial is None else np.array(initial)
     if not system.contacts or not system.count:
         return lam, np.zeros(system.count, dtype=int)

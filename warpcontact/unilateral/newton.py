@@ -60,7 +60,38 @@ def _lifted(
         )
         found[left], steps = _active_sets(near, found[left], tolerance, most, parameter)
         taken[left] += steps
+    for k in np.flatnonzero(problem.residual(found) > tolerance):
+        one = problem.part(np.array([k]))
+        other = _least_distance(one)
+        if other is not None and one.residual(other[None])[0] < one.residual(found[k : k + 1])[0]:
+            found[k] = other
     return found, taken
+
+
+def _least_distance(problem: Delassus) -> Array | None:
+    """Returns l (contacts, 1) of a single problem without friction, None if W is not positive semidefinite.
+
+    With W = AᵀA it is the point y = A l nearest to 0 with Aᵀy ≥ −q, by nonnegative least squares (Lawson and
+    Hanson, 1974). These end for any redundancy of the contacts.
+    """
+    from scipy.optimize import nnls
+
+    root = np.sqrt(problem.rho[0])
+    sizes, vectors = np.linalg.eigh(root[:, None] * problem.W[0] * root)
+    if sizes[0] < -_SINGULAR * sizes[-1]:
+        return None
+    counts = sizes > _SINGULAR * sizes[-1]
+    q = root * problem.q[0, :, 0]
+    size = np.abs(q).max(initial=0.0) or 1.0
+    matrix = np.vstack([np.sqrt(sizes[counts])[:, None] * vectors[:, counts].T, -q / size])
+    goal = np.append(np.zeros(int(counts.sum())), 1.0)
+    try:
+        weights = nnls(matrix, goal)[0]
+    except RuntimeError:
+        return None
+    rest = (goal - matrix @ weights)[-1]
+    # Without a rest there is no such point.
+    return (size * root * weights / rest)[:, None] if rest > _SINGULAR else None
 
 
 def _is_singular(problem: Delassus) -> NDArray[np.bool_]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from warpcontact.checks import Array
 from warpcontact.kernels.keywords import explain_keywords_of
@@ -136,6 +137,26 @@ class Problem:
         from warpcontact.unilateral.file import load
 
         return load(path)
+
+    def part(self, which: NDArray[np.intp]) -> Problem:
+        """Returns the problems of an index array; those of a single problem are copies of it."""
+        part = copy.copy(self)
+        for name, axes in (("K", 2), ("f", 1), ("G", 3), ("d", 1), ("mu", 1), ("previous", 2)):
+            array = getattr(self, name)
+            if array.ndim > axes:
+                setattr(part, name, array[which])
+        part.count = len(which)
+        return part
+
+    def one(self, k: int) -> Problem:
+        """Returns problem ``k`` as a single problem."""
+        one = copy.copy(self)
+        for name, axes in (("K", 2), ("f", 1), ("G", 3), ("d", 1), ("mu", 1), ("previous", 2)):
+            array = getattr(self, name)
+            if array.ndim > axes:
+                setattr(one, name, array[k])
+        one.count = None
+        return one
 
     @property
     def contacts(self) -> int:

@@ -1,8 +1,9 @@
-"""What a static contact problem is solved by."""
+"""Solutions of static contact problems, and how the search for one ended."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,16 +12,35 @@ from numpy.typing import NDArray
 from warpcontact.checks import Array
 from warpcontact.status import ContactMode
 from warpcontact.unilateral.delassus import Delassus, length
+from warpcontact.unilateral.residual import Judge
 
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
 
 
+class Termination(IntEnum):
+    """Result of the search for a solution.
+
+    CONVERGED: A solution to the tolerance. NOT_UNIQUE: A solution, but K is singular and u can move along
+    ``direction`` with the same forces. NOT_CONVERGED: The method found no solution; there may be one.
+    UNBOUNDED: No equilibrium exists, because the load acts along ``direction``, which neither K nor any contact
+    opposes. INFEASIBLE: No displacements satisfy all gaps. NO_SOLUTION: All states of the contacts were checked,
+    and none is a solution.
+    """
+
+    CONVERGED = 0
+    NOT_UNIQUE = 1
+    NOT_CONVERGED = 2
+    UNBOUNDED = 3
+    INFEASIBLE = 4
+    NO_SOLUTION = 5
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Displacements, contact forces and how far they are from a solution.
+    """Displacements, contact forces, their residual and the result of the search.
 
-    Of many problems every array has one more axis, the first. Units are those of the problem.
+    With many problems every array has one more axis, the first. Units are those of the problem.
 
     Attributes:
         u: Displacements, shape (n,); ``None`` of a problem given by its Delassus matrix.
@@ -30,13 +50,17 @@ class Solution:
         slip: Tangential part, (contacts, dim − 1), or ``None``. Of a problem in u the displacement since the
             contact was at rest, G_t u − previous, which λ_t has the direction of; of one in W and q it is w_t, and
             λ_t opposes it.
-        residual: How far λ and w are from the law of contact, without unit; see ``docs/unilateral.md``.
+        residual: Violation of equilibrium and of the law of contact, relative to the lengths and forces of the
+            problem; ``docs/unilateral.md`` defines it.
         iterations: Steps, sweeps or states that the method took.
-        converged: Whether ``residual`` is within the tolerance.
+        converged: Whether ``residual`` is within the tolerance, for a solution whose existence is not excluded.
         status: ``ContactMode`` of each contact, (contacts,). A closed one without friction slips.
         active: Whether each contact is closed, that is, presses.
-        method: How it was solved.
-        problem: What was solved, or ``None`` if it was given by its Delassus matrix.
+        method: Name of the method.
+        problem: The problem, or ``None`` if it was given by its Delassus matrix.
+        termination: ``Termination`` of the search: kind of solution, or reason why there is none.
+        direction: Displacements (n,) of largest component 1 along which a problem is ``UNBOUNDED`` or a solution
+            ``NOT_UNIQUE``, zero in other problems; ``None`` if no problem has one.
     """
 
     u: Array | None
@@ -50,6 +74,8 @@ class Solution:
     status: NDArray[np.int64]
     method: str
     problem: Problem | None = field(default=None, repr=False)
+    termination: Any = Termination.NOT_CONVERGED
+    direction: Array | None = None
 
     @property
     def active(self) -> NDArray[np.bool_]:
@@ -57,7 +83,103 @@ class Solution:
         return self.status != ContactMode.OPEN
 
 
-def modes(system: Delassus, lam: Array, w: Array, residual: Array, tolerance: float) -> NDArray[np.int64]:
+@dataclass
+class Found:
+    """Displacements and forces of many problems before they are given to the user.
+
+    Attributes:
+        u: Displacements (problems, n).
+        lam: Forces (problems, contacts, dim).
+        iterations: Iterations (problems,).
+        termination: ``Termination`` (problems,).
+        direction: Directions (problems, n), zero if there is none.
+    """
+
+    u: Array
+    lam: Array
+    iterations: NDArray[np.int64]
+    termination: NDArray[np.int64]
+    direction: Array
+
+
+def of_displacements(problem: Problem, judge: Judge, found: Found, tolerance: float, method: str) -> Solution:
+    """Returns the solution of problems in displacements, in the shapes of their arguments."""
+    u, lam = found.u, found.lam
+    w = problem.targets() - np.einsum("...mdn,...n->...md", problem.G, u)
+    residual, scales = judge.residual(u, lam), judge.scales(u, lam)
+    # Within the residual, and within rounding, forces and slips are zero.
+    allowed = np.minimum(np.maximum(residual, tolerance), 1.0)[:, None]
+    status = np.full(lam.shape[:2], int(ContactMode.STICK))
+    slides = length(w[..., 1:]) > 2.0 * (allowed * scales.length[:, None] + scales.rounding)
+    status[slides | (np.atleast_2d(problem.mu) == 0.0)] = ContactMode.SLIP
+    status[lam[..., 0] <= allowed * scales.force] = ContactMode.OPEN
+    direction = found.direction if found.direction.any() else None
+    return _shaped(
+        u, lam, w, -1.0, residual, found.iterations, found.termination, direction, status, method, problem
+    )
+
+
+def of_contacts(
+    system: Delassus,
+    lam: Array,
+    taken: NDArray[Any],
+    tolerance: float,
+    method: str,
+    single: bool,
+    flat: bool,
+) -> Solution:
+    """Returns the solution of problems in W and q, in the shapes of their arguments."""
+    w = system.velocity(lam)
+    judged = system if system.mu.any() else system.normals()
+    residual = judged.residual(lam[..., : judged.dim], w[..., : judged.dim])
+    termination = np.where(residual <= tolerance, Termination.CONVERGED, Termination.NOT_CONVERGED)
+    status = _modes(system, lam, w, residual, tolerance)
+    return _shaped(None, lam, w, 1.0, residual, taken, termination, None, status, method, None, single, flat)
+
+
+def _shaped(
+    u: Array | None,
+    lam: Array,
+    w: Array,
+    side: float,
+    residual: Array,
+    taken: NDArray[Any],
+    termination: NDArray[Any],
+    direction: Array | None,
+    status: NDArray[np.int64],
+    method: str,
+    problem: Problem | None,
+    single: bool | None = None,
+    flat: bool | None = None,
+) -> Solution:
+    if problem is not None:
+        single, flat = problem.count is None, problem.dim == 1
+    gap, slip = w[..., 0], None if flat else side * w[..., 1:]
+    if flat:
+        lam, w = lam[..., 0], w[..., 0]
+    converged = termination <= Termination.NOT_UNIQUE
+    if not single:
+        return Solution(
+            u, lam, w, gap, slip, residual, taken, converged, status, method, problem, termination, direction
+        )
+    return Solution(
+        None if u is None else u[0],
+        lam[0],
+        w[0],
+        gap[0],
+        None if slip is None else slip[0],
+        float(residual[0]),
+        int(taken[0]),
+        bool(converged[0]),
+        status[0],
+        method,
+        problem,
+        Termination(int(termination[0])),
+        None if direction is None else direction[0],
+    )
+
+
+def _modes(system: Delassus, lam: Array, w: Array, residual: Array, tolerance: float) -> NDArray[np.int64]:
     """Returns the ``ContactMode`` of each contact; what the residual leaves open, or is rounding, is none."""
     small = np.maximum(np.maximum(residual, tolerance)[:, None] * system.unit, system.rho * system.rounding)
     status = np.full(lam.shape[:2], int(ContactMode.STICK))

@@ -1,4 +1,4 @@
-"""The two ways to hand a problem in: with displacements, or in the contacts alone."""
+"""Solves static contact problems given by displacements, or by their Delassus matrix."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from warpcontact.checks import Array
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.unilateral import intake
 from warpcontact.unilateral.delassus import Delassus
-from warpcontact.unilateral.elimination import SingularError, eliminate
+from warpcontact.unilateral.elimination import eliminate, regular
+from warpcontact.unilateral.enumeration import check_size
 from warpcontact.unilateral.methods import check_options, run
 from warpcontact.unilateral.problem import Problem
-from warpcontact.unilateral.solution import Solution, modes
+from warpcontact.unilateral.residual import Judge
+from warpcontact.unilateral.search import Options, search
+from warpcontact.unilateral.solution import Found, Solution, Termination, of_contacts, of_displacements
 
 
 @explain_keywords
@@ -83,20 +86,46 @@ def solve_problem(
 ) -> Solution:
     """Returns a solution of ``problem``."""
     check_options(method, tolerance, iterations, parameter)
-    try:
-        system, u_free, by_contact = eliminate(problem)
-    except SingularError:
-        if method != "enumeration" or problem.count is not None:
-            raise
-        from warpcontact.unilateral.states import first_solution
-
-        return first_solution(problem, tolerance)
-    single, flat = problem.count is None, problem.dim == 1
-    guess = None if initial is None else _guess(initial, system, single, flat)
-    lam, taken = run(system, method, tolerance, iterations, guess, parameter, device)
-    u = u_free - (by_contact @ lam.reshape(system.count, -1, 1))[..., 0]
-    w = problem.targets() - np.einsum("...mdn,...n->...md", problem.G, u)
-    return finish(system, lam, w, u, taken, tolerance, method, problem, single)
+    judge, single, flat = Judge.of(problem), problem.count is None, problem.dim == 1
+    if method == "enumeration":
+        check_size(problem.contacts, problem.dim if np.asarray(problem.mu).any() else 1)
+    count = 1 if problem.count is None else problem.count
+    shape = (problem.contacts, problem.dim)
+    guess = None if initial is None else _guess(initial, (count, *shape), single, flat)
+    if guess is not None and method == "enumeration":
+        raise ValueError("initial: method 'enumeration' has no start")
+    found = Found(
+        np.zeros((count, problem.K.shape[-1])),
+        np.zeros((count, *shape)),
+        np.zeros(count, dtype=np.int64),
+        np.full(count, int(Termination.NOT_CONVERGED)),
+        np.zeros((count, problem.K.shape[-1])),
+    )
+    invertible, ended = regular(problem, judge), np.zeros(count, dtype=bool)
+    which = np.flatnonzero(invertible)
+    if len(which):
+        part = problem if len(which) == count else problem.part(which)
+        system, u_free, by_contact = eliminate(part)
+        start = None if guess is None else guess[which]
+        lam, taken = run(system, method, tolerance, iterations, start, parameter, device)
+        found.lam[which], found.iterations[which] = lam, taken
+        found.u[which] = u_free - (by_contact @ lam.reshape(len(which), -1, 1))[..., 0]
+        judged = system if system.mu.any() else system.normals()
+        ended[which] = judged.residual(lam[..., : judged.dim]) <= tolerance
+    good = invertible & (judge.residual(found.u, found.lam) <= tolerance)
+    found.termination[good] = Termination.CONVERGED
+    options = Options(method, tolerance, iterations, parameter, device)
+    for k in np.flatnonzero(~good):
+        first = (found.u[k], found.lam[k]) if invertible[k] else None
+        start = None if guess is None else guess[k : k + 1]
+        u, lam, result = search(
+            problem.one(int(k)), options, start, first, int(found.iterations[k]), bool(ended[k])
+        )
+        found.u[k], found.lam[k], found.iterations[k] = u, lam, result.number
+        found.termination[k] = result.termination
+        if result.direction is not None:
+            found.direction[k] = result.direction
+    return of_displacements(problem, judge, found, tolerance, method)
 
 
 @explain_keywords
@@ -169,58 +198,19 @@ def solve_delassus(
         np.broadcast_to(right, (problems, *right.shape[-2:])),
         np.atleast_2d(coefficients),
     )
-    guess = None if initial is None else _guess(initial, system, count is None, flat)
+    guess = None if initial is None else _guess(initial, system.q.shape, count is None, flat)
     lam, taken = run(system, method, tolerance, iterations, guess, parameter, device)
-    return finish(system, lam, system.velocity(lam), None, taken, tolerance, method, None, count is None, flat)
+    return of_contacts(system, lam, taken, tolerance, method, count is None, flat or system.dim == 1)
 
 
-def finish(
-    system: Delassus,
-    lam: Array,
-    w: Array,
-    u: Array | None,
-    taken: Array,
-    tolerance: float,
-    method: str,
-    problem: Problem | None,
-    single: bool,
-    flat: bool | None = None,
-) -> Solution:
-    """Returns the solution in the shapes of what was handed in."""
-    judged = system if system.mu.any() else system.normals()
-    residual = judged.residual(lam[..., : judged.dim], w[..., : judged.dim])
-    status = modes(system, lam, w, residual, tolerance)
-    flat = system.dim == 1 if flat is None else flat
-    side = 1.0 if problem is None else -1.0
-    gap, slip = w[..., 0], None if flat else side * w[..., 1:]
-    if flat:
-        lam, w = lam[..., 0], w[..., 0]
-    converged = residual <= tolerance
-    if not single:
-        return Solution(u, lam, w, gap, slip, residual, taken, converged, status, method, problem)
-    return Solution(
-        None if u is None else u[0],
-        lam[0],
-        w[0],
-        gap[0],
-        None if slip is None else slip[0],
-        float(residual[0]),
-        int(taken[0]),
-        bool(converged[0]),
-        status[0],
-        method,
-        problem,
-    )
-
-
-def _guess(initial: ArrayLike, system: Delassus, single: bool, flat: bool) -> Array:
-    """Returns the λ to start from, (problems, m, dim)."""
-    shape = {"m": system.contacts} if flat else {"m": system.contacts, "dim": system.dim}
+def _guess(initial: ArrayLike, wanted: tuple[int, ...], single: bool, flat: bool) -> Array:
+    """Returns the λ to start from, of the shape ``wanted``: (problems, m, dim)."""
+    shape = {"m": wanted[1]} if flat else {"m": wanted[1], "dim": wanted[2]}
     guess = intake.fit("initial", intake.values("initial", initial), shape)
     if single and guess.ndim > len(shape):
         raise ValueError(f"initial must be of shape {tuple(shape.values())}, got shape {guess.shape}")
     if flat:
         guess = guess[..., None]
-    if guess.ndim == 3 and len(guess) != system.count:
-        raise ValueError(f"initial must be of {system.count} problems, got {len(guess)}")
-    return np.broadcast_to(guess, system.q.shape)
+    if guess.ndim == 3 and len(guess) != wanted[0]:
+        raise ValueError(f"initial must be of {wanted[0]} problems, got {len(guess)}")
+    return np.broadcast_to(guess, wanted)

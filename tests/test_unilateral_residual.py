@@ -1,0 +1,96 @@
+"""The residual of static problems: its definition, units, and gaps far smaller than deflections."""
+
+import numpy as np
+import pytest
+
+from warpcontact.unilateral import Problem, solve
+from warpcontact.unilateral.residual import Judge
+
+METHODS = ["projection", "gauss_seidel", "energy", "prox", "enumeration"]
+
+
+def residual(problem, u, lam):
+    """Residual of one problem at given displacements and forces."""
+    lam = np.reshape(np.asarray(lam, dtype=float), (problem.contacts, problem.dim))
+    return Judge.of(problem).residual(np.array([u], dtype=float), lam[None])[0]
+
+
+# A spring of 1000 N/m, 25 N against a wall at 10 mm: u = 0.01 m, λ = 15 N.
+SPRING = Problem(1000.0, 25.0, 1.0, 0.01)
+
+
+def test_gap_violation_is_relative_to_the_length():
+    # Equilibrium holds: K u + λ = f.
+    for off in (1e-3, -1e-3, 1e-9, -1e-9):
+        u = 0.01 + off * 0.01
+        assert residual(SPRING, [u], [25.0 - 1000.0 * u]) == pytest.approx(abs(off), rel=2e-3)
+    # Without a gap the length is the deflection of the spring by load and contact.
+    bare = Problem(1000.0, 25.0, 1.0, 0.0)
+    assert residual(bare, [1e-3], [24.0]) == pytest.approx(1e-3 / 0.049)
+
+
+def test_force_violation_is_relative_to_the_terms_of_equilibrium():
+    # 25 N of load, 10 N of the spring and 15 N of the wall are the terms.
+    assert residual(SPRING, [0.01], [15.0 + 1e-6 * 50.0]) == pytest.approx(1e-6, rel=1e-5)
+    # A wall that pulls with 5 N where the mass would rest at 5 mm.
+    assert residual(Problem(1000.0, 5.0, 1.0, 0.01), [0.01], [-5.0]) == pytest.approx(5.0 / 20.0)
+
+
+def test_friction_violation_is_the_share_outside_of_the_cone_or_against_slip():
+    # Sticks with 4 N of at most 4.5 N; terms across are 4 N of load and of friction.
+    stick = Problem(np.diag([1000.0, 500.0]), [25.0, 4.0], np.eye(2)[None], [0.01], 0.3)
+    assert residual(stick, [0.01, 0.0], [15.0, 4.0]) < 1e-15
+    slip = Problem(np.diag([1000.0, 500.0]), [25.0, 6.0], np.eye(2)[None], [0.01], 0.3)
+    assert residual(slip, [0.01, 0.003], [15.0, 4.5]) < 1e-15
+    # 0.9 N beyond the cone, over 12 N of terms.
+    assert residual(slip, [0.01, 0.0012], [15.0, 5.4]) == pytest.approx(0.9 / 12.0)
+    # Too little friction for that slip: the smaller of 0.5 N over 12 N and the slip over 10 mm.
+    assert residual(slip, [0.01, 0.004], [15.0, 4.0]) == pytest.approx(0.5 / 12.0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("dim", [1, 2])
+def test_result_does_not_depend_on_units(method, dim):
+    # Displacements in mm and rad, mm and degrees; loads in kN.
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(6, 6))
+    K, G, f = 1e5 * (A @ A.T + 0.1 * np.eye(6)), rng.normal(size=(3, dim, 6)), 1e3 * rng.normal(size=6)
+    d, mu = 1e-3 * rng.random(3), 0.3 * (dim > 1)
+    one = solve(K, f, G if dim > 1 else G[:, 0], d, mu, method=method)
+    assert one.converged
+    for length, force in ((1e3, 1e-3), (1e-6, 1e9)):
+        unit = np.array([length, length, length, 1.0, 1.0, 180.0 / np.pi])
+        rows = G * length / unit
+        other = solve(
+            K * force * length / np.outer(unit, unit),
+            f * force * length / unit,
+            rows if dim > 1 else rows[:, 0],
+            d * length,
+            mu,
+            method=method,
+        )
+        assert other.converged
+        np.testing.assert_array_equal(other.status, one.status)
+        np.testing.assert_allclose(other.u / unit, one.u, rtol=1e-6, atol=1e-9 * np.abs(one.u).max())
+        np.testing.assert_allclose(other.lam / force, one.lam, rtol=1e-6, atol=1e-9 * np.abs(one.lam).max())
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_gap_below_the_tolerance_of_the_deflection_is_not_converged(method):
+    # The load would deflect the spring by 1e4 m; the gap is 0.1 m.
+    problem = Problem(1e-4, 1.0, 1.0, 0.1)
+    assert residual(problem, [0.1 + 3.5e-7], [1.0 - 1e-4 * (0.1 + 3.5e-7)]) > 3e-6
+    solution = problem.solve(method)
+    assert solution.converged
+    assert abs(solution.gap[0]) <= 1e-10 * 0.1
+
+
+@pytest.mark.parametrize("method", METHODS[:4])
+def test_residual_is_that_of_the_returned_solution_after_a_cut_search(method):
+    rng = np.random.default_rng(2)
+    A, G = rng.normal(size=(9, 9)), rng.normal(size=(3, 3, 9))
+    problem = Problem(A @ A.T + np.eye(9), 20.0 * G[:, 0].sum(axis=0), G, 0.1 * np.ones(3), 0.4)
+    solution = problem.solve(method, iterations=1, tolerance=1e-12)
+    assert not solution.converged
+    assert solution.residual == pytest.approx(residual(problem, solution.u, solution.lam), rel=1e-12)
+    assert solution.residual > 1e-9

@@ -1,0 +1,172 @@
+"""Motions of a static problem that its stiffness does not resist, and proofs that there is no solution.
+
+With the columns of R a basis of the null space of K, equilibrium needs Rᵀ(f − Gᵀλ) = 0: contacts alone hold the
+load along R. The least squares solution λ in the friction cones either balances it, or leaves p ≠ 0; then the load
+does work along R p and no admissible contact force opposes it. A second least squares problem either finds
+displacements that all gaps permit, or weights y ≥ 0 of the gaps with Gᵀy = 0 and d·y < 0 (Farkas).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.checks import Array
+from warpcontact.unilateral.scaled import Scaled
+
+#: Eigenvalues below this share of the largest are zero.
+ZERO = 1e-13
+# A rest of a least squares problem below this is rounding, in scaled units.
+_REST = 1e-10
+# Tangents of the polygon around the friction cone in space.
+_TANGENTS = 32
+# Displacements of a sparse K whose null space follows from all eigenvalues.
+_DENSE = 1000
+# Shift and steps of the subspace iteration otherwise.
+_SHIFT = 1e-10
+_STEPS = 6
+
+
+def null_space(problem: Scaled, scale: Array) -> Array:
+    """Returns an orthonormal basis of the null space of the scaled K, (n, freedoms).
+
+    Args:
+        problem: The problem.
+        scale: D of ``scaling`` (n,), that of the stiffness, in which eigenvalues of K are compared.
+    """
+    K, n = problem.K, len(problem.f)
+    turn = scale / problem.scale
+    if hasattr(K, "tocsc"):
+        from scipy.sparse import diags_array
+
+        K = diags_array(turn) @ K @ diags_array(turn)
+        basis = _sparse_null_space(K) if n > _DENSE else _dense_null_space(K.toarray())
+    else:
+        basis = _dense_null_space(turn[:, None] * K * turn)
+    return np.asarray(np.linalg.qr(turn[:, None] * basis)[0])
+
+
+def _dense_null_space(K: Array) -> Array:
+    sizes, vectors = np.linalg.eigh(K)
+    return np.asarray(vectors[:, np.abs(sizes) <= ZERO * np.abs(sizes).max()])
+
+
+def _sparse_null_space(K: Any) -> Array:
+    from scipy.sparse import eye_array
+    from scipy.sparse.linalg import splu
+
+    n = K.shape[0]
+    factors = splu((K + _SHIFT * eye_array(n)).tocsc())
+    size = float(abs(K).max())
+    count = 8
+    while True:
+        basis = np.linalg.qr(np.random.default_rng(0).normal(size=(n, min(count, n))))[0]
+        for _ in range(_STEPS):
+            basis = np.linalg.qr(factors.solve(basis))[0]
+        sizes, turn = np.linalg.eigh(basis.T @ (K @ basis))
+        zero = np.abs(sizes) <= 1e-12 * size
+        if not zero.all() or count >= n:
+            return np.asarray((basis @ turn)[:, zero])
+        count *= 2
+
+
+def unopposed(problem: Scaled, free: Array) -> Array | None:
+    """Returns a motion (n,) in ``free`` along which the load acts, and which no contact opposes, or None."""
+    if not free.shape[1]:
+        return None
+    load = free.T @ problem.f
+    pushes = _edges(problem) @ free
+    lengths = np.linalg.norm(pushes, axis=1)
+    pushes = pushes[lengths > _REST] / lengths[lengths > _REST, None]
+    rest = load - pushes.T @ _nonnegative(pushes.T, load)
+    if np.linalg.norm(rest) <= _REST * np.linalg.norm(problem.f):
+        return None
+    return np.asarray(free @ rest / np.linalg.norm(rest))
+
+
+def _edges(problem: Scaled) -> Array:
+    """Returns generalized forces −Gᵀλ (edges, n), turned over, whose sums are all that the contacts can exert.
+
+    In space they span a polygonal cone around the cone of friction.
+    """
+    if problem.dim == 1:
+        return problem.G[:, 0]
+    if problem.dim == 2:
+        across = np.array([[-1.0], [1.0]])
+    else:
+        angles = 2.0 * np.pi * np.arange(_TANGENTS) / _TANGENTS
+        across = np.stack([np.cos(angles), np.sin(angles)], axis=1) / np.cos(np.pi / _TANGENTS)
+    # Divided by √(1 + μ²), for strong friction.
+    cos = 1.0 / np.hypot(1.0, problem.mu)
+    normal = cos[:, None] * problem.G[:, 0]
+    tangents = (cos * problem.mu)[:, None, None] * np.einsum("ta,man->mtn", across, problem.G[:, 1:])
+    return np.asarray((normal[:, None] + tangents).reshape(-1, problem.G.shape[2]))
+
+
+def leaves_no_room(problem: Scaled) -> bool:
+    """Returns whether no displacements keep all gaps open or closed."""
+    rows, gaps = problem.G[:, 0], problem.targets[:, 0]
+    if not (gaps < 0.0).any():
+        return False
+    lengths = np.linalg.norm(rows, axis=1)
+    fixed = lengths <= _REST
+    if (gaps[fixed] < 0.0).any():
+        return True
+    rows, gaps = rows[~fixed] / lengths[~fixed, None], gaps[~fixed] / lengths[~fixed]
+    matrix = np.vstack([rows.T, gaps / np.abs(gaps).max()])
+    goal = np.append(np.zeros(rows.shape[1]), -1.0)
+    return bool(np.linalg.norm(goal - matrix @ _nonnegative(matrix, goal)) <= _REST)
+
+
+def loose(problem: Scaled, free: Array, u: Array, lam: Array, tolerance: float) -> Array | None:
+    """Returns a motion (n,) in ``free`` that changes no force of a solution, None if u is the only one.
+
+    Closed contacts that press stay closed, those that carry nothing may open, sticking ones stick, and slipping
+    ones slip along the same line.
+    """
+    if not free.shape[1]:
+        return None
+    scales, w = problem.scales(u, lam), problem.targets - problem.G @ u
+    near = np.maximum(10.0 * tolerance * scales.length[0], scales.rounding[0])
+    presses = lam[:, 0] > 10.0 * tolerance * scales.force[0]
+    grazes = ~presses & (w[:, 0] <= near)
+    held = [problem.G[presses, 0] @ free]
+    for i in np.flatnonzero(presses & (problem.mu > 0.0)) if problem.dim > 1 else []:
+        across, slip = problem.G[i, 1:] @ free, np.linalg.norm(w[i, 1:])
+        if slip > near[i]:
+            e = w[i, 1:] / slip
+            across = across - np.outer(e, e @ across)
+        held.append(across)
+    motions = free @ _kernel(np.concatenate(held))
+    if not motions.shape[1]:
+        return None
+    rows = problem.G[grazes, 0] @ motions
+    lengths = np.linalg.norm(rows, axis=1)
+    rows = rows[lengths > _REST] / lengths[lengths > _REST, None]
+    fixed = _kernel(rows)
+    if fixed.shape[1]:
+        return np.asarray(motions @ fixed[:, 0])
+    # Without a motion that opens some of these and closes none, weights of at least 1 balance (Stiemke).
+    pull = rows.sum(axis=0)
+    rest = -pull - rows.T @ _nonnegative(rows.T, -pull)
+    size = np.linalg.norm(rest)
+    return np.asarray(motions @ rest / size) if size > _REST * max(1, len(rows)) else None
+
+
+def _kernel(rows: Array) -> Array:
+    """Returns an orthonormal basis of what all ``rows`` take to zero."""
+    n = rows.shape[1]
+    if not len(rows) or not n:
+        return np.eye(n)
+    _, sizes, right = np.linalg.svd(rows)
+    rank = int((sizes > _REST * max(sizes.max(initial=0.0), 1.0)).sum())
+    return np.asarray(right[rank:].T)
+
+
+def _nonnegative(matrix: Array, goal: Array) -> NDArray[np.float64]:
+    """Returns x ≥ 0 with the least |matrix x − goal|."""
+    from scipy.optimize import nnls
+
+    if not matrix.shape[1]:
+        return np.zeros(0)
+    return np.asarray(nnls(matrix, goal, maxiter=30 * (sum(matrix.shape) + 10))[0])

@@ -1,0 +1,133 @@
+"""Solutions of static problems to rounding: Newton's method in displacements and forces, from near a solution."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from warpcontact.checks import Array
+from warpcontact.unilateral.scaled import Scaled
+
+# Steps: few are needed from near a solution; further ones refine against rounding.
+_STEPS = 12
+# Residual that further steps do not improve, and one below which a step that does not halve it is the last.
+_ROUNDING = 1e-15
+_FINE = 1e-12
+# Pivots below this share of the largest are zero: contacts that share a force, displacements that nothing holds.
+_SINGULAR = 1e-12
+# Unknowns of a dense system.
+_DENSE = 3000
+
+
+def polish(problem: Scaled, u: Array, lam: Array) -> tuple[Array, Array, float]:
+    """Returns displacements (n,), forces (contacts, dim) and their residual, no larger than before.
+
+    Each step solves K u + Gᵀλ = f with the equations of the state of each contact, open, closed, sticking or
+    slipping, linearized. In a singular system it is the smallest change. A step computes its right side from u and
+    λ themselves, so that steps refine each other.
+    """
+    best_u, best_lam, least = u, lam, problem.residual(u, lam)
+    for _ in range(_STEPS):
+        change = _step(problem, u, lam)
+        if change is None:
+            break
+        u, lam = u + change[0], lam + change[1]
+        inside, before = _into_cone(problem.mu, lam), least
+        found = problem.residual(u, inside)
+        if found < least:
+            best_u, best_lam, least = u, inside, found
+        if least <= _ROUNDING or (before <= _FINE and found > 0.5 * before):
+            break
+    return best_u, best_lam, least
+
+
+def _step(problem: Scaled, u: Array, lam: Array) -> tuple[Array, Array] | None:
+    """Returns the changes of u and λ of a step of Newton's method, None if there is no system to be solved."""
+    n, dim = len(u), problem.dim
+    scales = problem.scales(u, lam)
+    rho = scales.force[0] / scales.length[0]
+    w = problem.targets - problem.G @ u
+    z = lam - rho[:, None] * w
+    closed = np.flatnonzero(z[:, 0] > 0.0)
+    change = -lam
+    rows = problem.G[closed].reshape(len(closed) * dim, n)
+    A, B, right = _law(problem, lam, w, z, rho, closed)
+    off = problem.f - problem.K @ u - problem.flat().T @ lam.reshape(-1)
+    # The forces of open contacts vanish.
+    is_open = np.ones(problem.contacts, dtype=bool)
+    is_open[closed] = False
+    off = off + problem.G[is_open].reshape(-1, n).T @ lam[is_open].reshape(-1)
+    wanted = np.concatenate([off, right.reshape(-1)])
+    if not (np.isfinite(wanted).all() and np.isfinite(A).all() and np.isfinite(B).all()):
+        return None
+    x = _solve(problem.K, rows, A, B, wanted)
+    if x is None or not np.isfinite(x).all():
+        return None
+    change[closed] = x[n:].reshape(len(closed), dim)
+    return x[:n], change
+
+
+def _law(
+    problem: Scaled, lam: Array, w: Array, z: Array, rho: Array, closed: NDArray[np.intp]
+) -> tuple[Array, Array, Array]:
+    """Returns the linearized laws of closed contacts, A G Δu + B Δλ = right, in blocks (closed, dim, dim).
+
+    The law is λ = (z_n, the point nearest to z_t of the disk of radius μ z_n), z = λ − ρ w. Rows without λ are
+    divided by ρ.
+    """
+    dim, count = problem.dim, len(closed)
+    lam, w, z, rho, mu = lam[closed], w[closed], z[closed], rho[closed], problem.mu[closed]
+    A, B, right = np.zeros((count, dim, dim)), np.zeros((count, dim, dim)), np.zeros((count, dim))
+    A[:, 0, 0], right[:, 0] = 1.0, w[:, 0]
+    if dim == 1:
+        return A, B, right
+    radius, across = mu * z[:, 0], np.linalg.norm(z[:, 1:], axis=1)
+    stick = across <= radius
+    A[stick, 1:, 1:], right[stick, 1:] = np.eye(dim - 1), w[stick, 1:]
+    for k in np.flatnonzero(~stick):
+        e = z[k, 1:] / across[k]
+        # λ_t − μ z_n e(z_t) = 0 with the derivative of e.
+        turn = radius[k] / across[k] * (np.eye(dim - 1) - np.outer(e, e))
+        B[k, 1:, 1:] = np.eye(dim - 1) - turn
+        B[k, 1:, 0] = -mu[k] * e
+        A[k, 1:, 1:] = -rho[k] * turn
+        A[k, 1:, 0] = -rho[k] * mu[k] * e
+        right[k, 1:] = -(lam[k, 1:] - radius[k] * e)
+        size = max(1.0, mu[k], rho[k], rho[k] * mu[k])
+        A[k, 1:], B[k, 1:], right[k, 1:] = A[k, 1:] / size, B[k, 1:] / size, right[k, 1:] / size
+    return A, B, right
+
+
+def _solve(K: Any, rows: Array, A: Array, B: Array, right: Array) -> Array | None:
+    """Returns the smallest solution of [[K, rowsᵀ], [A rows, B]] x = right, None if a large one is singular."""
+    count, dim = A.shape[:2]
+    n, held = rows.shape[1], len(rows)
+    lower = (A @ rows.reshape(count, dim, n)).reshape(held, n)
+    if hasattr(K, "tocsc") and n + held > _DENSE:
+        from scipy.sparse import block_array, block_diag, csc_array
+        from scipy.sparse.linalg import splu
+
+        blocks = block_diag(list(B), format="csc") if count else None
+        matrix = block_array([[K, csc_array(rows.T)], [csc_array(lower), blocks]], format="csc") if count else K
+        try:
+            return np.asarray(splu(matrix).solve(right))
+        except RuntimeError:
+            return None
+    from scipy.linalg import lstsq
+
+    matrix = np.zeros((n + held, n + held))
+    matrix[:n, :n] = K.toarray() if hasattr(K, "tocsc") else K
+    matrix[:n, n:], matrix[n:, :n] = rows.T, lower
+    k = np.arange(held).reshape(count, dim)
+    matrix[n + k[:, :, None], n + k[:, None, :]] = B
+    return np.asarray(lstsq(matrix, right, cond=_SINGULAR, lapack_driver="gelsy")[0])
+
+
+def _into_cone(mu: Array, lam: Array) -> Array:
+    """Returns forces with pressing normals and friction of at most μ times these."""
+    lam = lam.copy()
+    lam[:, 0] = np.maximum(lam[:, 0], 0.0)
+    across = np.linalg.norm(lam[:, 1:], axis=1)
+    share = np.minimum(1.0, mu * lam[:, 0] / np.where(across > 0.0, across, 1.0))
+    lam[:, 1:] *= share[:, None]
+    return lam

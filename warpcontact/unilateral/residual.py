@@ -1,0 +1,211 @@
+"""Residual of static contact problems in displacements, and the lengths and forces that it is relative to.
+
+``Judge`` takes displacements u and forces λ from any method. The residual is the largest of three violations, each
+without unit: of equilibrium, row by row; of the gaps and slips, relative to the lengths of the problem; of the
+forces, relative to the terms of the equilibrium that they enter. ``docs/unilateral.md`` has the formulas.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.unilateral.delassus import length
+
+if TYPE_CHECKING:
+    from warpcontact.unilateral.problem import Problem
+
+EPS = float(np.finfo(np.float64).eps)
+#: Roundings of d, G u and their difference.
+ROUNDINGS = 16.0 * EPS
+# An entry of G below this share of the largest of its contact, in scaled units, is rounding of zero.
+_NO_ENTRY = 1e-6
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Lengths and forces that the residual of each problem is relative to.
+
+    Attributes:
+        length: Length of gaps and slips, (problems,).
+        force: Force of each contact, (problems, contacts).
+        rounding: Rounding of gaps and slips, (problems, contacts).
+    """
+
+    length: Array
+    force: Array
+    rounding: Array
+
+
+class Judge:
+    """Residual of problems K u + Gᵀλ = f with gaps and slips in targets − G u.
+
+    Every array has one more axis, the first: of all problems, or of length 1 if they share it.
+
+    Args:
+        K: Stiffness (1 or problems, n, n), or a sparse (n, n).
+        f: Load (…, n).
+        G: Rows of the contacts (…, contacts, dim, n).
+        targets: Gaps and tangential displacements at rest (…, contacts, dim).
+        mu: Coefficients of friction (…, contacts).
+    """
+
+    def __init__(self, K: Any, f: Array, G: Array, targets: Array, mu: Array) -> None:
+        self.K, self.f, self.targets, self.mu = K, f, targets, mu
+        # Without friction the tangents carry nothing.
+        self.dim = G.shape[-2] if mu.any() else 1
+        self.G, self.targets = G[..., : self.dim, :], targets[..., : self.dim]
+        self.scale, _ = scaling(K, f, self.G, self.targets)
+        self._sizes = abs(K), np.abs(self.G)
+
+    @staticmethod
+    def of(problem: "Problem") -> "Judge":
+        """Returns the judge of one problem or of all."""
+        K, n = problem.K, problem.K.shape[-1]
+        G, targets = np.asarray(problem.G), problem.targets()
+        return Judge(
+            K if hasattr(K, "tocsc") else K.reshape(-1, n, n),
+            np.asarray(problem.f).reshape(-1, n),
+            G if G.ndim == 4 else G[None],
+            targets if targets.ndim == 3 else targets[None],
+            np.atleast_2d(problem.mu),
+        )
+
+    def residual(self, u: Array, lam: Array) -> Array:
+        """Returns the residual (problems,) of u (problems, n) and λ (problems, contacts, dim)."""
+        lam = lam[..., : self.dim]
+        with np.errstate(over="ignore", invalid="ignore"):
+            terms, load, held = self._terms(u, lam)
+            off = np.abs(_times(self.K, u) + _forces(self.G, lam) - self.f)
+            allowed = self._row_rounding(terms)
+            found = _share(np.maximum(off - allowed, 0.0), terms).max(axis=1)
+            # Forces far beyond the load hide it in their rounding.
+            hidden = EPS * (self.scale * held).max(axis=1)
+            found = np.maximum(found, _share(hidden, (self.scale * load).max(axis=1)))
+            if lam.shape[1]:
+                found = np.maximum(found, self._of_law(u, lam).max(axis=1))
+        return np.where(np.isfinite(found), found, np.inf)
+
+    def scales(self, u: Array, lam: Array) -> Scales:
+        """Returns the scales at displacements and forces."""
+        lam = lam[..., : self.dim]
+        terms, _, held = self._terms(u, lam)
+        size = self._sizes[1]
+        moved = _rows(self.G, u)
+        rounding = ROUNDINGS * (np.abs(self.targets) + _rows(size, np.abs(u))).max(axis=-1)
+        given = np.maximum(_largest(self.targets), np.zeros(len(u)))
+        own = np.maximum(given, _largest(moved))
+        diagonal = np.abs(_diagonal(self.K))
+        springs = _share(np.abs(self.f) + held, np.broadcast_to(diagonal, terms.shape))
+        deflection = np.maximum(_rows(size, springs).max(axis=(1, 2), initial=0.0), 0.0)
+        # A problem without gaps has no length but this one.
+        lengths = np.where(given == 0.0, np.maximum(own, deflection), own)
+        return Scales(np.where(lengths > 0.0, lengths, 1.0), self._force(terms), rounding)
+
+    def _terms(self, u: Array, lam: Array) -> tuple[Array, Array, Array]:
+        """Returns the sums of the magnitudes of all terms of equilibrium, of load and springs, and of contacts."""
+        load = np.abs(self.f) + _times(self._sizes[0], np.abs(u))
+        held = _forces(self._sizes[1], np.abs(lam))
+        return load + held, load, held
+
+    def _row_rounding(self, terms: Array) -> Array:
+        """Returns what equations in comparable units leave in each row."""
+        return 4.0 * EPS * (self.scale * terms).max(axis=1, keepdims=True) / self.scale
+
+    def _force(self, terms: Array) -> Array:
+        """Returns for each contact the least force that is as large as the terms of a row that it enters."""
+        rows = np.maximum(terms, self._row_rounding(terms))
+        entries = self._sizes[1].max(axis=-2)
+        force = np.empty((len(terms), entries.shape[1]))
+        for i in range(entries.shape[1]):
+            scaled = entries[:, i] * self.scale
+            counts = scaled > _NO_ENTRY * scaled.max(axis=1, keepdims=True)
+            force[:, i] = np.where(counts, rows / np.where(counts, entries[:, i], 1.0), np.inf).min(axis=1)
+        usual = np.where(np.isfinite(force), force, 0.0).max(axis=1, initial=0.0)[:, None]
+        force = np.where(np.isfinite(force) & (force > 0.0), force, usual)
+        return np.where(force > 0.0, force, 1.0)
+
+    def _of_law(self, u: Array, lam: Array) -> Array:
+        """Returns the violation of the law of each contact, (problems, contacts)."""
+        scales = self.scales(u, lam)
+        own, force, rounding = scales.length[:, None], scales.force, scales.rounding
+        w = self.targets - _rows(self.G, u)
+        gap = np.sign(w[..., 0]) * np.maximum(np.abs(w[..., 0]) - rounding, 0.0)
+        found = np.abs(np.minimum(lam[..., 0] / force, gap / own))
+        if self.dim > 1:
+            slip = length(w[..., 1:])
+            # Friction acts along the displacement since rest, −w_t.
+            direction = -w[..., 1:] / np.where(slip > 0.0, slip, 1.0)[..., None]
+            limit = self.mu * np.maximum(lam[..., 0], 0.0)
+            found = np.maximum(found, (length(lam[..., 1:]) - limit) / force)
+            off = length(lam[..., 1:] - limit[..., None] * direction)
+            found = np.maximum(found, np.minimum(off / force, np.maximum(slip - rounding, 0.0) / own))
+        return np.asarray(found, dtype=np.float64)
+
+
+def scaling(K: Any, f: Array, G: Array, targets: Array, loaded: bool = False) -> tuple[Array, Array]:
+    """Returns D (…, n) that brings displacements u = D v into one unit, and a stiffness of the contacts (…,).
+
+    Rows and columns of D K D and √ρ G D are at most of order 1: D is 1/√(diagonal of K + ρ Σ G²), with ρ the
+    largest stiffness of a displacement that contacts see, or without stiffness the load over the gaps; the larger
+    of both if ``loaded``. All are powers of two, so that scaling rounds nothing.
+    """
+    diagonal, seen = np.abs(_diagonal(K)), (G**2).sum(axis=(-3, -2))
+    has = seen > 0.0
+    rho = np.where(has, diagonal / np.where(has, seen, 1.0), 0.0).max(axis=-1)
+    pushed = np.where(has, np.abs(f) / np.sqrt(np.where(has, seen, 1.0)), 0.0).max(axis=-1)
+    opened = _largest(targets)
+    over = np.where(opened > 0.0, pushed / np.where(opened > 0.0, opened, 1.0), 0.0)
+    rho = np.maximum(rho, over) if loaded else np.where(rho > 0.0, rho, over)
+    rho = _power_of_two(np.where(rho > 0.0, rho, 1.0))
+    size = diagonal + rho[..., None] * seen
+    # What neither has a stiffness nor a contact of its own takes that of its neighbors.
+    largest = abs(K).max(axis=-1)
+    largest = np.asarray(largest.toarray() if hasattr(largest, "tocsc") else largest).reshape(-1, size.shape[-1])
+    size = np.where(size > 0.0, size, largest)
+    return _power_of_two(1.0 / np.sqrt(np.where(size > 0.0, size, 1.0))), rho
+
+
+def _power_of_two(values: Array) -> Array:
+    return np.exp2(np.round(np.log2(values)))
+
+
+def _diagonal(K: Any) -> Array:
+    if hasattr(K, "tocsc"):
+        return np.asarray(K.diagonal())[None]
+    return np.diagonal(K, axis1=-2, axis2=-1)
+
+
+def _times(K: Any, u: Array) -> Array:
+    """Returns K u of each problem."""
+    if hasattr(K, "tocsc"):
+        return np.asarray((K @ u.T).T)
+    return np.asarray(u @ K[0]) if len(K) == 1 else (K @ u[..., None])[..., 0]
+
+
+def _rows(G: Array, u: Array) -> Array:
+    """Returns G u, (problems, contacts, dim)."""
+    rows = _flat(G)
+    moved = u @ rows[0].T if len(G) == 1 else (rows @ u[..., None])[..., 0]
+    return np.asarray(moved.reshape(len(u), *G.shape[1:3]))
+
+
+def _forces(G: Array, lam: Array) -> Array:
+    """Returns Gᵀλ, (problems, n)."""
+    rows, flat = _flat(G), lam.reshape(len(lam), G.shape[1] * G.shape[2])
+    return np.asarray(flat @ rows[0] if len(G) == 1 else (flat[:, None] @ rows)[:, 0])
+
+
+def _flat(G: Array) -> Array:
+    return G.reshape(len(G), G.shape[1] * G.shape[2], G.shape[3])
+
+
+def _largest(vectors: Array) -> Array:
+    """Returns the largest normal or tangential component (…, contacts, dim) of each problem."""
+    normal = np.abs(vectors[..., 0]).max(axis=-1, initial=0.0)
+    return np.maximum(normal, length(vectors[..., 1:]).max(axis=-1, initial=0.0))
+
+
+def _share(part: Array, whole: Array) -> Array:
+    return np.where(whole > 0.0, part / np.where(whole > 0.0, whole, 1.0), 0.0)

@@ -1,0 +1,213 @@
+"""Single static problems that elimination alone does not solve: singular or ill-conditioned K, failed methods."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warpcontact.checks import Array
+from warpcontact.unilateral import methods
+from warpcontact.unilateral.elimination import SingularError, eliminate
+from warpcontact.unilateral.freedom import leaves_no_room, loose, null_space, unopposed
+from warpcontact.unilateral.polish import polish
+from warpcontact.unilateral.problem import Problem
+from warpcontact.unilateral.residual import Judge
+from warpcontact.unilateral.scaled import Scaled
+from warpcontact.unilateral.solution import Termination
+from warpcontact.unilateral.states import candidates, solutions
+
+# Stiffness that each proximal step adds, over that of the displacement and its contacts, for a method that solves
+# linear systems and for others; least stiffness; the most steps.
+_ADDED_DIRECT = 1e-6
+_ADDED = 1e-3
+_LEAST_ADDED = 1e-9
+_STEPS = 40
+# Factor on it if the method does not converge in a step, twice at most.
+_STIFFER = 30.0
+# Most Newton steps of a proximal step, without friction and with it.
+_NEWTON_STEPS = (50, 120)
+# Scaled displacements beyond which steps diverge.
+_FARTHEST = 1e12
+# Most states of the contacts that method "projection" goes through where Newton's method fails, and displacements.
+_FEW_STATES = 4096
+_FEW_DISPLACEMENTS = 100
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a method, checked."""
+
+    method: str
+    tolerance: float
+    iterations: int | None
+    parameter: float | None
+    device: str
+
+
+@dataclass
+class Result:
+    """Result of a single problem, in scaled units.
+
+    Attributes:
+        u: Displacements (n,).
+        lam: Forces (contacts, dim).
+        residual: Their residual.
+        number: Iterations.
+        termination: Result of the search.
+        direction: Motion (n,) along which it is unbounded or not unique.
+    """
+
+    u: Array
+    lam: Array
+    residual: float
+    number: int
+    termination: Termination = Termination.NOT_CONVERGED
+    direction: Array | None = None
+
+
+def search(
+    problem: Problem,
+    options: Options,
+    guess: Array | None,
+    start: tuple[Array, Array] | None,
+    taken: int,
+    ended: bool,
+) -> tuple[Array, Array, Result]:
+    """Returns displacements (n,), forces (contacts, dim), and the result of a single problem.
+
+    Args:
+        problem: The problem.
+        options: Options of the method.
+        guess: Forces to start from, or None for zero.
+        start: Displacements and forces that the method found by elimination, None if K is singular.
+        taken: Iterations of the method up to there.
+        ended: Whether the method converged by its own measure.
+    """
+    scaled = Scaled.of(problem)
+    singular = start is None
+    n, contacts = len(scaled.f), scaled.contacts
+    if start is None:
+        u, lam = np.zeros(n), np.zeros((contacts, scaled.dim))
+    else:
+        u, lam = scaled.into(*start)
+    result = Result(u, lam, scaled.residual(u, lam), taken)
+    free = null_space(scaled, Judge.of(problem).scale[0]) if singular else np.zeros((n, 0))
+    cut = options.iterations is not None and not ended
+    if not singular and not cut:
+        _improve(scaled, result, u, lam)
+    if result.residual > options.tolerance:
+        _without_solution(scaled, free, result)
+    if result.termination == Termination.NOT_CONVERGED and result.residual > options.tolerance:
+        few = (2 * scaled.dim) ** contacts <= _FEW_STATES and scaled.dim < 3 and n <= _FEW_DISPLACEMENTS
+        if options.method == "enumeration":
+            _by_states(scaled, result, options.tolerance, singular)
+        else:
+            if singular or ended:
+                _by_proximal_steps(problem, scaled, result, options, guess)
+            if result.residual > options.tolerance and options.method == "projection" and few and not cut:
+                _by_states(scaled, result, options.tolerance, singular)
+    if result.residual <= options.tolerance:
+        result.termination = Termination.CONVERGED
+        result.direction = loose(scaled, free, result.u, result.lam, options.tolerance)
+        if result.direction is not None:
+            result.termination = Termination.NOT_UNIQUE
+    if result.direction is not None:
+        motion = scaled.scale * result.direction
+        result.direction = motion / np.abs(motion).max()
+    return *scaled.out_of(result.u, result.lam), result
+
+
+def _improve(scaled: Scaled, result: Result, u: Array, lam: Array) -> None:
+    """Polishes displacements and forces, and stores them if they have a smaller residual."""
+    u, lam, residual = polish(scaled, u, lam)
+    if residual <= result.residual:
+        result.u, result.lam, result.residual = u, lam, residual
+
+
+def _without_solution(scaled: Scaled, free: Array, result: Result) -> None:
+    """Stores the proof that there is no solution, if one is found."""
+    if leaves_no_room(scaled):
+        result.termination = Termination.INFEASIBLE
+        return
+    result.direction = unopposed(scaled, free)
+    if result.direction is not None:
+        result.termination = Termination.UNBOUNDED
+
+
+def _by_states(scaled: Scaled, result: Result, tolerance: float, singular: bool) -> None:
+    """Stores the first state of the contacts that is a solution, or the one of least residual."""
+    state = next(solutions(scaled, tolerance), None)
+    if state is None:
+        # In a singular state one of many displacements or forces was checked.
+        rank = np.linalg.matrix_rank(scaled.flat()) if scaled.contacts else 0
+        complete = scaled.dim == 1 or (not singular and rank == scaled.contacts * scaled.dim)
+        if complete:
+            result.termination = Termination.NO_SOLUTION
+        state = min(candidates(scaled), key=lambda one: one.residual)
+        result.number += (2 * scaled.dim) ** scaled.contacts
+    else:
+        result.number += state.number
+    if state.residual <= result.residual:
+        result.u, result.lam, result.residual = state.u, state.lam, state.residual
+
+
+def _by_proximal_steps(
+    problem: Problem, scaled: Scaled, result: Result, options: Options, guess: Array | None
+) -> None:
+    """Repeats proximal steps: solves (K + δ) u' + Gᵀλ = f + δ u with the method, and continues from u = u'.
+
+    Without friction and with K positive semidefinite these steps converge to a solution if there is one
+    (Rockafellar, 1976). Each is polished, which ends them once the state of the contacts is right.
+    """
+    near, u, f = problem.one(0), np.zeros(len(scaled.f)), np.asarray(problem.f)
+    share, tried, stiffer = _added(scaled, options.method), None, 2
+    for _ in range(_STEPS):
+        left = None if options.iterations is None else options.iterations - result.number
+        if left is not None and left <= 0:
+            return
+        if options.method == "projection":
+            # Newton steps that need more cycle.
+            most = _NEWTON_STEPS[scaled.dim > 1]
+            left = most if left is None else min(left, most)
+        added = share / scaled.scale**2
+        near.K, near.f = _with_diagonal(problem.K, added), f + added * u
+        try:
+            system, u_free, by_contact = eliminate(near)
+        except SingularError:
+            return
+        lam, taken = methods.run(
+            system, options.method, options.tolerance, left, guess, options.parameter, options.device
+        )
+        result.number += int(taken[0])
+        judged = system if system.mu.any() else system.normals()
+        reached = judged.residual(lam[..., : judged.dim])[0]
+        new = u_free[0] - by_contact[0] @ lam.reshape(-1)
+        now = scaled.into(new, lam[0])
+        if reached <= options.tolerance and np.abs(now[0]).max() < _FARTHEST:
+            u, guess, state = new, lam, (lam[0, :, 0] > 0.0).tobytes()
+            # Without friction, the same closed contacts lead to the same solution.
+            if scaled.dim > 1 or state != tried:
+                _improve(scaled, result, *now)
+            tried = state
+            if result.residual <= options.tolerance:
+                return
+        elif stiffer:
+            # Shorter steps are easier for the method.
+            share, stiffer = _STIFFER * share, stiffer - 1
+        else:
+            return
+
+
+def _added(scaled: Scaled, method: str) -> float:
+    """Returns the added stiffness, with which the load still moves what nothing else holds across the gaps."""
+    load, gap = np.abs(scaled.f).max(), np.abs(scaled.targets).max(initial=0.0)
+    share = _ADDED_DIRECT if method == "projection" else _ADDED
+    return float(np.clip(0.01 * load / gap, _LEAST_ADDED, share)) if gap > 0.0 else share
+
+
+def _with_diagonal(K: Any, added: Array) -> Any:
+    if hasattr(K, "tocsc"):
+        from scipy.sparse import diags_array
+
+        return (K + diags_array(added)).tocsc()
+    return K + np.diag(added)
