@@ -165,21 +165,35 @@ def test_free_block_is_held_by_friction_in_space(method):
     assert solution.status[0] == wc.ContactMode.STICK
 
 
-@pytest.mark.parametrize("method", METHODS[:4])
-def test_free_chain_held_by_walls_at_both_ends(method):
-    # Springs in series share a load between walls like a lever.
-    n, at = 40, 5
+def free_chain(n, stiffness=1e5):
+    """Stiffness of n masses in a row with springs between them, and rows of walls at both ends."""
     ends = np.r_[1.0, 2.0 * np.ones(n - 2), 1.0]
-    K = 1e5 * sparse.diags_array([-np.ones(n - 1), ends, -np.ones(n - 1)], offsets=[-1, 0, 1])
+    K = stiffness * sparse.diags_array([-np.ones(n - 1), ends, -np.ones(n - 1)], offsets=[-1, 0, 1])
     G = np.zeros((2, n))
     G[[0, 1], [0, -1]] = 1.0
-    f = np.zeros(n)
-    f[at] = 10.0
-    for matrix in (K.tocsc(), K.toarray()):
-        solution = solve(matrix, f, G, [0.1, 0.1], method=method)
+    return K.tocsc(), G
+
+
+@pytest.mark.parametrize("method", METHODS[:4])
+@pytest.mark.parametrize("n", [40, 200])
+def test_free_chain_held_by_walls_at_both_ends(method, n):
+    # Springs in series share a load between walls like a lever. At each end are two walls, in the same place.
+    K, G = free_chain(n)
+    at = 5
+    f = 10.0 * np.eye(n)[at]
+    expected = np.array([n - 1 - at, at]) * 10.0 / (n - 1)
+    for matrix in (K, K.toarray()):
+        solution = solve(matrix, f, np.vstack([G, G]), 0.1 * np.ones(4), method=method)
         assert solution.termination == Termination.CONVERGED
-        np.testing.assert_allclose(solution.lam, [10.0 * (n - 1 - at) / (n - 1), 10.0 * at / (n - 1)], rtol=1e-9)
+        np.testing.assert_allclose(solution.lam.reshape(2, 2).sum(axis=0), expected, rtol=1e-9)
         np.testing.assert_allclose(solution.gap, 0.0, atol=1e-14)
+
+
+def test_long_free_chain_pulled_off_its_walls_is_unbounded():
+    K, G = free_chain(1200)
+    solution = solve(K, -10.0 * np.eye(1200)[5], G, [0.1, 0.1])
+    assert solution.termination == Termination.UNBOUNDED
+    np.testing.assert_allclose(solution.direction, -1.0, rtol=1e-9)
 
 
 def test_many_problems_are_each_solved_as_alone():

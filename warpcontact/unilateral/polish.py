@@ -1,5 +1,6 @@
 """Solutions of static problems to rounding: Newton's method in displacements and forces, from near a solution."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,17 @@ _ROUNDING = 1e-15
 _FINE = 1e-12
 # Pivots below this share of the largest are zero: contacts that share a force, displacements that nothing holds.
 _SINGULAR = 1e-12
-# Unknowns of a dense system.
-_DENSE = 3000
+# Most unknowns of a system that is solved by orthogonal factors; shift and refinements of larger ones.
+_SMALL = 150
+_SHIFT = 1e-8
+_REFINEMENTS = 3
 
 
 def polish(problem: Scaled, u: Array, lam: Array) -> tuple[Array, Array, float]:
     """Returns displacements (n,), forces (contacts, dim) and their residual, no larger than before.
 
     Each step solves K u + Gᵀλ = f with the equations of the state of each contact, open, closed, sticking or
-    slipping, linearized. In a singular system it is the smallest change. A step computes its right side from u and
+    slipping, linearized. In a singular system it is a small change. A step computes its right side from u and
     λ themselves, so that steps refine each other.
     """
     best_u, best_lam, least = u, lam, problem.residual(u, lam)
@@ -99,28 +102,48 @@ def _law(
 
 
 def _solve(K: Any, rows: Array, A: Array, B: Array, right: Array) -> Array | None:
-    """Returns the smallest solution of [[K, rowsᵀ], [A rows, B]] x = right, None if a large one is singular."""
+    """Returns a small solution of [[K, rowsᵀ], [A rows, B]] x = right, None if it is not found.
+
+    A large matrix is shifted by ε, upwards in the first block and downwards in the second, so that it is regular;
+    the shift is taken back by refinement.
+    """
     count, dim = A.shape[:2]
     n, held = rows.shape[1], len(rows)
     lower = (A @ rows.reshape(count, dim, n)).reshape(held, n)
-    if hasattr(K, "tocsc") and n + held > _DENSE:
-        from scipy.sparse import block_array, block_diag, csc_array
+    shift = np.append(np.full(n, _SHIFT), np.full(held, -_SHIFT))
+    if hasattr(K, "tocsc") and n + held > _SMALL:
+        from scipy.sparse import block_array, block_diag, csc_array, diags_array
         from scipy.sparse.linalg import splu
 
-        blocks = block_diag(list(B), format="csc") if count else None
-        matrix = block_array([[K, csc_array(rows.T)], [csc_array(lower), blocks]], format="csc") if count else K
+        matrix: Any = K
+        if held:
+            blocks = [[K, csc_array(rows.T)], [csc_array(lower), block_diag(list(B), format="csc")]]
+            matrix = block_array(blocks, format="csc")
         try:
-            return np.asarray(splu(matrix).solve(right))
+            return _refined(matrix, splu((matrix + diags_array(shift)).tocsc()).solve, right)
         except RuntimeError:
             return None
-    from scipy.linalg import lstsq
-
     matrix = np.zeros((n + held, n + held))
     matrix[:n, :n] = K.toarray() if hasattr(K, "tocsc") else K
     matrix[:n, n:], matrix[n:, :n] = rows.T, lower
     k = np.arange(held).reshape(count, dim)
     matrix[n + k[:, :, None], n + k[:, None, :]] = B
+    if n + held > _SMALL:
+        from scipy.linalg.lapack import dgetrf, dgetrs
+
+        factors, swaps, info = dgetrf(matrix + np.diag(shift))
+        return _refined(matrix, lambda x: dgetrs(factors, swaps, x)[0], right) if info == 0 else None
+    from scipy.linalg import lstsq
+
     return np.asarray(lstsq(matrix, right, cond=_SINGULAR, lapack_driver="gelsy")[0])
+
+
+def _refined(matrix: Any, inverse: Callable[[Array], Array], right: Array) -> Array:
+    """Returns x with matrix x = right from the inverse of a matrix nearby."""
+    x = inverse(right)
+    for _ in range(_REFINEMENTS):
+        x = x + inverse(right - matrix @ x)
+    return np.asarray(x)
 
 
 def _into_cone(mu: Array, lam: Array) -> Array:

@@ -96,8 +96,8 @@ class Problem:
     def all_solutions(self, *, tolerance: float = 1e-10) -> list[Solution]:
         """Returns every solution of a single problem, by going through all states of its contacts.
 
-        Where solutions are not isolated, as of contacts that share a load in any proportion, it is those of single
-        states. K may be indefinite or singular.
+        If solutions are not isolated, as with contacts that share a load in any proportion, one is returned for
+        each state. K may be indefinite or singular.
 
         Raises:
             ValueError: If there are many problems, too many contacts, or friction in space.

@@ -39,8 +39,9 @@ def solve(
 ) -> Solution:
     """Returns a solution of K u + Gᵀλ = f with gap = d − G u ≥ 0, λ ≥ 0, gap·λ = 0, and Coulomb friction.
 
-    The problem is that of ``Problem``, which says what shapes there are; one, or many at once. A solution is found
-    or not: ``converged`` says so for each problem, by a residual that is the same whatever the method.
+    The problem is that of ``Problem``, which states the shapes; one, or many. K may be singular or indefinite.
+    ``Solution.termination`` reports for each problem whether a solution was found, whether others exist, or why
+    there is none. All methods are measured by the same residual.
 
     Args:
         K: Stiffness.
@@ -53,7 +54,7 @@ def solve(
             "projection": semismooth Newton's method, active sets without friction. "prox": Uzawa's iteration.
             "gauss_seidel": one contact after the other, each exactly.
         previous: Tangential displacements at which the contacts are at rest.
-        tolerance: Residual that is good enough, without unit.
+        tolerance: Largest residual of a solution, without unit.
         iterations: Most steps or sweeps; by default enough for most problems.
         initial: λ to start from, of the shape of ``Solution.lam``; zero by default.
         parameter: c of "projection" or r of "prox", one for all contacts, a stiffness; by default one for each
@@ -62,7 +63,7 @@ def solve(
         dim: Rows of a contact, where G does not say.
 
     Raises:
-        ValueError: If an argument does not fit, the method cannot take the problem, or K is singular.
+        ValueError: If an argument does not fit, or the method cannot take the problem.
 
     Example:
         A spring of 1000 N/m is loaded with 30 N and meets a wall after 20 mm, which carries the rest:
