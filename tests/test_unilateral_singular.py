@@ -151,6 +151,18 @@ def test_spring_that_pushes_away_from_all_states_has_no_solution():
     assert solve(-1000.0, -20.0, 1.0, 0.01, method="gauss_seidel").termination == Termination.NOT_CONVERGED
 
 
+def test_diagnosis_of_redundant_supports_finds_unique_displacements_and_sums():
+    diagnosis = Problem(np.zeros((3, 3)), [-100.0, 1.0, 2.0], table(CORNERS), 0.01 * np.ones(4)).diagnose()
+    assert diagnosis.stiffness == "singular"
+    assert (diagnosis.exists, diagnosis.unique_u, diagnosis.unique_lam) == (True, True, False)
+    assert diagnosis.unique_sum([1, 1, 1, 1])
+    assert not diagnosis.unique_sum([1, 0, 0, 0])
+    slides = Problem(np.zeros((2, 2)), [0.0, -10.0], [[0.0, -1.0]], [0.02]).diagnose()
+    assert (slides.exists, slides.unique_u) == (True, False)
+    tips = Problem(np.zeros((3, 3)), [-100.0, 100.0, 2.0], table(CORNERS), 0.01 * np.ones(4)).diagnose()
+    assert tips.exists is False
+
+
 # Friction, sparse matrices, many problems
 
 
@@ -163,6 +175,21 @@ def test_free_block_is_held_by_friction_in_space(method):
     np.testing.assert_allclose(solution.lam, [[20.0, -3.0, -4.0]], atol=1e-12)
     np.testing.assert_allclose(solution.u, [0.0, 0.0, -0.001], atol=1e-15)
     assert solution.status[0] == wc.ContactMode.STICK
+
+
+@pytest.mark.parametrize("method", ["projection", "enumeration"])
+def test_free_block_jammed_between_walls_is_held_by_friction(method):
+    # 1 N along two walls with μ = 0.2, any normal force of at least 2.5 N. The block was at rest at 0.1 m at the
+    # second wall, and friction of the first wall opposes it there as well.
+    rows = [[[-1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.0, 1.0]]]
+    problem = Problem(np.zeros((2, 2)), [0.0, 1.0], rows, [0.0, 0.0], 0.2, [[0.0], [0.1]])
+    solution = problem.solve(method)
+    assert solution.converged
+    normal, across = solution.lam.T
+    assert normal[0] >= 2.5 - 1e-9
+    np.testing.assert_allclose([normal[0] - normal[1], across.sum()], [0.0, 1.0], atol=1e-12)
+    assert solution.slip[1] >= -1e-12
+    assert problem.all_solutions()
 
 
 def free_chain(n, stiffness=1e5):

@@ -13,7 +13,7 @@ from warpcontact.unilateral import intake
 from warpcontact.unilateral.delassus import Delassus
 from warpcontact.unilateral.elimination import eliminate, regular
 from warpcontact.unilateral.enumeration import MOST
-from warpcontact.unilateral.freedom import ZERO, null_space, unopposed
+from warpcontact.unilateral.freedom import ZERO, kernel, loose, null_space, unopposed
 from warpcontact.unilateral.residual import Judge
 from warpcontact.unilateral.scaled import Scaled
 from warpcontact.unilateral.solution import Solution
@@ -38,7 +38,8 @@ class Diagnosis:
         stiffness: "positive definite", "singular" or "indefinite"; "unknown" of a large sparse K with an inverse.
         rows: Rows of the Delassus matrix W = G K⁻¹ Gᵀ: normals, and with friction tangents.
         rank: Its rank, or ``None`` if K is singular.
-        undetermined: Forces λ that change nothing, W λ = 0, as columns: shape (rows, rows − rank).
+        undetermined: Forces λ that change nothing, W λ = 0, as columns: shape (rows, rows − rank). If K is
+            singular, forces with Gᵀλ = 0.
         exists: Whether there is a solution; ``None``: not known.
         unique_u: Whether there is only one u.
         unique_lam: Whether there is only one λ.
@@ -107,10 +108,9 @@ def diagnose(problem: Problem) -> Diagnosis:
             if rank == rows and bound is not None and largest < bound:
                 unique_u = unique_lam = True
     elif stiffness == "singular":
-        held = (
-            unopposed(scaled, null_space(scaled, Judge.of(problem).scale[0])) is None
-            and _room(problem, False) >= 0.0
-        )
+        free = kernel(scaled.flat().T)
+        motions = null_space(scaled, Judge.of(problem).scale[0])
+        held = unopposed(scaled, motions) is None and _room(problem, False) >= 0.0
         # Without friction a convex energy that has a lower bound has a minimum (Frank and Wolfe, 1956).
         exists = False if not held else True if definite and not friction else None
     solutions = None
@@ -118,7 +118,11 @@ def diagnose(problem: Problem) -> Diagnosis:
         found = all_states(problem, 1e-10)[1]
         solutions = as_solutions(problem, scaled, found, 1e-10)
         exists = bool(solutions) if exists is None else exists
-        if len(found) > 1:
+        if found and stiffness == "singular" and definite and not friction:
+            # Solutions without friction are a convex set.
+            unique_u = loose(scaled, motions, found[0].u, found[0].lam, 1e-10) is None
+            unique_lam = unique_u and not free.shape[1]
+        elif len(found) > 1:
             unique_u = all(one.same_u(found[0]) for one in found)
             unique_lam = all(one.same_lam(found[0]) for one in found)
         elif found and rank == rows:

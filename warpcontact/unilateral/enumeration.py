@@ -15,7 +15,7 @@ _CHUNK = 2048
 _LARGE = 1e8
 
 # States of a contact in the plane; without friction OPEN and STICK, which is closed then.
-_OPEN, _STICK, _SLIP_UP, _SLIP_DOWN = range(4)
+OPEN, STICK, SLIP_UP, SLIP_DOWN = range(4)
 
 
 def check_size(contacts: int, dim: int) -> None:
@@ -74,16 +74,16 @@ def rows_of(chunk: NDArray[np.int64], W: Array, q: Array, lam: Array, mu: Array,
 
     ``W`` and ``q`` give w, and ``lam`` gives l, of the unknowns.
     """
-    closed = chunk != _OPEN
+    closed = chunk != OPEN
     pick = np.repeat(closed[..., None], dim, axis=-1)
     if dim == 2:
-        pick[..., 1] = chunk == _STICK
+        pick[..., 1] = chunk == STICK
     pick = pick.reshape(len(chunk), -1)
     matrix = np.where(pick[..., None], W, lam)
     right = np.where(pick, -q, 0.0)
     if dim == 2:
         # Of a contact that slips l_t ∓ μ l_n = 0.
-        side = np.where(chunk == _SLIP_UP, 1.0, np.where(chunk == _SLIP_DOWN, -1.0, 0.0)) * mu
+        side = np.where(chunk == SLIP_UP, 1.0, np.where(chunk == SLIP_DOWN, -1.0, 0.0)) * mu
         matrix[:, 1::2] -= side[..., None] * lam[0::2]
     return matrix, right
 

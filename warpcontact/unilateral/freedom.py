@@ -137,13 +137,13 @@ def loose(problem: Scaled, free: Array, u: Array, lam: Array, tolerance: float) 
             e = w[i, 1:] / slip
             across = across - np.outer(e, e @ across)
         held.append(across)
-    motions = free @ _kernel(np.concatenate(held))
+    motions = free @ kernel(np.concatenate(held))
     if not motions.shape[1]:
         return None
     rows = problem.G[grazes, 0] @ motions
     lengths = np.linalg.norm(rows, axis=1)
     rows = rows[lengths > _REST] / lengths[lengths > _REST, None]
-    fixed = _kernel(rows)
+    fixed = kernel(rows)
     if fixed.shape[1]:
         return np.asarray(motions @ fixed[:, 0])
     # Without a motion that opens some of these and closes none, weights of at least 1 balance (Stiemke).
@@ -153,7 +153,7 @@ def loose(problem: Scaled, free: Array, u: Array, lam: Array, tolerance: float) 
     return np.asarray(motions @ rest / size) if size > _REST * max(1, len(rows)) else None
 
 
-def _kernel(rows: Array) -> Array:
+def kernel(rows: Array) -> Array:
     """Returns an orthonormal basis of what all ``rows`` take to zero."""
     n = rows.shape[1]
     if not len(rows) or not n:

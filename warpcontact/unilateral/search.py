@@ -100,12 +100,12 @@ def search(
     if result.termination == Termination.NOT_CONVERGED and result.residual > options.tolerance:
         few = (2 * scaled.dim) ** contacts <= _FEW_STATES and scaled.dim < 3 and n <= _FEW_DISPLACEMENTS
         if options.method == "enumeration":
-            _by_states(scaled, result, options.tolerance, singular)
+            _by_states(scaled, result, options.tolerance)
         else:
             if singular or ended:
                 _by_proximal_steps(problem, scaled, result, options, guess)
             if result.residual > options.tolerance and options.method == "projection" and few and not cut:
-                _by_states(scaled, result, options.tolerance, singular)
+                _by_states(scaled, result, options.tolerance)
     if result.residual <= options.tolerance:
         result.termination = Termination.CONVERGED
         result.direction = loose(scaled, free, result.u, result.lam, options.tolerance)
@@ -134,15 +134,11 @@ def _without_solution(scaled: Scaled, free: Array, result: Result) -> None:
         result.termination = Termination.UNBOUNDED
 
 
-def _by_states(scaled: Scaled, result: Result, tolerance: float, singular: bool) -> None:
+def _by_states(scaled: Scaled, result: Result, tolerance: float) -> None:
     """Stores the first state of the contacts that is a solution, or the one of least residual."""
     state = next(solutions(scaled, tolerance), None)
     if state is None:
-        # In a singular state one of many displacements or forces was checked.
-        rank = np.linalg.matrix_rank(scaled.flat()) if scaled.contacts else 0
-        complete = scaled.dim == 1 or (not singular and rank == scaled.contacts * scaled.dim)
-        if complete:
-            result.termination = Termination.NO_SOLUTION
+        result.termination = Termination.NO_SOLUTION
         state = min(candidates(scaled), key=lambda one: one.residual)
         result.number += (2 * scaled.dim) ** scaled.contacts
     else:

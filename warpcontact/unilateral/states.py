@@ -4,9 +4,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warpcontact.checks import Array
-from warpcontact.unilateral.enumeration import check_size, rows_of, solve_all, states
+from warpcontact.unilateral.enumeration import (
+    OPEN,
+    SLIP_DOWN,
+    SLIP_UP,
+    STICK,
+    check_size,
+    rows_of,
+    solve_all,
+    states,
+)
+from warpcontact.unilateral.freedom import kernel
 from warpcontact.unilateral.polish import polish
 from warpcontact.unilateral.problem import Problem
 from warpcontact.unilateral.residual import Judge
@@ -102,5 +113,53 @@ def candidates(scaled: Scaled) -> Iterator[State]:
         x = solve_all(matrix, right)
         u, lam = x[:, :n], x[:, n:].reshape(len(x), contacts, dim)
         for k, residual in enumerate(scaled.judge.residual(u, lam)):
-            yield State(u[k], lam[k], float(residual), taken + k + 1)
+            number = taken + k + 1
+            if dim == 2 and residual > _NEAR:
+                other = _admissible(scaled, chunk[k], matrix[k], right[k], x[k])
+                if other is not None:
+                    one, forces_of = other[:n], other[n:].reshape(contacts, dim)
+                    yield State(one, forces_of, scaled.residual(one, forces_of), number)
+                    continue
+            yield State(u[k], lam[k], float(residual), number)
         taken += len(x)
+
+
+def _admissible(scaled: Scaled, state: NDArray[np.int64], matrix: Array, right: Array, x: Array) -> Array | None:
+    """Returns a solution of the equations of a singular state that satisfies its inequalities, or None.
+
+    Args:
+        scaled: The problem, in the plane with friction.
+        state: State of each contact (contacts,).
+        matrix: Equations of the state.
+        right: Their right sides.
+        x: A solution of them, displacements and forces.
+    """
+    if np.abs(matrix @ x - right).max() > _NEAR:
+        return None
+    free = kernel(matrix)
+    if not free.shape[1]:
+        return None
+    from scipy.optimize import linprog
+
+    n, mu = len(scaled.f), scaled.mu
+    motion, force = free[:n], free[n:].reshape(scaled.contacts, 2, -1)
+    lam = x[n:].reshape(scaled.contacts, 2)
+    w = scaled.targets - scaled.G @ x[:n]
+    # Each is at least 0: its value at x and its changes along the kernel.
+    values, changes = [], []
+    for i, what in enumerate(state):
+        if what == OPEN:
+            values.append(w[i, 0])
+            changes.append(-scaled.G[i, 0] @ motion)
+            continue
+        values.append(lam[i, 0])
+        changes.append(force[i, 0])
+        for side in (1.0, -1.0):
+            if what == STICK:
+                values.append(mu[i] * lam[i, 0] - side * lam[i, 1])
+                changes.append(mu[i] * force[i, 0] - side * force[i, 1])
+            elif what == (SLIP_UP if side > 0.0 else SLIP_DOWN):
+                values.append(-side * w[i, 1])
+                changes.append(side * scaled.G[i, 1] @ motion)
+    found = linprog(np.zeros(free.shape[1]), A_ub=-np.array(changes), b_ub=np.array(values), bounds=(None, None))
+    return np.asarray(x + free @ found.x) if found.status == 0 else None
