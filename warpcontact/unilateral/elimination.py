@@ -12,8 +12,8 @@ from warpcontact.unilateral.residual import ROUNDINGS, Judge
 if TYPE_CHECKING:
     from warpcontact.unilateral.problem import Problem
 
-#: A scaled matrix whose smallest eigenvalue is less than this of its largest is singular to rounding.
-SINGULAR = 1e-14
+#: A scaled matrix with an eigenvalue below this share of the largest is singular. Rounding of its entries is less.
+SINGULAR = 1e-12
 
 
 class SingularError(ValueError):

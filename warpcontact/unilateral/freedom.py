@@ -15,7 +15,7 @@ from warpcontact.checks import Array
 from warpcontact.unilateral.scaled import Scaled
 
 #: Eigenvalues below this share of the largest are zero.
-ZERO = 1e-13
+ZERO = 1e-12
 # A rest of a least squares problem below this is rounding, in scaled units.
 _REST = 1e-10
 # Tangents of the polygon around the friction cone in space.
