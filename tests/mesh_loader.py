@@ -1,14 +1,13 @@
 """A process that loads mesh files one after the other and says of each what came of it: see test_mesh_fuzz.
 
-Run with the limit on time in seconds. Every file goes the whole way of ``load_mesh``, but that the process apart
-is a fork of this one, where there are forks, and has its imports: starting Python takes longer than most files.
+Run with the limit on processor time in seconds. Every file is read as by ``load_mesh``, but the process apart is a
+fork of this one, where there are forks, and has its imports: starting Python takes longer than most files.
 """
 
 import contextlib
 import json
 import os
 import sys
-import time
 
 import numpy as np
 
@@ -87,9 +86,9 @@ def main():
         isolation.subprocess.Popen = Fork
     print("ready", flush=True)
     for line in sys.stdin:
-        path, start = json.loads(line), time.monotonic()
+        path, start = json.loads(line), sum(os.times()[:4])
         answer = verdict(lambda path=path: load_mesh(path, limits=limits))
-        print(json.dumps((answer, time.monotonic() - start)), flush=True)
+        print(json.dumps((answer, sum(os.times()[:4]) - start)), flush=True)
 
 
 if __name__ == "__main__":

@@ -55,9 +55,8 @@ def test_a_changed_mesh_keeps_what_was_said_of_its_file(loaded, change):
     assert new.groups == old.groups
     # What is not of the file is what an examination finds.
     fresh = examine(changed.vertices, changed.faces, "a", overlaps=True)
-    assert new == replace(
-        fresh, repairs=old.repairs, groups=old.groups, warnings=(old.warnings[0], *fresh.warnings)
-    )  # fmt: skip
+    of_file = {"repairs": old.repairs, "groups": old.groups, "notes": old.notes}
+    assert new == replace(fresh, **of_file, warnings=(old.warnings[0], *fresh.warnings))
 
 
 def test_flipping_costs_no_examination(monkeypatch):

@@ -129,12 +129,13 @@ class Loader:
     """A process that loads mutants.
 
     Args:
-        seconds: The limit on time that is given to ``load_mesh``.
-        hang: What a file may take [s].
+        seconds: Limit on processor time that is given to ``load_mesh`` [s].
+        hang: Processor time that a file may take [s].
+        wait: Time on the clock after which the process is ended [s]; long, as other processes may be busy.
     """
 
-    def __init__(self, seconds=HANG - 1.0, hang=HANG):
-        self.hang = hang
+    def __init__(self, seconds=HANG - 1.0, hang=HANG, wait=30.0 * HANG):
+        self.hang, self.wait = hang, wait
         words = [sys.executable, Path(__file__).with_name("mesh_loader.py"), str(seconds)]
         self.process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -143,7 +144,7 @@ class Loader:
 
     def load(self, path):
         """What came of a file: "mesh", "refused", or what must not be."""
-        timer = threading.Timer(2.0 * self.hang, self.process.kill)
+        timer = threading.Timer(self.wait, self.process.kill)
         timer.start()
         try:
             self.process.stdin.write(json.dumps(str(path)) + "\n")
@@ -226,7 +227,7 @@ def test_a_hang_and_an_end_of_the_process_are_seen(tmp_path):
         assert loader.load(path) == "refused"
     with Loader(seconds=2.0, hang=1.5) as loader:
         assert loader.load(path).startswith("a hang of 2.")
-    with Loader(seconds=5.0, hang=1.0) as loader:
+    with Loader(seconds=5.0, wait=2.0) as loader:
         assert loader.load(path) == "the process that loads it ended"
         assert loader.load(path) == "the process that loads it ended"
 

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -214,8 +214,14 @@ def check_length(what: str, name: str, most: int = MOST_NAME) -> None:
         )
 
 
-def look_up(kind: str, name: str, table: Mapping[str, Any]) -> Any:
+def look_up(kind: str, name: str, table: Mapping[str, Any], stored: Callable[[str], str] = str) -> Any:
     """Returns the entry ``name``.
+
+    Args:
+        kind: What the entries are, for messages.
+        name: Name or alias of an entry.
+        table: The entries by name.
+        stored: Returns the name for an alias, other names unchanged.
 
     Raises:
         TypeError: If ``name`` is no string.
@@ -224,7 +230,7 @@ def look_up(kind: str, name: str, table: Mapping[str, Any]) -> Any:
     if not isinstance(name, str):
         raise TypeError(f"name of a {kind} must be a string, got {name!r}")
     try:
-        return table[name]
+        return table[stored(name)]
     except KeyError:
         hint = suggestion(name, table) or f"; {there_are(name, table)}"
         raise KeyError(f"no {kind} {name!r}{hint}") from None

@@ -223,7 +223,7 @@ class Environments(
             KeyError: If there is none; the message suggests the closest name.
         """
         readings = self.parts[0].readings
-        return readings.get(stored_name(name)) or look_up("reading", name, readings)
+        return look_up("reading", name, readings, stored_name)
 
     @property
     def reading_names(self) -> tuple[str, ...]:

@@ -184,8 +184,7 @@ class Simulation(Uncopied, instead="simulation.save(path) and simulation.load(pa
         integrator. Its parameters become those of the file.
 
         Raises:
-            CheckpointError: If the file is damaged, of another version or simulation, or has values out of range;
-                names the entry. Nothing is changed then.
+            CheckpointError: If the file is damaged or of another simulation; names the entry. Nothing is changed.
             FileNotFoundError: If there is none.
         """
         self._attach()
