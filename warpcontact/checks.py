@@ -218,7 +218,7 @@ def look_up(kind: str, name: str, table: Mapping[str, Any], stored: Callable[[st
     """Returns the entry ``name``.
 
     Args:
-        kind: What the entries are, for messages.
+        kind: Kind of the entries, for messages.
         name: Name or alias of an entry.
         table: The entries by name.
         stored: Returns the name for an alias, other names unchanged.
