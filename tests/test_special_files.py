@@ -130,7 +130,7 @@ def test_record_of_a_run_that_is_far_too_large_is_refused(name, part_run, tmp_pa
         acts.append(lambda: wc.Experiment.from_toml(study).run(folder, resume=True))
     for act in acts:
         try:
-            assert act() == 2
+            assert act() in (1, 2)  # 1: the results are not those that were committed
         except (ValueError, OSError) as error:
             assert f"{folder / name}" in str(error)  # noqa: PT017
             assert "has 1 GiB" in str(error)  # noqa: PT017

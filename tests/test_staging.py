@@ -146,7 +146,7 @@ def test_chunks_without_values_have_no_file_and_are_named(made):
 def test_labels_of_a_single_environment_have_a_file(tmp_path):
     template = xr.Dataset({"x": ("env", [1.0])}, coords={"env": [0]})
     (tmp_path / store.COMMITS).mkdir()
-    store.create(tmp_path / store.DATA, {"params": template}, 1, np.zeros(0), 1, {})
+    store.create(tmp_path, {"params": template}, 1, np.zeros(0), 1, {})
     assert (tmp_path / store.DATA / "params" / "env" / "c" / "0").is_file()
     store.Ledger(tmp_path).check(Extent(envs=1, shard=1, steps=1), contents=True)
 

@@ -122,14 +122,6 @@ def is_chunk(name: str) -> bool:
     return bool(_CHUNK.fullmatch(name))
 
 
-def unknown_record(folder: RunPath) -> str | None:
-    """Returns what is wrong if a folder of records has one that no run writes, such as a copy."""
-    for name in folder.names():
-        if name.endswith(".json") and name != MADE and not _RECORD.fullmatch(name):
-            return f"{folder / name}: is no record that a run writes; remove it"
-    return None
-
-
 def made_in(folder: RunPath) -> Files:
     """Returns the files that the store was made with, by the record of them in a folder.
 

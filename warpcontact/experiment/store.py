@@ -45,7 +45,6 @@ from warpcontact.experiment.records import (
     is_chunk,
     is_unchanged,
     made_in,
-    unknown_record,
 )
 from warpcontact.run_folder import PARTIAL, RunPath, sync_all, sync_names
 
@@ -302,7 +301,7 @@ class Ledger:
         """
         made = made_in(self.folder / COMMITS)
         expected = Expected(self.folder, made, extent)
-        if problem := self._problem_of(made, "", contents) or unknown_record(self.folder / COMMITS):
+        if problem := self._problem_of(made, "", contents):
             raise StoreError(problem)
         commits = self.commits()
         for number, found in commits.items():
@@ -322,7 +321,7 @@ class Ledger:
         known = {*made, *(name for commit in commits.values() for name in commit.files)}
         for path in _entries_below(self.folder / DATA):
             name = "/".join(path.parts[1:])
-            if name not in known and not is_chunk(name):
+            if name not in known and not is_chunk(name) and not path.name.startswith("."):  # such as .DS_Store
                 return f"{path}: is not of this run; remove it"
         return None
 
