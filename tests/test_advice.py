@@ -71,7 +71,7 @@ def told(sim, match):
     return [found for warning in caught if (found := re.search(match, str(warning.message)))]
 
 
-@pytest.mark.parametrize("scale", [1.0, 2.0])
+@pytest.mark.parametrize("scale", [1.0, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_points_that_touch_together_share_the_mass(scale, device):
     """A box that falls flat on the points of its largest side: as long as a bed of their areas takes."""
     scene = wc.Scene(gravity=(0, 0, 0))

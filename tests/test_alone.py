@@ -139,7 +139,9 @@ def test_one_launch_computes_what_many_do(name, precision, device, one_launch, m
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
 @pytest.mark.parametrize("few", [True, False], ids=["", "as of many"])
-@pytest.mark.parametrize("name", ["a sphere", "points in blocks", "with memory"])
+@pytest.mark.parametrize(
+    "name", slow_except(["a sphere", "points in blocks", "with memory"], lambda name: name == "points in blocks")
+)
 def test_steps_that_are_watched_and_others_go_on_from_each_other(name, few, device, one_launch, monkeypatch):
     """What each knows of distances and contacts is right for the other, and nothing old is watched."""
     if not few:
@@ -252,7 +254,12 @@ def with_a_latch(scene):
 
 
 @pytest.mark.filterwarnings("ignore::warpcontact.ContactWarning")
-@pytest.mark.parametrize("make", [two_bodies, on_a_hinge, on_a_spring, on_two_surfaces, with_a_latch])
+@pytest.mark.parametrize(
+    "make",
+    slow_except(
+        [two_bodies, on_a_hinge, on_a_spring, on_two_surfaces, with_a_latch], lambda make: make is on_a_spring
+    ),
+)
 def test_others_are_stepped_in_several(make, device, one_launch):
     scene = wc.Scene()
     make(scene)

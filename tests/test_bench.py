@@ -124,6 +124,7 @@ def test_wrong_options_are_one_message_and_exit_code_2(words, message, tmp_path,
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_it_with_a_word():
     process = subprocess.Popen(
         [sys.executable, "-m", "warpcontact", "bench", "--device", "cpu", "--seconds", "600"],

@@ -65,6 +65,7 @@ def files_in(folder):
     return sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
 
 
+@pytest.mark.slow
 def test_run_after_build_kernels_compiles_no_module(tmp_path):
     study = runs.study(tmp_path, duration=0.02, usd_envs=1)
     with study.open("a") as file:

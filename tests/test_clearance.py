@@ -152,6 +152,7 @@ def test_who_is_beyond_a_rim_is_looked_for():
     assert not is_clear(model, contact, model.envs)
 
 
+@pytest.mark.slow
 @pytest.mark.launch_shapes
 def test_a_first_step_of_a_clear_start_needs_no_kernel_of_readings():
     """Nor the force alone, whose law is of the library."""

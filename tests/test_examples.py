@@ -80,6 +80,7 @@ def test_cube_tosses_says_what_is_wrong_with_the_file(tmp_path, capsys):
         assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_surface_on_surface_converges_to_its_closed_forms(device, capsys):
     errors = load("surface_on_surface").main(["--device", device])
     assert "2513.3" in capsys.readouterr().out

@@ -130,6 +130,7 @@ def test_a_run_is_repeated_from_its_results_alone(device, folder):
     assert (first.folder / "my_laws.py").read_text(encoding="utf-8") == LAWS
 
 
+@pytest.mark.slow
 def test_copies_of_files_of_one_name_are_told_apart(folder):
     for sub, factor in (("soft", "1.0"), ("hard", "3.0")):
         (folder / sub).mkdir()
@@ -156,6 +157,7 @@ def test_copies_of_files_of_one_name_are_told_apart(folder):
     assert again.files["experiment"].read_bytes() == run.files["experiment"].read_bytes()
 
 
+@pytest.mark.slow
 def test_overwriting_replaces_copies_and_nothing_of_the_user(folder):
     out = folder.parent / "out"
     wc.Experiment.from_dict(study(), folder).run(out, device="cpu")

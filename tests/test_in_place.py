@@ -118,6 +118,7 @@ def test_frames_see_every_step_that_is_due(every, monkeypatch):
     assert_same(own, recorded()[1])
 
 
+@pytest.mark.slow
 def test_a_subclass_with_steps_of_its_own_is_asked_for_them():
     asked = []
 
@@ -132,7 +133,9 @@ def test_a_subclass_with_steps_of_its_own_is_asked_for_them():
     assert "step_in_place" not in kernels_of(sim)
 
 
-@pytest.mark.parametrize("readings", [["body.position"], ["touch.normal_force"]])
+@pytest.mark.parametrize(
+    "readings", [pytest.param(["body.position"], marks=pytest.mark.slow), ["touch.normal_force"]]
+)
 def test_all_that_a_recorded_run_launches_is_compiled_ahead(readings, monkeypatch):
     ahead = []
     monkeypatch.setattr(simulation, "load_all", lambda kernels, *_: ahead.extend(kernels))

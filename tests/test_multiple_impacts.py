@@ -141,6 +141,7 @@ def test_sequential_impacts_of_bodies_on_sliders_equal_the_closed_form(device):
 
 
 @pytest.mark.parametrize("rule", RULES)
+@pytest.mark.slow
 def test_both_integrators_agree_with_friction(rule, device):
     """A ball that spins hits two that touch: the normal velocities follow the rule, and friction gives slip."""
     model = row_of_balls(3, mu=0.2, spin=30.0, device=device)

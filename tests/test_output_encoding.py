@@ -50,6 +50,7 @@ def test_output_escapes_characters_outside_the_encoding(encoding, mesh, monkeypa
     assert escaped in said(err)
 
 
+@pytest.mark.slow
 def test_run_and_status_end_well_in_the_c_locale(tmp_path):
     environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     environment.pop("PYTHONIOENCODING", None)

@@ -106,7 +106,8 @@ def test_random_damage_neither_crashes_nor_changes_what_is_verified(kind, reques
     whole, original = request.getfixturevalue("whole_run"), request.getfixturevalue(f"{kind}_run")
     digest = wc.open_run(original).digest()
     verified = refused = 0
-    for number in range(30 * times):
+    count = 12 if times == 1 else 30 * times
+    for number in range(count):
         rng = random.Random(f"{kind} {number}")
         folder = shutil.copytree(original, tmp_path / str(number))
         for _ in range(1 + number % 2):
@@ -134,4 +135,4 @@ def test_random_damage_neither_crashes_nor_changes_what_is_verified(kind, reques
         shutil.rmtree(folder)
     # Not all files are results, such as pictures.
     assert verified
-    assert refused > 15 * times
+    assert refused > count // 2

@@ -115,6 +115,7 @@ def test_arrows_are_seen_where_forces_act_and_can_be_switched_off(crate, file, o
         assert page.evaluate("getComputedStyle(document.getElementById('replay-legend')).display") == "none"
 
 
+@pytest.mark.smoke
 def test_it_plays_to_the_end_and_stops(file, opened):
     with opened(file) as page:
         # However slowly pages are drawn, it has not come to the end before it is asked.
@@ -127,6 +128,7 @@ def test_it_plays_to_the_end_and_stops(file, opened):
         assert state(page)["time"] == pytest.approx(0.5)
 
 
+@pytest.mark.smoke
 def test_keys_do_what_the_help_says(file, opened):
     with opened(file) as page:
 
@@ -180,6 +182,7 @@ def test_the_canvas_follows_the_size_of_the_window(file, opened):
         assert state(page)["canvas"] == page.evaluate(f"[{canvas}.clientWidth, {canvas}.clientHeight]")
 
 
+@pytest.mark.smoke
 def test_rows_are_sorted_filtered_and_replayed(crate, file, opened):
     rows = "[...document.querySelectorAll('#environments-table tbody tr')].map((row) => Number(row.dataset.env))"
 
@@ -211,6 +214,7 @@ def test_rows_are_sorted_filtered_and_replayed(crate, file, opened):
         assert page.evaluate("document.querySelector('svg g.chosen').dataset.env") == "3"
 
 
+@pytest.mark.smoke
 def test_light_and_dark_can_be_chosen(file, opened):
     background = "getComputedStyle(document.body).backgroundColor"
     with opened(file, dark=True) as page:
@@ -241,6 +245,7 @@ def test_the_rest_is_there_without_a_graphics_card(file, opened, pages):
         assert page.errors == []
 
 
+@pytest.mark.smoke
 def test_without_scripts_the_charts_are_there(file, pages):
     with pages(file.resolve().as_uri(), script=False) as page:
         assert "The replay needs JavaScript" in page.text()
@@ -267,6 +272,7 @@ def test_hostile_texts_run_nothing(hostile, tmp_path, opened):
         assert hostile in page.evaluate("document.querySelector('h1').innerText")
 
 
+@pytest.mark.smoke
 def test_the_policy_stops_what_it_forbids(file, pages):
     with pages(file.resolve().as_uri()) as page:
         page.wait_for(READY)

@@ -260,7 +260,8 @@ def small_disk(path, size):
         subprocess.run(["umount", "-l", str(path)], check=True)
 
 
-@pytest.mark.parametrize("size", ["400k", pytest.param("550k", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", ["400k", "550k"])
 def test_a_full_disk_is_one_message_and_the_run_goes_on_once_there_is_room(size, place, whole, tmp_path):
     with small_disk(tmp_path / "disk", size) as disk:
         out = disk / "out"

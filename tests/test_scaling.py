@@ -158,6 +158,7 @@ def test_scaling_runs_and_draws(device, tmp_path):
     assert "<svg" in picture.read_text()
 
 
+@pytest.mark.slow
 def test_scaling_runs_where_only_the_engine_is_and_is_drawn_elsewhere(device, tmp_path, bare):
     out = tmp_path / "figures.json"
     words = [*TINY, "--device", device, "--series", "environments", "--out", out]

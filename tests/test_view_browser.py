@@ -74,6 +74,7 @@ def check_harmless(page, url):
     assert page.evaluate("document.querySelectorAll('img[src=x]').length") == 0
 
 
+@pytest.mark.smoke
 def test_a_run_is_looked_at_by_its_page(run, open_page):
     with viewing(run) as show, open_page(show.server.url) as page:
         ready(page)
@@ -145,6 +146,7 @@ def test_arrows_and_colours_are_seen(open_page):
         check_harmless(page, show.server.url)
 
 
+@pytest.mark.smoke
 def test_a_parameter_is_changed_on_the_page_and_the_simulation_goes_on(tmp_path, open_page):
     path = runs.study(tmp_path, envs=3)
     with viewing(path) as show, open_page(show.server.url) as page:
