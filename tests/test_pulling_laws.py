@@ -144,3 +144,21 @@ def test_share_does_not_scale_an_impulse_and_is_refused_at_zero(device):
     with pytest.raises(ValueError, match=sentence):
         model["touch.share"] = 0.0
     np.testing.assert_array_equal(model["touch.share"], 0.5)
+
+
+def test_share_of_zero_is_refused_in_every_step_and_leaves_the_model_as_it_is(device):
+    model = dropped_sphere(wc.laws.Hooke(stiffness=1e4), device=device, precision="float64")
+    rigid, compliant = wc.Simulation(model, 1e-3, HARD), wc.Simulation(model, 1e-3)
+    compliant.step()
+    model["touch.share"] = 0.0
+    names, uploads = list(model.reading_names), list(model.find_parameter("touch.law.stiffness").uploads)
+    for _ in range(2):
+        with pytest.raises(ValueError, match=r"touch\.share must be greater than 0, got 0"):
+            rigid.step()
+        assert model.hard is None
+        assert list(model.reading_names) == names
+    assert model.find_parameter("touch.law.stiffness").uploads == uploads
+    compliant.step()
+    model["touch.share"] = 1.0
+    rigid.step()
+    assert model.hard is not None

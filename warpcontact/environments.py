@@ -108,7 +108,8 @@ class Environments(
 
         Raises:
             KeyError: If there is no such parameter.
-            ValueError: If the values do not fit into the precision of the device; nothing is changed then.
+            ValueError: If nonsmooth contact does not allow the values, or they do not fit into the precision of
+                the device; nothing is changed then.
             MemoryError: If they take more memory than there is; nothing is changed then.
         """
         self.find_parameter(name)
@@ -116,6 +117,8 @@ class Environments(
         changed = [(part, part.parameters[name], own) for part, own in self.shares()]
         if not shared and any(parameter.field.shared for _, parameter, _ in changed):
             self._require_values(name)
+        for part, _, _ in changed:
+            part.check_value(name, values)
         before = [parameter.field.copy() for _, parameter, _ in changed]
         try:
             for part, parameter, own in changed:

@@ -176,8 +176,6 @@ class Model(Environments, OfScene):
         return External(force=model.body_external_force, torque=model.body_external_torque)
 
     def _look_for_bounces(self) -> None:
-        if self.hard is not None:
-            self.hard.check_shares(self.parameters)
         bounces = self.hard is not None and self.hard.bounces(self.parameters)
         if self.bounces != bounces:
             self.bounces = bounces
@@ -188,13 +186,23 @@ class Model(Environments, OfScene):
 
         Hard ones remember nothing then: what they do may be of before a reset, or of a step of another simulation.
         The ``observer`` of what it watches likewise begins anew.
+
+        Raises:
+            ValueError: If a parameter has a value that nonsmooth contact does not allow; nothing is changed then.
         """
         if hard is not self.hard:
+            if hard is not None:
+                hard.check_shares(self.parameters)
             self._exchange(hard)
         if observer is not self.observer:
             self.observer = observer
             if observer is not None:
                 self._observe_anew(observer)
+
+    def check_value(self, name: str, values: NDArray[np.float64]) -> None:
+        """Raises ``ValueError`` if nonsmooth contact does not allow ``values`` of parameter ``name``."""
+        if self.hard is not None:
+            self.hard.check_share(name, values)
 
     @beside_captures()
     def _observe_anew(self, observer: "Observer") -> None:

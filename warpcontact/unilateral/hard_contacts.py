@@ -280,11 +280,17 @@ class HardContacts:
         """
         for one in self._hard:
             own = parameters.get(f"{one.name}.share")
-            if own is not None and not own.values.all():
-                raise ValueError(
-                    f"{one.name}.share must be greater than 0, got 0: rigid contact has no force to scale. Set "
-                    f"{one.name}.enabled to 0 to switch it off"
-                )
+            if own is not None:
+                self.check_share(own.name, own.values)
+
+    def check_share(self, name: str, values: NDArray[np.float64]) -> None:
+        """Raises the same error if ``values`` of parameter ``name`` are shares of a nonsmooth contact with a 0."""
+        element, _, quantity = name.rpartition(".")
+        if quantity == "share" and element in self.names and not values.all():
+            raise ValueError(
+                f"{name} must be greater than 0, got 0: rigid contact has no force to scale. Set "
+                f"{element}.enabled to 0 to switch it off"
+            )
 
     def compliant_blocks(self, group: Group) -> list[tuple[int, int]]:
         """Returns the blocks of the contacts of ``group`` that are not hard: the first and their number."""
