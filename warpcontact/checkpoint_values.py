@@ -126,7 +126,7 @@ class ParameterValues:
         for parameter in self.part.parameters.values():
             values = self.changed.get(numbers[id(parameter.field)])
             if values is not None:
-                _check_parameter(parameter, values[:, parameter.items])
+                _check_parameter(self.part, parameter, values[:, parameter.items])
         self._check_external(arrays)
 
     def _check_external(self, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -200,12 +200,13 @@ def set_values(parts: Iterable[ParameterValues]) -> None:
         one.send(content)
 
 
-def _check_parameter(parameter: Parameter, values: NDArray[np.float64]) -> None:
-    """Raises ``CheckpointError`` unless a user could have set a parameter to ``values`` (1 or envs, items, …)."""
+def _check_parameter(part: "Model", parameter: Parameter, values: NDArray[np.float64]) -> None:
+    """Raises ``CheckpointError`` unless a user could set a parameter to ``values`` (1 or envs, items, …) now."""
     try:
         check_values(parameter.name, values, parameter.limits)
         if parameter.whole:
             checks.whole_numbers(parameter.name, values)
+        part.check_value(parameter.name, values)
         converted = parameter.convert(parameter.name, values) if parameter.convert else values
     except ValueError as error:
         raise CheckpointError(str(error)) from None
