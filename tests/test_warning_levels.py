@@ -64,8 +64,11 @@ class Solved:
         return self.failures
 
     def largest_residuals(self):
-        # That of the first environment is of an earlier run.
+        # The first environment has one without a failure.
         return np.array([0.9, self.residual])
+
+    def forget_residuals(self):
+        pass
 
 
 @pytest.mark.parametrize(

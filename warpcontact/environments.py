@@ -368,7 +368,7 @@ class Environments(
         )
 
     def largest_residuals(self) -> NDArray[np.float64]:
-        """Returns the largest residual of unsolved contact problems since reset, (envs,)."""
+        """Returns the largest residual of unsolved problems since reset or ``forget_residuals``, (envs,)."""
         return np.concatenate(
             [
                 np.zeros(part.envs)
@@ -377,6 +377,12 @@ class Environments(
                 for part in self.parts
             ]
         )
+
+    def forget_residuals(self) -> None:
+        """Sets ``largest_residuals`` to 0."""
+        for part in self.parts:
+            if part.hard is not None:
+                part.hard.forget_residuals()
 
     def touching(self, name: str) -> "xr.Dataset":
         """Returns which pairs of a mutual contact touch at the current state.

@@ -10,7 +10,7 @@ MISSED = 1.0e-1
 
 
 class Remarks:
-    """Compares a model with its state when this object was made.
+    """Compares a model with its state when this object was made; the largest residuals are those since then.
 
     Args:
         model: The model.
@@ -22,6 +22,7 @@ class Remarks:
         self._failed = model.failed_lines()
         self._unsolved = model.unsolved_contacts()
         self._unfinished = model.unfinished_solves()
+        model.forget_residuals()
 
     def new(self) -> list[RunWarning]:
         """Returns the warnings since then, without that of frozen environments."""

@@ -340,6 +340,11 @@ class HardContacts:
         """Lets no environment rest: something may have been changed from outside."""
         self.account.calm.zero_()
 
+    @beside_captures()
+    def forget_residuals(self) -> None:
+        """Sets the largest residuals of unsolved problems to 0."""
+        self.account.largest_residual.zero_()
+
     def accept_stages(self, span: "Span", step: wp.array) -> list[wp.Launch]:
         """Returns the launch that remembers what an accepted step led to; ``step`` [env, 0] [s]."""
         inputs = [span.model.arrays.status, step, self.tolerance, span.model.body_count]
