@@ -1,9 +1,11 @@
 """Unknown keywords: the message names what was called, its arguments, and the closest one."""
 
 import inspect
+from typing import Self
 
 import numpy as np
 import pytest
+from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.keywords import explain_keywords, keywords_of
 from warpcontact.kernels.names import closest, stored_name
 
@@ -35,7 +37,21 @@ def public():
         for name, value in inspect.getmembers(kind, callable):
             if not name.startswith("_") and any(name in vars(base) for base in kind.__mro__[:-1]):
                 found[f"{kind.__name__}.{name}"] = value
+    formulas = [kind for kind in found.values() if inspect.isclass(kind) and issubclass(kind, Formula)]
+    for kind in formulas:
+        for name in dir(kind):
+            if makes_one(kind, name):
+                found[f"{kind.__name__}.{name}"] = getattr(kind, name)
     return found
+
+
+def makes_one(kind, name):
+    """Whether a public class method of ``kind`` returns an instance, from arguments that its signature names."""
+    if name.startswith("_") or not isinstance(inspect.getattr_static(kind, name), classmethod):
+        return False
+    signature = inspect.signature(getattr(kind, name))
+    others = any(one.kind is inspect.Parameter.VAR_KEYWORD for one in signature.parameters.values())
+    return not others and signature.return_annotation in (Self, kind, kind.__name__)
 
 
 def message(function, *args, **keywords):
@@ -47,6 +63,7 @@ def message(function, *args, **keywords):
 def test_unknown_keyword_of_every_public_callable_is_explained():
     every = public()
     assert len(every) > 200
+    assert {"CundallStrack.from_overshoot", "Mindlin.from_overshoot", "Hertz.elliptic"} <= every.keys()
     wrong = {}
     for name, function in every.items():
         known = ", ".join(keywords_of(function)) or "none"

@@ -8,7 +8,8 @@ import pytest
 from case_marks import slow_except
 from oracles import contact_time, greatest_penetration
 from scenes import dropped_sphere
-from warpcontact.kernels.laws import hunt_crossley, kelvin_voigt
+from warpcontact.kernels.clamped_dashpot import damping_ratio_of_restitution, restitution_of_damping_ratio
+from warpcontact.kernels.laws import hunt_crossley
 
 import warpcontact as wc
 
@@ -151,7 +152,7 @@ def test_damping_conversions_match_the_tables(shared):
     e = table[:, 0]
     np.testing.assert_allclose(hunt_crossley.damping_factor_of_restitution(e), table[:, 1], rtol=1e-8)
     # Printed to eight digits.
-    np.testing.assert_allclose(kelvin_voigt.damping_ratio_of_restitution(e), table[:, 3], rtol=1e-7)
+    np.testing.assert_allclose(damping_ratio_of_restitution(e), table[:, 3], rtol=1e-7)
 
 
 def test_damping_conversions_are_inverses():
@@ -159,8 +160,8 @@ def test_damping_conversions_are_inverses():
     factor = hunt_crossley.damping_factor_of_restitution(e)
     # Lambert's W has a branch point at e = 1: half of the digits are left there.
     np.testing.assert_allclose(hunt_crossley.restitution_of_damping_factor(factor), e, atol=3e-8)
-    ratio = kelvin_voigt.damping_ratio_of_restitution(e)
-    np.testing.assert_allclose(kelvin_voigt.restitution_of_damping_ratio(ratio), e, atol=1e-14)
+    ratio = damping_ratio_of_restitution(e)
+    np.testing.assert_allclose(restitution_of_damping_ratio(ratio), e, atol=1e-14)
 
 
 def test_restitution_of_published_hunt_crossley_numbers():

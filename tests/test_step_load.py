@@ -72,9 +72,24 @@ def test_from_overshoot_inverts_the_closed_form():
         ({"mass": 0.0}, "mass must be greater than 0, got 0"),
         ({"stiffness": -1.0}, "stiffness must be greater than 0, got -1"),
         ({"overshoot": 1.5}, "overshoot must be greater than 0 and at most 1, got 1.5"),
+        ({"mass": True}, "mass must be a number, got True"),
     ],
 )
 def test_from_overshoot_raises_for_values_out_of_range(wrong, message):
     values = {"mu_static": 0.5, "mu_dynamic": 0.4, "stiffness": 1.0e4, "mass": 1.0} | wrong
     with pytest.raises(ValueError, match=message):
         STICK.from_overshoot(**values)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"shear_modulus": -1.0}, "shear_modulus must be greater than 0, got -1"),
+        ({"patch_radius": 0.0}, "patch_radius must be greater than 0, got 0"),
+        ({"shear_modulus": "1"}, "shear_modulus must be a number, got '1'"),
+    ],
+)
+def test_from_overshoot_of_mindlin_names_its_own_arguments(wrong, message):
+    values = {"mu_static": 0.5, "mu_dynamic": 0.4, "shear_modulus": 1e6, "patch_radius": 5e-3, "mass": 1.0}
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        wc.frictions.Mindlin.from_overshoot(**(values | wrong))

@@ -7,8 +7,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree
 from scipy.special import gamma
-from warpcontact.kernels.laws.roots import root_between
 from warpcontact.kernels.laws.undamped import contact_time, greatest_penetration
+from warpcontact.kernels.roots import root_between
 from warpcontact.kernels.types import SIDES_ABOVE
 
 from warpcontact.meshes import Mesh

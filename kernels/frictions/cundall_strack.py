@@ -4,8 +4,10 @@ import math
 from typing import Any, Self
 
 import warp as wp
-from warpcontact.kernels.formula import memory, parameter
+from warpcontact.kernels.clamped_dashpot import damping_ratio_of_restitution
+from warpcontact.kernels.formula import memory, number, parameter
 from warpcontact.kernels.frictions.base import Friction
+from warpcontact.kernels.keywords import explain_keywords
 
 
 def stick_damping(stiffness: float, mass: float, overshoot: float) -> float:
@@ -26,13 +28,8 @@ def stick_damping(stiffness: float, mass: float, overshoot: float) -> float:
     Raises:
         ValueError: If a value is out of range.
     """
-    from warpcontact.kernels.laws.kelvin_voigt import damping_ratio_of_restitution
-
-    for name, value in (("stiffness", stiffness), ("mass", mass)):
-        if not 0.0 < value < math.inf:
-            raise ValueError(f"{name} must be greater than 0, got {value:g}")
-    if not 0.0 < overshoot <= 1.0:
-        raise ValueError(f"overshoot must be greater than 0 and at most 1, got {overshoot:g}")
+    stiffness, mass = number("stiffness", stiffness, above=0.0), number("mass", mass, above=0.0)
+    overshoot = number("overshoot", overshoot, above=0.0, at_most=1.0)
     return 2.0 * float(damping_ratio_of_restitution(overshoot)) * math.sqrt(stiffness * mass)
 
 
@@ -104,6 +101,7 @@ class CundallStrack(Friction):
     sliding = memory("-", "1 while it slides")
 
     @classmethod
+    @explain_keywords
     def from_overshoot(
         cls, *, mu_static: float, mu_dynamic: float, stiffness: float, mass: float, overshoot: float = 0.05
     ) -> Self:

@@ -3,9 +3,10 @@
 from typing import Any, Self
 
 import warp as wp
-from warpcontact.kernels.formula import memory, parameter
+from warpcontact.kernels.formula import memory, number, parameter
 from warpcontact.kernels.frictions.base import Friction
 from warpcontact.kernels.frictions.cundall_strack import spring_and_dashpot, spring_and_slider, stick_damping
+from warpcontact.kernels.keywords import explain_keywords
 
 
 class Mindlin(Friction):
@@ -35,6 +36,7 @@ class Mindlin(Friction):
     patch_radius = memory("m", "radius a of the patch")
 
     @classmethod
+    @explain_keywords
     def from_overshoot(
         cls,
         *,
@@ -58,6 +60,8 @@ class Mindlin(Friction):
         Raises:
             ValueError: If a value is out of range.
         """
+        shear_modulus = number("shear_modulus", shear_modulus, above=0.0)
+        patch_radius = number("patch_radius", patch_radius, above=0.0)
         damping = stick_damping(8.0 * shear_modulus * patch_radius, mass, overshoot)
         return cls(mu_static=mu_static, mu_dynamic=mu_dynamic, shear_modulus=shear_modulus, damping=damping)
 

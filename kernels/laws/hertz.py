@@ -8,7 +8,7 @@ import warp as wp
 from warpcontact.kernels.formula import number, parameter
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
-from warpcontact.kernels.laws.roots import root_between
+from warpcontact.kernels.roots import root_between
 
 
 def hertz_stiffness(

@@ -7,7 +7,7 @@ import warp as wp
 from warpcontact.kernels.formula import number, parameter
 from warpcontact.kernels.keywords import explain_keywords
 from warpcontact.kernels.laws.base import Law
-from warpcontact.kernels.laws.roots import root_between
+from warpcontact.kernels.roots import root_between
 
 # Padé approximant of Müller & Pöschel: e as a quotient of polynomials of v* = β^(1/2) v₀^(1/10), low order first.
 NUMERATOR = (1.0, 1.07232, 0.574198, 0.141552)
