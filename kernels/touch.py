@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import warp as wp
-from warpcontact.kernels import frames, memory
+from warpcontact.kernels import frames, memory, pull_off
 from warpcontact.kernels.formula import Formula, coefficient_struct, named_struct
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.kernels.motions import bodies
@@ -123,7 +123,8 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
     rolling_force, _, rolling_forget = memory.functions(parts.rolling, real)
     torsion_force, _, torsion_forget = memory.functions(parts.torsion, real, along_normal=True)
     needs_mass, needs_curvature = parts.law.needs_mass, parts.law.needs_curvature
-    pulls, pull_off = parts.law.pulls, parts.law.pull_off
+    pulls = parts.law.pulls
+    tension_of = pull_off.function(parts.law, real) if pulls else None
     rolls, twists, directional = parts.rolls, parts.twists, parts.directional
     lowest = wp.constant(real(-math.inf if parts.law.pulls else 0.0))
     # Mean arm of friction under the pressure of Hertz: (3π/16) a.
@@ -160,15 +161,6 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
         if force < lowest:
             return lowest
         return force
-
-    if pulls and pull_off is None:
-
-        @wp.func
-        def pull_off(p: Any, c: Touch):
-            """Tension at first touch and at rest."""
-            c.delta = c.delta * real(1.0e-6)
-            c.delta_dot = real(0.0)
-            return -law_begins(p, c)
 
     @wp.func
     def surface_axis(q_WS: quat, n_W: vec3):
@@ -234,7 +226,7 @@ def functions(parts: Parts, real: type, moves: bool = False) -> Functions:
         tension = real(0.0)
         if wp.static(pulls):
             # Not below 0, and not by max, which hides a NaN.
-            tension = pull_off(p, touch)
+            tension = tension_of(p, touch)
             if tension < real(0.0):
                 tension = real(0.0)
 

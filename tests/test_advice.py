@@ -4,6 +4,7 @@ import re
 import warnings
 
 import numpy as np
+import own_law
 import pytest
 from scenes import dropped_sphere, square
 
@@ -170,6 +171,13 @@ LONG_STEPS = [
         2 * (2 / 7) / 1e6,
     ),
     ({"friction": wc.frictions.Viscous(drag=1e6)}, 2 * (2 / 7) / (1e6 * 9.81)),
+    (  # under the weight and the pull-off force of 20 N
+        {
+            "friction": wc.frictions.Tanh(mu=0.3, velocity_scale=1e-6),
+            "law": own_law.Adhesive(stiffness=1e4, depth=2e-3),
+        },
+        2 * (2 / 7) * 1e-6 / (0.3 * (9.81 + 20.0)),
+    ),
     ({"rolling": wc.frictions.Viscous(drag=1e6)}, 2 * 0.4 / (1e6 * 9.81)),
     ({"torsion": wc.frictions.Viscous(drag=1e7)}, 2 * 0.4 * (0.1 / 0.01) ** 2 / (1e7 * 9.81)),
 ]
@@ -182,7 +190,7 @@ def test_a_step_in_which_a_friction_overshoots_is_told(parts, limit, device):
     scene = wc.Scene()
     ground = scene.add_surface(square(), name="ground")
     ball = scene.add_body(1.0, [0.4 * 0.01] * 3, position=(0, 0, 0.1), name="ball")
-    template = wc.Template(law=wc.laws.Hooke(stiffness=1e3), **parts)
+    template = wc.Template(**({"law": wc.laws.Hooke(stiffness=1e3)} | parts))
     options = {"torsion_radius": 0.01} if part == "torsion" else {}
     scene.add_contact(scene.add_point(ball, (0, 0, 0)), ground, template, radius=0.1, name="touch", **options)
     model = scene.build(envs=3, device=device, precision="float64")

@@ -1,12 +1,14 @@
 """Warnings about time steps in which a friction would overshoot, measured on the friction itself."""
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
 from warpcontact.checks import Array
-from warpcontact.kernels import steepness
+from warpcontact.kernels import pull_off, steepness
+from warpcontact.kernels.formula import Formula
 from warpcontact.kernels.frictions import Frictionless
 from warpcontact.mobility import LEAST_MOBILITY, mobility_of
 
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
     from warpcontact.environments import Environments
     from warpcontact.model import Model
     from warpcontact.scene import Contact
+
+KernelOf = Callable[[type[Formula], type], wp.Kernel]
 
 # Environments that are looked at, so that a warning does not take longer than the run.
 LOOKED_AT = 4096
@@ -24,7 +28,8 @@ USUAL_SPEED = 1.0
 def friction_advice(model: "Environments", contact: "Contact", dt: float) -> list[str]:
     """Returns what to say about the frictions of a contact, a sentence for each whose step is too long.
 
-    Under its share of the weight alone, with the mass that slip, rolling or twist sees.
+    Under its share of the weight, and the pull-off force of a law that pulls, with the mass that slip, rolling or
+    twist sees.
 
     Args:
         model: The model.
@@ -46,8 +51,14 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
     # Each body of a set rests on its one contact.
     bearing = 1 if contact.points.spread else contact.count
     load = np.broadcast_to(gravity / mobility["load"] / bearing, (envs, contact.count))
+    radius = np.broadcast_to(_radius(model, contact)[:envs], load.shape)
+    under = "its weight"
+    if contact.template.law.pulls:
+        mass = np.broadcast_to(1.0 / mobility["load"], load.shape)
+        (tension,) = _measured(model, contact, "law", pull_off.kernel, (mass, radius), outputs=1)
+        load, under = load + tension, "its weight and pull-off force"
     # A sphere's patch under that load is a matter of the law; a depth of a thousandth of the radius is usual.
-    patch = np.sqrt(1.0e-3) * np.broadcast_to(_radius(model, contact)[:envs], load.shape)
+    patch = np.sqrt(1.0e-3) * radius
     sentences = []
     for part, kind in parts.items():
         dashpot, spring = steepness_under(model, contact, part, load, patch)
@@ -59,8 +70,8 @@ def friction_advice(model: "Environments", contact: "Contact", dt: float) -> lis
         if dt > shortest[worst]:
             sentences.append(
                 f"{contact.name}: dt = {dt:g} s is too long for its {part}, {kind.__name__}, which overshoots in "
-                f"steps of more than {shortest[worst]:.2g} s in environment {model.first_env + worst} under its "
-                "weight"
+                f"steps of more than {shortest[worst]:.2g} s in environment {model.first_env + worst} under "
+                f"{under}"
             )
     return sentences
 
@@ -77,32 +88,48 @@ def steepness_under(
         load: Normal force of the first environments, (env, item) [N].
         patch: Radius of the patch of a sphere, likewise [m].
     """
+    dashpot, spring = _measured(model, contact, part, steepness.kernel, (load, patch), outputs=2)
+    return dashpot, spring
+
+
+def _measured(
+    model: "Environments", contact: "Contact", part: str, kernel: KernelOf, inputs: Sequence[Array], outputs: int
+) -> list[Array]:
+    """Returns what a kernel measures on a part of a contact in the first environments, each (env, item).
+
+    Args:
+        model: The model.
+        contact: One of its contacts.
+        part: Which of its parts.
+        kernel: Returns the kernel, by formula and precision.
+        inputs: Its arrays after the coefficients, of the first environments, (env, item).
+        outputs: Number of arrays that it writes.
+    """
     measured = [
-        _measured_on(one, contact, part, load[own], patch[own])
+        _measured_on(one, contact, part, kernel, [values[own] for values in inputs], outputs)
         for one, own in model.shares()
-        if own.start < len(load)
+        if own.start < len(inputs[0])
     ]
-    dashpots, springs = zip(*measured, strict=True)
-    return np.concatenate(dashpots), np.concatenate(springs)
+    return [np.concatenate(values) for values in zip(*measured, strict=True)]
 
 
-def _measured_on(model: "Model", contact: "Contact", part: str, load: Array, patch: Array) -> tuple[Array, Array]:
+def _measured_on(
+    model: "Model", contact: "Contact", part: str, kernel: KernelOf, inputs: Sequence[Array], outputs: int
+) -> list[Array]:
     """Returns the same for the first environments of one device."""
-    real, device = model.types.real, model.device
+    real, device, shape = model.types.real, model.device, inputs[0].shape
     group, first = model.group_of(contact)
-    coefficients = getattr(group.coefficients, part)[: len(load), first : first + contact.count]
-    inputs = [wp.array(np.ascontiguousarray(values), dtype=real, device=device) for values in (load, patch)]
-    outputs = [wp.zeros(load.shape, dtype=real, device=device) for _ in range(2)]
-    kind = getattr(group.parts, part)
+    coefficients = getattr(group.coefficients, part)[: shape[0], first : first + contact.count]
+    arrays = [wp.array(np.ascontiguousarray(values), dtype=real, device=device) for values in inputs]
+    results = [wp.zeros(shape, dtype=real, device=device) for _ in range(outputs)]
     wp.launch(
-        steepness.kernel(kind, real),
-        dim=load.shape,
-        inputs=[coefficients, *inputs],
-        outputs=outputs,
+        kernel(getattr(group.parts, part), real),
+        dim=shape,
+        inputs=[coefficients, *arrays],
+        outputs=results,
         device=device,
     )
-    dashpot, spring = (output.numpy().astype(np.float64) for output in outputs)
-    return dashpot, spring
+    return [result.numpy().astype(np.float64) for result in results]
 
 
 def _mobilities(model: "Environments", contact: "Contact") -> dict[str, Array]:
