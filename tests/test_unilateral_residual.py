@@ -48,6 +48,31 @@ def test_friction_violation_is_the_share_outside_of_the_cone_or_against_slip():
     assert residual(slip, [0.01, 0.004], [15.0, 4.0]) == pytest.approx(0.5 / 12.0)
 
 
+@pytest.mark.parametrize("shared", [True, False])
+def test_force_scale_is_the_least_over_the_rows_that_a_contact_enters(shared):
+    rng = np.random.default_rng(5)
+    problems, contacts, n = 4, 6, 9
+    G = rng.normal(size=(1 if shared else problems, contacts, 2, n))
+    G[rng.random((len(G), contacts, 1, n)).repeat(2, axis=2) < 0.6] = 0.0
+    G[:, 1] = 0.0  # enters no row
+    G[:, 2, :, :3], G[:, 2, :, 3:] = 1.0, 1e-12  # rounding of zero
+    K, f = np.eye(n)[None], rng.normal(size=(problems, n))
+    judge = Judge(K, f, G, np.zeros((1, contacts, 2)), np.full((1, contacts), 0.3))
+    u, lam = rng.normal(size=(problems, n)), rng.normal(size=(problems, contacts, 2))
+    sizes = np.broadcast_to(np.abs(G), (problems, *G.shape[1:]))
+    terms = np.abs(f) + np.abs(u) + np.einsum("pmdn,pmd->pn", sizes, np.abs(lam))
+    expected = np.full((problems, contacts), np.inf)
+    for p in range(problems):
+        entries = sizes[p].max(axis=1)
+        for i in range(contacts):
+            for row in range(n):
+                scaled = entries[i] * judge.scale[p % len(judge.scale)]
+                if scaled[row] > 1e-6 * scaled.max():
+                    expected[p, i] = min(expected[p, i], terms[p, row] / entries[i, row])
+    expected[:, 1] = expected[:, [0, 2, 3, 4, 5]].max(axis=1)
+    np.testing.assert_allclose(judge.scales(u, lam).force, expected, rtol=1e-12)
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("dim", [1, 2])
 def test_result_does_not_depend_on_units(method, dim):

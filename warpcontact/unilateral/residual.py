@@ -58,6 +58,15 @@ class Judge:
         self.G, self.targets = G[..., : self.dim, :], targets[..., : self.dim]
         self.scale, _ = scaling(K, f, self.G, self.targets)
         self._sizes = abs(K), np.abs(self.G)
+        entries = self._sizes[1].max(axis=-2)
+        with np.errstate(over="ignore", invalid="ignore"):
+            scaled = entries * self.scale[:, None]
+            counts = scaled > _NO_ENTRY * scaled.max(axis=-1, keepdims=True)
+        # Rows that a contact enters in any problem, contact by contact.
+        contact, self._entered = counts.any(axis=0).nonzero()
+        self._entering, self._starts = np.unique(contact, return_index=True)
+        self._counts = counts[:, contact, self._entered]
+        self._entries = np.where(counts, entries, 1.0)[:, contact, self._entered]
 
     @staticmethod
     def of(problem: "Problem") -> "Judge":
@@ -116,12 +125,10 @@ class Judge:
     def _force(self, terms: Array) -> Array:
         """Returns for each contact the least force that is as large as the terms of a row that it enters."""
         rows = np.maximum(terms, self._row_rounding(terms))
-        entries = self._sizes[1].max(axis=-2)
-        force = np.empty((len(terms), entries.shape[1]))
-        for i in range(entries.shape[1]):
-            scaled = entries[:, i] * self.scale
-            counts = scaled > _NO_ENTRY * scaled.max(axis=1, keepdims=True)
-            force[:, i] = np.where(counts, rows / np.where(counts, entries[:, i], 1.0), np.inf).min(axis=1)
+        force = np.full((len(terms), self.G.shape[1]), np.inf)
+        if len(self._entering):
+            shares = np.where(self._counts, rows[:, self._entered] / self._entries, np.inf)
+            force[:, self._entering] = np.minimum.reduceat(shares, self._starts, axis=1)
         usual = np.where(np.isfinite(force), force, 0.0).max(axis=1, initial=0.0)[:, None]
         force = np.where(np.isfinite(force) & (force > 0.0), force, usual)
         return np.where(force > 0.0, force, 1.0)
