@@ -1,5 +1,7 @@
 """The residual of static problems: its definition, units, and gaps far smaller than deflections."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -71,6 +73,21 @@ def test_force_scale_is_the_least_over_the_rows_that_a_contact_enters(shared):
                     expected[p, i] = min(expected[p, i], terms[p, row] / entries[i, row])
     expected[:, 1] = expected[:, [0, 2, 3, 4, 5]].max(axis=1)
     np.testing.assert_allclose(judge.scales(u, lam).force, expected, rtol=1e-12)
+
+
+def test_number_of_calls_of_a_residual_does_not_grow_with_contacts():
+    def calls(contacts):
+        one, nothing = np.eye(contacts), np.zeros((1, contacts))
+        judge = Judge(one[None], np.ones((1, contacts)), one[None, :, None], nothing[..., None], nothing)
+        profile, found = sys.getprofile(), []
+        sys.setprofile(lambda frame, event, arg: found.append(event))
+        try:
+            judge.residual(np.ones((1, contacts)), np.ones((1, contacts, 1)))
+        finally:
+            sys.setprofile(profile)
+        return len(found)
+
+    assert calls(50) == calls(5) > 10
 
 
 @pytest.mark.parametrize("method", METHODS)
