@@ -12,6 +12,8 @@ from tqdm import tqdm
 import warpcontact as wc
 from warpcontact import hostile
 from warpcontact.cli import main
+from warpcontact.experiment.run import Run
+from warpcontact.experiment.status import RunStatus
 from warpcontact.pace import bar_of
 
 EVIL = "\x1b[31mRED\x1b]0;title\x07\r\x9b2J\u202egnp\u2028"
@@ -109,6 +111,28 @@ def test_output_of_commands_is_shown_with_escapes_and_streams_come_back(monkeypa
     assert told.err.count("RED") == 2
     assert not controls(told.out + told.err)
     assert (sys.stdout, sys.stderr) == (out, err)
+
+
+def test_texts_of_run_json_make_no_lines(tmp_path):
+    forged = "x\nverified: all"
+    summary = {"name": forged, "envs": 1, "steps": 1, "failed": {forged: forged}, "state": forged, "duration": 1}
+    status = RunStatus(tmp_path, summary, "failed", 1, 0, 0, 0, 0, 0, 0.0)
+    assert str(status).count(r"x\nverified: all") == 3
+    assert not [line for line in str(status).splitlines() if line.startswith("verified")]
+    assert repr(Run(tmp_path, summary)).splitlines() == [repr(Run(tmp_path, summary))]
+    assert hostile.visible_lines(["a\tb", forged]) == "a\tb\nx\\nverified: all"
+
+
+def test_traceback_of_an_unexpected_error_is_shown_with_escapes(monkeypatch, capsys):
+    def evil(arguments):
+        raise KeyError(EVIL) from RuntimeError(EVIL)
+
+    monkeypatch.setattr("warpcontact.laws_command.run", evil)
+    assert main(["laws"]) == 1
+    told = capsys.readouterr()
+    assert "Traceback" in told.err
+    assert r"RuntimeError: \x1b[31mRED" in told.err
+    assert not controls(told.out + told.err)
 
 
 def test_progress_bars_still_move_the_cursor():

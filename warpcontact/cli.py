@@ -5,6 +5,7 @@ import os
 import re
 import shlex
 import sys
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -61,10 +62,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(str(error) or "out of memory")
     except OSError as error:
         return _fail(_sentence(error))
-    except RuntimeError as error:
-        if "allocate" not in str(error):  # as Warp says that there is no memory left
-            raise
-        return _fail(f"out of memory: {error}")
+    except Exception as error:
+        # The error of Warp when no memory is left.
+        if isinstance(error, RuntimeError) and "allocate" in str(error):
+            return _fail(f"out of memory: {error}")
+        # Python would print it after the streams are restored, with control characters of quoted files.
+        print(traceback.format_exc(), end="", file=sys.stderr)
+        return FAILED
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -17,6 +17,11 @@ def visible(text: object) -> str:
     return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
 
 
+def visible_lines(lines: Iterable[object]) -> str:
+    """Returns lines as one text; newlines within a line are escapes, too, so that quoted text adds no line."""
+    return "\n".join(visible(line).replace("\n", "\\n") for line in lines)
+
+
 class VisibleError(ValueError):
     """An error whose message may quote files: control characters in it are escapes."""
 

@@ -31,7 +31,7 @@ from warpcontact.experiment.trust import Trust
 from warpcontact.flags import words_of
 from warpcontact.footprint import environments
 from warpcontact.health import Health
-from warpcontact.hostile import visible
+from warpcontact.hostile import visible_lines
 from warpcontact.kernels.keywords import explain_keywords, explain_keywords_of
 from warpcontact.regular_files import UnsafeFileError
 from warpcontact.run_folder import RunPath
@@ -386,10 +386,10 @@ class Run:
         lines += [line for report in s.get("contact_couplings", {}).values() for line in report]
         width = max(11, *map(len, self.files))
         lines += [f"  {kind:<{width}} {path}" for kind, path in sorted(self.files.items())]
-        return visible("\n".join(lines))
+        return visible_lines(lines)
 
     def __repr__(self) -> str:
-        return visible(f"<Run in {self.folder}: {self.summary['name']}, {self.summary['state']}>")
+        return visible_lines([f"<Run in {self.folder}: {self.summary['name']}, {self.summary['state']}>"])
 
 
 @explain_keywords

@@ -12,7 +12,7 @@ from warpcontact.experiment.lock import is_written
 from warpcontact.experiment.probe import spoken
 from warpcontact.experiment.progress import told
 from warpcontact.experiment.store import Ledger, shards_of
-from warpcontact.hostile import visible
+from warpcontact.hostile import visible_lines
 
 # What a shard told longer ago than this is no news [s].
 FRESH = 60.0
@@ -74,7 +74,7 @@ class RunStatus:
         lines += [f"{shard} failed: {message}" for shard, message in s.get("failed", {}).items()]
         if self.state in ("interrupted", "failed", "stopped"):
             lines.append(f"go on with: warpcontact run --resume --out {self.folder}")
-        return visible("\n".join(lines))
+        return visible_lines(lines)
 
 
 def status_of(path: str | PathLike[str]) -> RunStatus:
