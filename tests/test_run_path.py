@@ -1,5 +1,6 @@
 """Paths below a run folder: links are not followed, prepared files are not written through, pipes are not read."""
 
+import fcntl
 import os
 import socket
 import stat
@@ -138,6 +139,37 @@ def test_names_that_lead_elsewhere_are_refused(name, run):
 
 def test_errors_name_the_whole_path(run):
     for action, path in (
+@pytest.mark.parametrize("name", ["run.json:stream", "C:", "nul", "Aux.txt", "com1.npz", "lpt² .x", "a.", "a "])
+def test_names_that_windows_has_no_files_for_are_refused_there(name, run, monkeypatch):
+    assert (run / name).name == name
+    monkeypatch.setattr(run_folder, "_WINDOWS", True)
+    with pytest.raises(ValueError, match="must be one that Windows has for files"):
+        run / f"inner/{name}"
+    for usual in ("shard_000000.json", "touch.gap", "console", "com.npz", ".animation.partial.usdc"):
+        assert (run / usual).name == usual
+
+
+def test_descriptors_that_are_synchronized_can_write_where_windows_needs_it(run, monkeypatch):
+    modes, synchronize = [], os.fsync
+
+    def noted(descriptor):
+        if stat.S_ISREG(os.fstat(descriptor).st_mode):
+            modes.append(fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE)
+        synchronize(descriptor)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    with (run / "file").replacing() as file:
+        file.write(b"mine")
+        file.close()  # as a wrapper of the file does
+    assert modes == [os.O_WRONLY]
+    monkeypatch.setattr(run_folder, "_WINDOWS", True)
+    (run / "file").sync()
+    with (run / "named").replaced() as partial:
+        partial.path.write_text("by name")
+    assert modes == [os.O_WRONLY, os.O_RDWR, os.O_RDWR]
+    assert (run / "file").read() == b"mine"
+
+
         ("read", "no/where"),
         ("create", "no/where"),
         ("read", "inner"),

@@ -69,6 +69,7 @@ def open_regular(
     shown: object = None,
     follow: bool = True,
     folder: int | None = None,
+    flags: int = 0,
 ) -> BufferedReader:
     """Opens a regular file to read; anything else is refused without a read.
 
@@ -78,6 +79,7 @@ def open_regular(
         shown: Its name in messages; ``None``: ``path``.
         follow: Whether a symbolic link is followed; otherwise it is refused.
         folder: Descriptor of the folder to which ``path`` is relative.
+        flags: Further flags of ``os.open``.
 
     Raises:
         UnsafeFileError: If it is a pipe, device, socket or refused link, or larger than ``most``.
@@ -86,7 +88,7 @@ def open_regular(
     shown = path if shown is None else shown
     # Opening a device can have effects, and a socket cannot be opened.
     check_regular(os.stat(path, dir_fd=folder, follow_symlinks=follow), shown, most)
-    flags = _READING if follow else _READING | getattr(os, "O_NOFOLLOW", 0)
+    flags |= _READING if follow else _READING | getattr(os, "O_NOFOLLOW", 0)
     descriptor = os.open(path, flags, dir_fd=folder)
     try:
         check_regular(os.fstat(descriptor), shown, most)

@@ -9,6 +9,7 @@ that the user names, when these lie below the folder of a run. All modules that 
 import contextlib
 import errno
 import os
+import re
 import shutil
 import stat
 from collections.abc import Iterable, Iterator
@@ -31,6 +32,10 @@ WAITING = 16
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 _FOLDER = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_CLOEXEC", 0)
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINKS | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+
+# On Windows ``file:stream`` is in ``file``, some names are of devices, and a dot or space at the end is dropped.
+_WINDOWS = os.name == "nt"
+_DEVICES = re.compile(r"(?:con|prn|aux|nul|conin\$|conout\$|(?:com|lpt)[0-9¹²³]) *(?:\..*)?", re.IGNORECASE)
 
 # Whether folders can be opened, and names be relative to them.
 _DESCRIPTORS = (
@@ -76,6 +81,8 @@ class RunPath:
         below = tuple(name.split("/"))
         if any(part in ("", ".", "..") or "\0" in part or os.sep in part for part in below):
             raise ValueError(f"{self}: the name of a file must not be empty, '.' or '..', got {name!r}")
+        if _WINDOWS and any(":" in part or part[-1] in ". " or _DEVICES.fullmatch(part) for part in below):
+            raise ValueError(f"{self}: the name of a file must be one that Windows has for files, got {name!r}")
         return RunPath(self.root, (*self.parts, *below))
 
     def __str__(self) -> str:
@@ -161,10 +168,10 @@ class RunPath:
 
     # Read
 
-    def open(self, most: int | None = None) -> BufferedReader:
-        """Opens a regular file of at most ``most`` bytes to read."""
+    def open(self, most: int | None = None, flags: int = 0) -> BufferedReader:
+        """Opens a regular file of at most ``most`` bytes to read, with further flags of ``os.open``."""
         with self._blamed(), self._entry() as entry:
-            return open_regular(entry.name, most, shown=self, follow=False, folder=entry.folder)
+            return open_regular(entry.name, most, shown=self, follow=False, folder=entry.folder, flags=flags)
 
     def read(self, most: int = TEXT) -> bytes:
         """Returns the content of a regular file of at most ``most`` bytes."""
@@ -215,6 +222,7 @@ class RunPath:
     @contextlib.contextmanager
     def replacing(self, *, wait: bool = True) -> Iterator[BinaryIO]:
         """Opens a new file that replaces this one when the block ends without an error.
+            new.sync()
 
         Args:
             wait: Whether to wait until its content is on the disk.
@@ -222,19 +230,21 @@ class RunPath:
         Raises:
             OSError: If it cannot be written; names this file.
         """
-        with (
-            self._replacement(f"{self.name}{PARTIAL}", wait=wait) as (_, descriptor),
-            os.fdopen(descriptor, "wb") as file,
-        ):
-            yield file
+        with self._replacement(f"{self.name}{PARTIAL}", wait=wait) as (_, descriptor):
+            try:
+                with os.fdopen(descriptor, "wb", closefd=False) as file:
+                    yield file
+                if wait:
+                    with self._blamed():
+                        os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
 
     @contextlib.contextmanager
     def _replacement(self, name: str, *, wait: bool = True) -> Iterator[tuple["RunPath", int]]:
         new = self.with_name(name)
         try:
             yield new, new.create()
-            if wait:
-                new.sync()
             new.move_to(self)
         except BaseException as error:
             with contextlib.suppress(OSError):
@@ -274,7 +284,8 @@ class RunPath:
                 if descriptor is not None:
                     os.fsync(descriptor)
             return
-        with self.open() as file, self._blamed():
+        # Windows synchronizes no descriptor that cannot write.
+        with self.open(flags=os.O_RDWR if _WINDOWS else 0) as file, self._blamed():
             os.fsync(file.fileno())
 
     # Descriptors
