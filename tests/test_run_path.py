@@ -8,7 +8,9 @@ import stat
 import pytest
 
 from warpcontact import run_folder
+from warpcontact.cache_key import cache_key
 from warpcontact.durable import check_place, replacing, writing
+from warpcontact.meshes import MeshError, load_mesh
 from warpcontact.regular_files import UnsafeFileError, open_regular
 from warpcontact.run_folder import RunPath, below_run, open_file
 
@@ -137,8 +139,6 @@ def test_names_that_lead_elsewhere_are_refused(name, run):
         run / name
 
 
-def test_errors_name_the_whole_path(run):
-    for action, path in (
 @pytest.mark.parametrize("name", ["run.json:stream", "C:", "nul", "Aux.txt", "com1.npz", "lpt² .x", "a.", "a "])
 def test_names_that_windows_has_no_files_for_are_refused_there(name, run, monkeypatch):
     assert (run / name).name == name
@@ -170,6 +170,8 @@ def test_descriptors_that_are_synchronized_can_write_where_windows_needs_it(run,
     assert (run / "file").read() == b"mine"
 
 
+def test_errors_name_the_whole_path(run):
+    for action, path in (
         ("read", "no/where"),
         ("create", "no/where"),
         ("read", "inner"),
@@ -236,6 +238,31 @@ def test_place_of_a_pipe_is_tried_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     check_place(tmp_path / "pipe")
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+
+
+def test_mesh_behind_a_link_below_a_run_folder_is_refused(run):
+    (run.root.parent / "other" / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    plant(run / "a.obj", "../other/a.obj")
+    plant(run / "link", "../other")
+    for name in ("a.obj", "link/a.obj"):
+        with pytest.raises(MeshError, match=f"a.obj' {LINK}"):
+            load_mesh(run.root / name, trusted=True)
+    (run.root.parent / "b.obj").symlink_to("other/a.obj")
+    assert len(load_mesh(run.root.parent / "b.obj", trusted=True).faces) == 1
+
+
+def test_kernel_cache_key_of_an_experiment_reads_no_links_below_a_run_folder(run):
+    folder = run.root.parent / "host"
+    folder.mkdir()
+    (run.root / "experiment.toml").write_text('law = { type = "laws.py:Cubic" }\n')
+    plant(run / "laws.py", "../other/file")
+    with pytest.raises(UnsafeFileError, match=f"laws.py: {LINK}"):
+        cache_key("cpu", [run.root / "experiment.toml"], host=folder, kernels=folder)
+    (run / "laws.py").remove()
+    assert cache_key("cpu", [run.root / "experiment.toml"], host=folder, kernels=folder)
+    plant(run / "study.toml", "../other/file")
+    with pytest.raises(UnsafeFileError, match=f"study.toml: {LINK}"):
+        cache_key("cpu", [run.root / "study.toml"], host=folder, kernels=folder)
 
 
 # Special files

@@ -4,6 +4,7 @@ The first part identifies the machine and the compiler, the second the source co
 part is still useful: Warp compiles only the modules that changed.
 """
 
+import contextlib
 import hashlib
 import json
 import platform
@@ -19,6 +20,7 @@ from warpcontact import kernels
 from warpcontact._version import __version__
 from warpcontact.devices import find_devices
 from warpcontact.kernels import unique
+from warpcontact.run_folder import read_file
 
 HOST = Path(__file__).parent
 KERNELS = Path(kernels.__file__).parent
@@ -71,13 +73,17 @@ def _sources(host: Path, kernels: Path, files: Iterable[Path]) -> list[Any]:
     """Returns the version and the hashes of all files that decide which kernels are compiled."""
     own = [path for path in _python_files(host) if kernels not in path.parents]
     parts: list[Any] = [__version__]
-    parts += [_entry(path, kernels) for path in _python_files(kernels)]
-    parts += [_entry(path, host) for path in own if _USES_KERNELS in path.read_bytes()]
+    parts += [_entry(path.relative_to(kernels), path.read_bytes()) for path in _python_files(kernels)]
+    for path in own:
+        content = path.read_bytes()
+        if _USES_KERNELS in content:
+            parts.append(_entry(path.relative_to(host), content))
     for file in files:
-        text = file.read_text(encoding="utf-8", errors="replace")
-        parts.append(_entry(file, file.parent))
-        named = sorted(set(_USER_FILE.findall(text)))
-        parts += [_entry(file.parent / name, file.parent) for name in named if (file.parent / name).is_file()]
+        content = read_file(file)
+        parts.append(_entry(Path(file.name), content))
+        for name in sorted(set(_USER_FILE.findall(content.decode("utf-8", errors="replace")))):
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError, ValueError):
+                parts.append(_entry(Path(name), read_file(file.parent / name)))
     return parts
 
 
@@ -85,9 +91,9 @@ def _python_files(folder: Path) -> list[Path]:
     return sorted(folder.rglob("*.py"))
 
 
-def _entry(path: Path, folder: Path) -> tuple[str, str]:
-    """Returns the name of a file, relative to ``folder``, and its hash."""
-    return path.relative_to(folder).as_posix(), hashlib.sha256(path.read_bytes()).hexdigest()
+def _entry(name: Path, content: bytes) -> tuple[str, str]:
+    """Returns the name of a file and the hash of its content."""
+    return name.as_posix(), hashlib.sha256(content).hexdigest()
 
 
 def _digest(content: Any) -> str:

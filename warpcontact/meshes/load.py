@@ -13,6 +13,8 @@ from warpcontact.meshes.repair import RepairRequest, check_tolerance, steps_of
 from warpcontact.meshes.report import MeshReport
 from warpcontact.meshes.topology import CRACK_LIMIT
 from warpcontact.meshes.units import metres
+from warpcontact.regular_files import UnsafeFileError
+from warpcontact.run_folder import open_file
 
 
 @explain_keywords
@@ -155,13 +157,15 @@ def examined(path: Path, name: str | None, options: Options) -> Examined:
 
 
 def _check_file(path: Path) -> None:
+    """Raises ``MeshError`` unless the file can be opened: a process that reads it then follows no refused link."""
     subject = f"mesh file {str(path)!r}"
     try:
-        if not path.exists():
-            raise MeshError(f"{subject} does not exist")
-        if not path.is_file():  # a directory, or a pipe, which would be waited for
-            raise MeshError(f"{subject} is not a regular file")
-        with path.open("rb"):
-            pass
-    except OSError as error:
-        raise MeshError(f"{subject} cannot be read: {error.strerror or error}") from error
+        open_file(path).close()
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise MeshError(f"{subject} does not exist") from error
+    except IsADirectoryError as error:
+        raise MeshError(f"{subject} is not a regular file") from error
+    except UnsafeFileError as error:
+        raise MeshError(f"{subject} {error.strerror}") from error
+    except (OSError, ValueError) as error:  # a name with a null character is a ValueError
+        raise MeshError(f"{subject} cannot be read: {getattr(error, 'strerror', None) or error}") from error
