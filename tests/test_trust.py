@@ -5,6 +5,7 @@ import os
 import shutil
 
 import pytest
+import runs
 from test_experiment import content
 
 import warpcontact as wc
@@ -12,6 +13,7 @@ from warpcontact.cli import main
 from warpcontact.experiment import cluster, trust
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.toml import to_toml
+from warpcontact.viewer.sources import RunSource
 
 LAWS = """
 from pathlib import Path
@@ -178,11 +180,34 @@ def test_study_of_the_user_needs_no_flag(study, strange, capsys):
     capsys.readouterr()
 
 
+@pytest.mark.filterwarnings("ignore:the files with laws:RuntimeWarning")
+def test_run_just_made_is_read_without_a_state_folder(study, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", str(tmp_path / "file"))
+    made = wc.Experiment.from_toml(study / "study.toml").run(tmp_path / "out", device="cpu")
+    assert made.settings.outcome
+    assert made.experiment.settings.outcome
+    with pytest.raises(wc.ExperimentError, match=r"would run laws\.py, outcomes\.py, Python code"):
+        _ = wc.open_run(tmp_path / "out").settings
+
+
+def test_trust_in_a_run_lasts_when_its_view_is_refreshed(strange, monkeypatch):
+    digests = [trust.digest_of((strange / name).read_bytes()) for name in ("laws.py", "outcomes.py")]
+    runs.change(strange / "run.json", state="unfinished")
+    source = RunSource(strange, trust=digests)
+    runs.change(strange / "run.json", wall_time=1.0)  # as if more were committed
+    assert source.refresh()
+    assert source.run.settings.outcome
+    assert not trust.records().exists()
+
+
 def test_missing_state_folder_is_warned_of(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("LOCALAPPDATA" if os.name == "nt" else "XDG_STATE_HOME", str(tmp_path / "file"))
     with pytest.warns(
-        RuntimeWarning, match="could not be recorded as trusted: Not a directory; to resume or draw"
-    ):
+        wc.RunWarning, match="could not be recorded as trusted: Not a directory; to resume or draw"
+    ) as heard:
         trust.record([b"code"])
+    assert heard[0].message.level is wc.WarningLevel.CAUTION
+    assert heard[0].filename == __file__
     assert not trust.may_run(b"code", trust=False)

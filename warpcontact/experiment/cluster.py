@@ -17,7 +17,6 @@ from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.folder import read_summary
 from warpcontact.experiment.progress import INTERVAL, Bar, told
 from warpcontact.experiment.store import Commit, Shard, StoreError
-from warpcontact.experiment.trust import digest_of
 from warpcontact.footprint import USABLE, MemoryShortage, environments, readable
 from warpcontact.quarantine import QuarantineError
 
@@ -100,8 +99,7 @@ class Place:
         def run(left: Iterable[Shard], commits: Mapping[int, Commit], bar: Bar) -> dict[str, str]:
             folder = str(job.folder.resolve())
             # A worker trusts the files that this process has run, and no others.
-            laws = tuple(digest_of(content) for content in job.copy.files.values())
-            words = (folder, where, self.cores, job.every, laws)
+            words = (folder, where, self.cores, job.every, job.laws)
             return _Tasks(self.ray, task, words, list(left), bar, Path(folder)).run()
 
         return run

@@ -82,7 +82,12 @@ class Job:
     @property
     def shards(self) -> list[Shard]:
         """All shards."""
-        return shards_of(self.plan.envs, self.plan.shard)
+        return Shards(self.plan.envs, self.plan.shard)
+
+    @property
+    def laws(self) -> tuple[str, ...]:
+        """SHA-256 of the files with laws that it runs: those of its folder with this content are trusted."""
+        return tuple(trust.digest_of(content) for content in self.copy.files.values())
 
     def runner(self, model: Environments) -> ShardRunner:
         """Returns what runs shards on ``model``."""
@@ -214,7 +219,7 @@ def _proceed(job: Job, run_shards: Runs) -> Run:
     if failed:
         summary |= {"state": files_of.FAILED, "failed": failed, "warnings": warned()}
         files_of.write_summary(folder, summary)
-        return open_run(folder)
+        return open_run(folder, trust=job.laws)
     return _end(job, summary, warned)
 
 
@@ -341,7 +346,7 @@ def _end(job: Job, summary: dict[str, Any], warned: Callable[[], list[str]]) -> 
     folder = job.folder
     commits = Ledger(folder).commits()
     wall_time = sum(commit.wall_time for commit in commits.values())
-    run = Run(folder, summary, job.scene)
+    run = Run(folder, summary, job.scene, job.laws)
     health = run.health
     if not health.good:
         warnings.warn(RunWarning(str(health), WarningLevel.ERROR), stacklevel=4)
@@ -356,7 +361,7 @@ def _end(job: Job, summary: dict[str, Any], warned: Callable[[], list[str]]) -> 
     files_of.write_summary(folder, summary)
     files_of.remove_parts(folder)
     job.say("writing")
-    run = Run(folder, summary, job.scene)
+    run = Run(folder, summary, job.scene, job.laws)
     try:
         _show(run, job)
     except Exception as error:

@@ -12,6 +12,8 @@ import warnings
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
+from warpcontact.contact_warning import RunWarning, WarningLevel
+
 #: ``True``: any file may be run; otherwise those with one of these SHA-256, next to those that are recorded.
 Trust = bool | Collection[str]
 
@@ -39,12 +41,11 @@ def record(contents: Iterable[bytes]) -> None:
             (folder / digest_of(content)).touch(0o600)
         except (OSError, RuntimeError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
-            warnings.warn(
+            text = (
                 f"the files with laws of this run could not be recorded as trusted: {reason}; to resume or draw "
-                "it, use --trust",
-                RuntimeWarning,
-                stacklevel=2,
+                "it, use --trust"
             )
+            warnings.warn(RunWarning(text, WarningLevel.CAUTION), stacklevel=2)
             return
 
 

@@ -154,7 +154,7 @@ class RunSource(Source):
             # What runs and does not commit yet tells how far it is all the same.
             self._state = status_of(self.folder)
             return False
-        self._open(open_run(self.folder), self.scene)
+        self._open(open_run(self.folder, trust=self.run._trust), self.scene)
         self._seen = seen
         return True
 
