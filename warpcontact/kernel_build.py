@@ -43,14 +43,14 @@ class ExperimentKernels:
     def __init__(self, experiment: "Experiment", device: str | Sequence[str]) -> None:
         from warpcontact.experiment.experiment import CHECKPOINT
         from warpcontact.experiment.shards import Frames, ShardRunner
-        from warpcontact.experiment.store import shards_of
+        from warpcontact.experiment.store import Shards
 
         plan = experiment.plan(device=device)
         plan.require()
         frames = Frames.of(experiment.settings, plan.block)
         model = experiment.draft(device).build(plan.shard)
         self._runner = ShardRunner(model, experiment.settings, experiment.design, frames, Path(), CHECKPOINT)
-        self._shards = shards_of(plan.envs, plan.shard)
+        self._shards = Shards(plan.envs, plan.shard)
         self.on_cpu: list[wp.Kernel] = []
         # The values of a shard decide whether contacts at the start are evaluated.
         for shard in reversed(self._shards):

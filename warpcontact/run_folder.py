@@ -141,13 +141,17 @@ class RunPath:
         found = self.status()
         return found is not None and stat.S_ISDIR(found.st_mode)
 
-    def is_file(self) -> bool:
-        """Whether there is a file of this name; a link, pipe or device is refused."""
+    def file_status(self) -> os.stat_result | None:
+        """Returns the status of a file; ``None``: there is none. A link, pipe or device is refused."""
         found = self.status()
         if found is None or stat.S_ISDIR(found.st_mode):
-            return False
+            return None
         check_regular(found, self)
-        return True
+        return found
+
+    def is_file(self) -> bool:
+        """Whether there is a file of this name; a link, pipe or device is refused."""
+        return self.file_status() is not None
 
     def size(self) -> int:
         """Returns the size of a file [bytes]."""
@@ -218,11 +222,11 @@ class RunPath:
         with self._replacement(partial or f"{self.name}{PARTIAL}") as (new, descriptor):
             os.close(descriptor)
             yield new
+            new.sync()
 
     @contextlib.contextmanager
     def replacing(self, *, wait: bool = True) -> Iterator[BinaryIO]:
         """Opens a new file that replaces this one when the block ends without an error.
-            new.sync()
 
         Args:
             wait: Whether to wait until its content is on the disk.
@@ -273,7 +277,10 @@ class RunPath:
             return
         with self._blamed(), self._entry() as entry, contextlib.suppress(FileNotFoundError):
             if stat.S_ISDIR(found.st_mode):
-                shutil.rmtree(entry.name, dir_fd=entry.folder)
+                try:
+                    shutil.rmtree(entry.name, dir_fd=entry.folder)
+                except RecursionError:
+                    raise OSError(errno.ENOTEMPTY, "has folders that are nested too deep to be removed") from None
             else:
                 os.unlink(entry.name, dir_fd=entry.folder)
 

@@ -277,7 +277,7 @@ def run_shard(
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
-    from warpcontact.experiment.store import shards_of
+    from warpcontact.experiment.store import Shards
 
     path = Path(folder)
     summary = read_summary(path) or {}
@@ -288,7 +288,7 @@ def run_shard(
             _RUNNERS.clear()
             _RUNNERS[key] = _runner(path, summary, device, threads, every, laws)
         runner = _RUNNERS[key]
-        shard = shards_of(summary["envs"], summary["shard"])[number]
+        shard = Shards(summary["envs"], summary["shard"])[number]
         commit = runner.ledger.commits().get(number)
         runner.ledger.recover(shard, commit or Commit(number))
         ended = runner.run(shard, commit)

@@ -30,7 +30,7 @@ from warpcontact.experiment.progress import Bar
 from warpcontact.experiment.run import Run, open_run
 from warpcontact.experiment.schema import Settings
 from warpcontact.experiment.shards import Frames, ShardRunner
-from warpcontact.experiment.store import Commit, Ledger, Shard, StoreError, shards_of
+from warpcontact.experiment.store import Commit, Ledger, Shard, Shards, StoreError
 from warpcontact.experiment.toml import to_toml
 from warpcontact.footprint import environments, readable
 from warpcontact.quarantine import QuarantineError
@@ -80,7 +80,7 @@ class Job:
         return Frames.of(self.settings, self.plan.block)
 
     @property
-    def shards(self) -> list[Shard]:
+    def shards(self) -> Shards:
         """All shards."""
         return Shards(self.plan.envs, self.plan.shard)
 
@@ -163,7 +163,7 @@ def all_finished(folder: Path, summary: Mapping[str, Any]) -> bool:
         StoreError: If the record of a shard is damaged.
     """
     commits = Ledger(folder).commits()
-    return all(_is_finished(commits, shard) for shard in shards_of(summary["envs"], summary["shard"]))
+    return all(_is_finished(commits, shard) for shard in Shards(summary["envs"], summary["shard"]))
 
 
 def proceed(job: Job, run_shards: Runs) -> Run:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from warpcontact.experiment.records import (
+    AXES,
     COMMITS,
     DATA,
     GROUPS,
@@ -30,6 +31,8 @@ LABELS = "labels"
 _META = "zarr.json"
 # Groups that are written when a shard ends.
 _AT_END = ("outcome", "events")
+# Larger sizes fit into no array of a device.
+_MOST = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,8 @@ class ChunkGrid:
         for dim, size, chunk in zip(self.dims, self.shape, self.chunks, strict=True):
             part = some.get(str(dim))
             part = range(size) if part is None else part
-            places.append(range(part.start // chunk, -(-part.stop // chunk)) if len(part) else range(0))
+            empty = part.start >= part.stop
+            places.append(range(0) if empty else range(part.start // chunk, -(-part.stop // chunk)))
         return places
 
     def names(self, envs: range | None = None, frames: range | None = None) -> Iterator[str]:
@@ -63,7 +67,9 @@ class ChunkGrid:
 
 
 def _each(ranges: Sequence[range]) -> Iterator[tuple[int, ...]]:
-    # Lazily: itertools.product stores all numbers of each range.
+    # Without itertools.product, which stores all numbers of each range.
+    if not all(ranges):
+        return  # also with an empty range after a long one
     if not ranges:
         yield ()
         return
@@ -176,16 +182,24 @@ class Expected:
             shape = tuple(content["shape"])
             chunks = tuple(content["chunk_grid"]["configuration"]["chunk_shape"])
             dims = tuple(content["dimension_names"])
-            whole = all(isinstance(n, int) for n in (*shape, *chunks)) and min(chunks, default=1) > 0
-            if not whole or min(shape, default=0) < 0 or not len(shape) == len(chunks) == len(dims):
+            sizes = _are_whole(shape, 0) and _are_whole(chunks, 1)
+            if not sizes or not len(shape) == len(chunks) == len(dims) == len(set(dims)) <= AXES:
                 raise ValueError
         except (KeyError, TypeError, ValueError):
-            raise StoreError(f"{path / _META}: must have a shape, and chunks of a regular grid") from None
+            raise StoreError(
+                f"{path / _META}: must have a shape of at most {AXES} axes, and chunks of a regular grid, in "
+                f"whole numbers up to {_MOST}"
+            ) from None
         grid = ChunkGrid(dims, shape, chunks)
         own = dict(zip(dims, zip(shape, chunks, strict=True), strict=True))
         if "env" in own and own["env"][0] != self._extent.envs:
             raise StoreError(
                 f"{path}: must have {self._extent.envs} environments, as in run.json, got {own['env'][0]}"
+            )
+        if "time" in own and own["time"][0] > self._extent.steps + 1:
+            raise StoreError(
+                f"{path}: must have at most {self._extent.steps + 1} frames, as run.json has {self._extent.steps} "
+                f"steps, got {own['time'][0]}"
             )
         return grid
 
@@ -255,6 +269,11 @@ class Expected:
             if finished or group not in _AT_END
             for name, grid in variables.items()
         }
+
+
+def _are_whole(sizes: Sequence[object], least: int) -> bool:
+    """Whether all sizes are whole numbers from ``least`` to the largest of an array."""
+    return all(isinstance(n, int) and not isinstance(n, bool) and least <= n <= _MOST for n in sizes)
 
 
 def _is_among(places: Mapping[str, Sequence[range]], name: str) -> bool:

@@ -20,14 +20,19 @@ MADE = "store.json"
 #: The groups, of parameters, outcomes, readings over time, and events.
 GROUPS = ("params", "outcome", "series", "events")
 
+#: Most axes of an array.
+AXES = 8
+
 #: Size [bytes] and SHA-256 of files of the store, by their path.
 Files = dict[str, tuple[int, str]]
 
 _RECORD = re.compile(r"shard_(?:\d{6}|[1-9]\d{6,})\.json")
 # Files of the store as records name them: nothing outside of it has such a name.
 _VARIABLE = rf"(?:{'|'.join(GROUPS)})/(?!\.\.?/)[^/\\\0]+"
-_CHUNK = re.compile(rf"{_VARIABLE}/c(?:/\d+)+")
-_MADE = re.compile(rf"(?:(?:{'|'.join(GROUPS)}|{_VARIABLE})/)?zarr\.json|{_VARIABLE}/c(?:/\d+)*")
+_PLACE = r"(?:/[0-9]{1,10})"
+_CHUNK = re.compile(rf"{_VARIABLE}/c{_PLACE}{{1,{AXES}}}")
+_CHUNK_FOLDER = re.compile(rf"(?:{'|'.join(GROUPS)})|{_VARIABLE}(?:/c{_PLACE}{{0,{AXES - 1}}})?")
+_MADE = re.compile(rf"(?:(?:{'|'.join(GROUPS)}|{_VARIABLE})/)?zarr\.json|{_VARIABLE}/c{_PLACE}{{0,{AXES}}}")
 _SHA = re.compile(r"[0-9a-f]{64}")
 # Numbers beyond this fit into no array.
 _MOST = 2**63 - 1
@@ -120,6 +125,11 @@ def commits_in(folder: RunPath) -> dict[int, Commit]:
 def is_chunk(name: str) -> bool:
     """Whether a file of the store is a chunk, by its path."""
     return bool(_CHUNK.fullmatch(name))
+
+
+def is_chunk_folder(name: str) -> bool:
+    """Whether chunks can be in a folder of the store or below it, by its path."""
+    return bool(_CHUNK_FOLDER.fullmatch(name))
 
 
 def made_in(folder: RunPath) -> Files:

@@ -26,7 +26,7 @@ from warpcontact.experiment.own import OwnFiles
 from warpcontact.experiment.reading import Parts, load_toml, read_settings
 from warpcontact.experiment.records import COMMITS, DATA, GROUPS, Commit, StoreError
 from warpcontact.experiment.schema import Settings
-from warpcontact.experiment.store import Ledger, Shard, shards_of
+from warpcontact.experiment.store import Ledger, Shards
 from warpcontact.experiment.trust import Trust
 from warpcontact.flags import words_of
 from warpcontact.footprint import environments
@@ -99,12 +99,13 @@ class Run:
     @functools.cached_property
     def _commits(self) -> dict[int, Commit]:
         """What is committed, as of when it was first asked for: all data sets are of the same moment."""
-        return Ledger(self.folder).commits()
+        count = len(self.shards)
+        return {number: one for number, one in Ledger(self.folder).commits().items() if number < count}
 
     @property
     def finished(self) -> bool:
         """Whether all shards are."""
-        return bool(self._mask(finished=True).all())
+        return sum(commit.finished for commit in self._commits.values()) == len(self.shards)
 
     @functools.cached_property
     def params(self) -> "xr.Dataset":
@@ -207,9 +208,9 @@ class Run:
     def frames(self) -> NDArray[np.intp]:
         """How many records over time can be read of each environment that was begun, (env,), as in ``series``."""
         frames = np.zeros(self.summary["envs"], dtype=np.intp)
-        for shard in self.shards:
-            if shard.number in self._commits:
-                frames[shard.first : shard.stop] = self._commits[shard.number].frames
+        for number, commit in self._commits.items():
+            shard = self.shards[number]
+            frames[shard.first : shard.stop] = commit.frames
         return frames[self._mask(finished=False)]
 
     @property
@@ -247,9 +248,9 @@ class Run:
         return {kind: self.folder / name for kind, name in named.items() if (self._files / name).is_there()}
 
     @property
-    def shards(self) -> list[Shard]:
+    def shards(self) -> Shards:
         """The shards that it consists of."""
-        return shards_of(self.summary["envs"], self.summary["shard"])
+        return Shards(self.summary["envs"], self.summary["shard"])
 
     def table(self) -> "xr.Dataset":
         """Returns parameters and outcomes of the finished environments as one data set (env, …)."""
@@ -351,9 +352,9 @@ class Run:
     def _mask(self, *, finished: bool) -> NDArray[np.bool_]:
         """Returns which environments are finished, or begun (env,)."""
         mask = np.zeros(self.summary["envs"], dtype=bool)
-        for shard in self.shards:
-            commit = self._commits.get(shard.number)
-            mask[shard.first : shard.stop] = commit is not None and (commit.finished or not finished)
+        for number, commit in self._commits.items():
+            shard = self.shards[number]
+            mask[shard.first : shard.stop] = commit.finished or not finished
         return mask
 
     def _begun(self) -> NDArray[np.intp] | slice:

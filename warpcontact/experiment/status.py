@@ -11,7 +11,7 @@ from warpcontact.experiment.errors import ExperimentError
 from warpcontact.experiment.lock import is_written
 from warpcontact.experiment.probe import spoken
 from warpcontact.experiment.progress import told
-from warpcontact.experiment.store import Ledger, shards_of
+from warpcontact.experiment.store import Ledger, Shards
 from warpcontact.hostile import visible_lines
 
 # What a shard told longer ago than this is no news [s].
@@ -89,13 +89,13 @@ def status_of(path: str | PathLike[str]) -> RunStatus:
     if summary is None:
         raise ExperimentError(str(folder), ["holds no run"])
     files_of.check_schema(folder, summary)
-    shards = {shard.number: shard for shard in shards_of(summary["envs"], summary["shard"])}
-    commits = {number: one for number, one in Ledger(folder).commits().items() if number in shards}
+    shards = Shards(summary["envs"], summary["shard"])
+    commits = {number: one for number, one in Ledger(folder).commits().items() if number < len(shards)}
     steps = {number: commit.steps for number, commit in commits.items()}
     running = dict(steps)
     now = time.time()
     for number, content in told(folder):
-        if number in shards and now - float(content["time"]) < FRESH:
+        if number < len(shards) and now - float(content["time"]) < FRESH:
             running[number] = max(running.get(number, 0), int(content["steps"]))
     finished = [shards[number] for number, commit in commits.items() if commit.finished]
     state = summary["state"]

@@ -19,11 +19,11 @@ import contextlib
 import hashlib
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ from warpcontact.experiment.records import (
     StoreError,
     commits_in,
     is_chunk,
+    is_chunk_folder,
     is_unchanged,
     made_in,
 )
@@ -92,9 +93,31 @@ class Shard:
         return self.stop - self.first
 
 
-def shards_of(envs: int, size: int) -> list[Shard]:
-    """Returns the shards of ``size`` environments that make up ``envs``; the last may be smaller."""
-    return [Shard(k, first, min(first + size, envs)) for k, first in enumerate(range(0, envs, size))]
+@dataclass(frozen=True)
+class Shards(Sequence[Shard]):
+    """The shards that make up a number of environments, computed from their numbers; the last may be smaller.
+
+    Attributes:
+        envs: Number of environments.
+        size: Environments of a shard.
+    """
+
+    envs: int
+    size: int
+
+    def __len__(self) -> int:
+        return len(range(0, self.envs, self.size))
+
+    @overload
+    def __getitem__(self, number: int) -> Shard: ...
+    @overload
+    def __getitem__(self, number: slice) -> list[Shard]: ...
+
+    def __getitem__(self, number: int | slice) -> Shard | list[Shard]:
+        if isinstance(number, slice):
+            return [self[k] for k in range(len(self))[number]]
+        k = range(len(self))[number]
+        return Shard(k, k * self.size, min((k + 1) * self.size, self.envs))
 
 
 @contextlib.contextmanager
@@ -319,10 +342,18 @@ class Ledger:
     def _unknown_file(self, made: Files, commits: Mapping[int, Commit]) -> str | None:
         """Returns what is wrong if there is a file that no record names; unnamed chunks are never read."""
         known = {*made, *(name for commit in commits.values() for name in commit.files)}
-        for path in _entries_below(self.folder / DATA):
-            name = "/".join(path.parts[1:])
-            if name not in known and not is_chunk(name) and not path.name.startswith("."):  # such as .DS_Store
-                return f"{path}: is not of this run; remove it"
+        left = [self.folder / DATA]
+        while left:
+            folder = left.pop()
+            for path in map(folder.__truediv__, folder.names()):
+                name = "/".join(path.parts[1:])
+                # Other folders can be nested to any depth, and are not entered.
+                if is_chunk_folder(name) and path.is_real_folder():
+                    left.append(path)
+                elif (
+                    name not in known and not is_chunk(name) and not path.name.startswith(".")
+                ):  # such as .DS_Store
+                    return f"{path}: is not of this run; remove it"
         return None
 
     def _problem(self, commit: Commit, expected: Expected, contents: bool, checkpoints: bool) -> str | None:
@@ -337,27 +368,22 @@ class Ledger:
         return self._problem_of(commit.files, f"shard_{commit.shard:06d}", contents)
 
     def _problem_of(self, files: Files, shard: str, contents: bool) -> str | None:
+        staged = self.folder / STAGING / shard if shard else None
+        if staged is not None and not staged.is_folder():
+            staged = None
         for name, (size, sha) in files.items():
             # Committed, and not moved yet?
-            if shard and is_unchanged(self.folder / STAGING / shard / name, size, sha):
+            if staged is not None and is_unchanged(staged / name, size, sha):
                 continue
             path = self.folder / DATA / name
-            if not path.is_file():
+            found = path.file_status()
+            if found is None:
                 return f"{path}: is missing, and was committed"
-            if (found := path.size()) != size:
-                return f"{path}: has {found} bytes, and {size} were committed"
+            if found.st_size != size:
+                return f"{path}: has {found.st_size} bytes, and {size} were committed"
             if contents and not is_unchanged(path, size, sha):
                 return f"{path}: was changed since it was committed"
         return None
-
-
-def _entries_below(folder: RunPath) -> Iterator[RunPath]:
-    """Iterates over all entries below a folder that are no folders, links included."""
-    for name in folder.names():
-        if (folder / name).is_real_folder():
-            yield from _entries_below(folder / name)
-        else:
-            yield folder / name
 
 
 class Staging:
