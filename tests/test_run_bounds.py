@@ -1,4 +1,4 @@
-"""Run folders with extreme entries are refused immediately: sizes of arrays, numbers of shards, depths of folders."""
+"""Run folders with extreme array sizes, numbers of shards or depths of folders are refused immediately."""
 
 import json
 import shutil

@@ -40,7 +40,7 @@ def plant(path, target):
 
 
 ACTIONS = {
-    "open": lambda path: path.open(),
+    "open": lambda path: path.open_binary(),
     "read": lambda path: path.read(),
     "size": lambda path: path.size(),
     "is_file": lambda path: path.is_file(),

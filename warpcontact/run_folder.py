@@ -172,14 +172,14 @@ class RunPath:
 
     # Read
 
-    def open(self, most: int | None = None, flags: int = 0) -> BufferedReader:
+    def open_binary(self, most: int | None = None, flags: int = 0) -> BufferedReader:
         """Opens a regular file of at most ``most`` bytes to read, with further flags of ``os.open``."""
         with self._blamed(), self._entry() as entry:
             return open_regular(entry.name, most, shown=self, follow=False, folder=entry.folder, flags=flags)
 
     def read(self, most: int = TEXT) -> bytes:
         """Returns the content of a regular file of at most ``most`` bytes."""
-        with self.open(most) as file:
+        with self.open_binary(most) as file:
             return file.read()
 
     # Write
@@ -292,7 +292,7 @@ class RunPath:
                     os.fsync(descriptor)
             return
         # Windows synchronizes no descriptor that cannot write.
-        with self.open(flags=os.O_RDWR if _WINDOWS else 0) as file, self._blamed():
+        with self.open_binary(flags=os.O_RDWR if _WINDOWS else 0) as file, self._blamed():
             os.fsync(file.fileno())
 
     # Descriptors
@@ -397,7 +397,7 @@ def open_file(path: Path | RunPath, most: int | None = None) -> BufferedReader:
         OSError: If it cannot be opened.
     """
     inside = below_run(path)
-    return inside.open(most) if inside is not None else open_regular(str(path), most)
+    return inside.open_binary(most) if inside is not None else open_regular(str(path), most)
 
 
 def read_file(path: Path | RunPath, most: int = TEXT) -> bytes:

@@ -123,7 +123,7 @@ class CommittedStore(Store):
             places += [self.folder / STAGING / self._shards[key] / key, own]
         there = False
         for place in places:
-            with contextlib.suppress(FileNotFoundError), place.open() as file:
+            with contextlib.suppress(FileNotFoundError), place.open_binary() as file:
                 there = there or place == own
                 if os.fstat(file.fileno()).st_size == size:
                     content = file.read(size)

@@ -144,7 +144,7 @@ def made_in(folder: RunPath) -> Files:
 
 def digest(path: RunPath) -> str:
     """Returns the SHA-256 of a file."""
-    with path.open() as file:
+    with path.open_binary() as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

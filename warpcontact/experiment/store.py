@@ -350,9 +350,8 @@ class Ledger:
                 # Other folders can be nested to any depth, and are not entered.
                 if is_chunk_folder(name) and path.is_real_folder():
                     left.append(path)
-                elif (
-                    name not in known and not is_chunk(name) and not path.name.startswith(".")
-                ):  # such as .DS_Store
+                # Hidden files are those of file managers.
+                elif name not in known and not is_chunk(name) and not path.name.startswith("."):
                     return f"{path}: is not of this run; remove it"
         return None
 

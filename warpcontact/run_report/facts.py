@@ -105,7 +105,10 @@ def section(folder: Path, summary: Mapping[str, Any], status: RunStatus) -> Mark
 
 def _settings(folder: Path) -> Markup:
     try:
-        with (RunPath(folder) / EXPERIMENT).open() as raw, TextIOWrapper(raw, "utf-8", errors="replace") as file:
+        with (
+            (RunPath(folder) / EXPERIMENT).open_binary() as raw,
+            TextIOWrapper(raw, "utf-8", errors="replace") as file,
+        ):
             text = file.read(SETTINGS + 1)
     except OSError as error:
         return element("p", f"{EXPERIMENT} cannot be read: {error.strerror or error}", class_="note")

@@ -207,7 +207,7 @@ def _name(number: int) -> str:
 def _sha(path: RunPath) -> str:
     """Returns the SHA-256 of a file; of none an empty text."""
     try:
-        with path.open() as file:
+        with path.open_binary() as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except UnsafeFileError:
         raise
