@@ -287,7 +287,7 @@ class Run:
         frame = self.to_dataframe()
         coded = frame.select_dtypes("category").astype(object)
         frame[coded.columns] = coded.where(coded.notna(), None)
-        with writing(Path(path)) as raw, io.TextIOWrapper(raw, "utf-8", newline="") as file:
+        with writing(Path(path)) as raw, io.TextIOWrapper(raw, encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["env", *frame.columns])
             for env, row in zip(frame.index, frame.itertuples(index=False), strict=True):

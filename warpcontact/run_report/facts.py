@@ -107,7 +107,7 @@ def _settings(folder: Path) -> Markup:
     try:
         with (
             (RunPath(folder) / EXPERIMENT).open_binary() as raw,
-            TextIOWrapper(raw, "utf-8", errors="replace") as file,
+            TextIOWrapper(raw, encoding="utf-8", errors="replace") as file,
         ):
             text = file.read(SETTINGS + 1)
     except OSError as error:
