@@ -134,5 +134,5 @@ def test_random_damage_neither_crashes_nor_changes_what_is_verified(kind, reques
                 assert runs.hashes(whole).items() <= runs.hashes(folder).items(), number
         shutil.rmtree(folder)
     # Not all files are results, such as pictures.
-    assert verified
+    assert verified or count < 30  # a few damages may all be found
     assert refused > count // 2
