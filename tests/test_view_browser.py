@@ -32,7 +32,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("view")
     path = runs.study(folder)
     text = path.read_text().replace('"touch.status"]', '"touch.status", "touch.point", "touch.normal"]')
-    path.write_text(f"name = '''{HOSTILE}{'n' * 10_000}'''\n{text}")
+    path.write_text(f"name = '''{HOSTILE}{'n' * 120}'''\n{text}")
     wc.Experiment.from_toml(path).run(folder / "run", device="cpu", progress=False)
     return folder / "run"
 
