@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.optimize import brentq
 
 import warpcontact as wc
@@ -29,7 +28,6 @@ def line(height, run):
     return parts(brentq(lambda h: reach(h) - run, 1.0, 1e6, xtol=1e-9, rtol=1e-14))
 
 
-@pytest.mark.slow
 def test_buoy_comes_to_rest_in_the_middle(device, tmp_path):
     run = wc.Experiment.from_toml(EXAMPLE).run(tmp_path / "buoy", device=device)
     recording = run.recording

@@ -80,7 +80,6 @@ def test_cube_tosses_says_what_is_wrong_with_the_file(tmp_path, capsys):
         assert message in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_surface_on_surface_converges_to_its_closed_forms(device, capsys):
     errors = load("surface_on_surface").main(["--device", device])
     assert "2513.3" in capsys.readouterr().out
@@ -111,7 +110,6 @@ def test_the_pendulum_rebounds_from_the_outer_side_of_a_wall_only(device, tmp_pa
     assert (force > 0.0).any(axis=0).all()
 
 
-@pytest.mark.slow
 def test_an_ellipsoid_in_a_bowl_keeps_its_energy():
     # At an instant the energy of symplectic steps is off by the first order of dt: 5e-3 at 220 steps of a contact.
     assert load("ellipsoid_in_bowl").energy_kept(duration=0.5) < 8.0e-3
@@ -126,7 +124,6 @@ def test_static_contact_is_its_closed_form_by_all_methods(name, tmp_path, capsys
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
 def test_a_bouncing_ball_passes_its_zeno_point(device, tmp_path, capsys):
     picture = tmp_path / "ball.png"
     result = load("bouncing_ball").main(["--device", device, "--picture", str(picture)])

@@ -65,6 +65,12 @@ def test_hopper_flows_as_beverloo_says(device, capsys):
     assert 0.5 < np.mean(found) < 0.7
 
 
+def test_hopper_example_ends_in_good_health(capsys):
+    options = ["--spheres", "1014", "--orifice", "4.5", "--part", "0.02", "--device", "cpu"]
+    assert load("examples", "hopper").main(options)["health"].good
+    assert "flow rate" in capsys.readouterr().out
+
+
 def test_a_hopper_refuses_too_few_spheres(capsys):
     with pytest.raises(SystemExit):
         load("examples", "hopper").main(["--spheres", "300", "--orifice", "5"])

